@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metadata and pins stand in setup.cfg; here is what has to be listed by code."""
+
+from glob import glob
+
+from setuptools import setup
+
+NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "perception")
+
+setup(
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/foretouch"]),
+        ("share/foretouch", ["package.xml"]),
+        ("share/foretouch/launch", glob("launch/*.launch.py")),
+        ("share/foretouch/config", glob("config/*.yaml") + glob("config/*.rviz")),
+    ],
+    entry_points={
+        "console_scripts": [
+            "foretouch = foretouch.cli.main:main",
+            *(f"foretouch_{node} = foretouch.ros.executables:{node}" for node in NODES),
+        ],
+    },
+)

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Typed settings: one frozen dataclass a component, one default each, read from YAML and `key=value`.
+
+A component declares its settings beside itself::
+
+    @dataclass(frozen=True, kw_only=True)
+    class CropConfig(Settings):
+        max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0, unit="m")
+
+The fields carry description, unit, bounds and whether a running node may change them, so that the
+command line, the YAML reader and the ROS parameters are all derived from this one declaration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import yaml
+
+from foretouch.errors import ConfigError
+
+_S = typing.TypeVar("_S", bound="Settings")
+
+__all__ = ["SettingInfo", "Settings", "load_yaml", "parse_overrides", "setting", "setting_infos"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SettingInfo:
+    """What is known of one setting.
+
+    Attributes:
+        name: Field name; nested settings are joined with dots.
+        type: bool, int, float, str, or a tuple's item type with `is_list`.
+        default: Its default.
+        description: One sentence.
+        unit: Of the value, "" if it has none.
+        minimum, maximum: Inclusive bounds, None where open.
+        choices: Allowed values, empty where free.
+        read_only: Whether a running node refuses to change it.
+        is_list: Whether it is a tuple of `type`.
+        optional: Whether None is allowed.
+    """
+
+    name: str
+    type: type
+    default: Any
+    description: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[Any, ...]
+    read_only: bool
+    is_list: bool
+    optional: bool
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: Sequence[Any] = (),
+    read_only: bool = False,
+) -> Any:
+    """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "description": description,
+            "unit": unit,
+            "minimum": minimum,
+            "maximum": maximum,
+            "choices": tuple(choices),
+            "read_only": read_only,
+        },
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Base of every component's settings: checks each value when made.
+
+    Subclasses with rules across fields extend `__post_init__` and call this one first.
+
+    Raises:
+        ConfigError: Names the field, the value and the rule.
+    """
+
+    def __post_init__(self) -> None:
+        for info in _own_infos(type(self)):
+            value = _checked(info, getattr(self, info.name), type(self).__name__)
+            object.__setattr__(self, info.name, value)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
+        """Build from plain data, such as a YAML document; keys may be nested or dotted.
+
+        Args:
+            mapping: Setting names to values. What is absent keeps its default.
+            source: Named in error messages.
+
+        Raises:
+            ConfigError: At an unknown key (the known ones are told), a wrong type or a value out of bounds.
+        """
+        return _build(cls, _nested(mapping, source), f"{source}: " if source else "", "")
+
+    def replace(self, **changes: Any) -> Self:
+        """The same settings with some fields changed, checked again."""
+        return dataclasses.replace(self, **changes)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain nested data that `from_mapping` reads back."""
+        return {
+            f.name: value.to_mapping()
+            if isinstance(value, Settings)
+            else list(value)
+            if isinstance(value, tuple)
+            else value
+            for f in dataclasses.fields(self)
+            for value in [getattr(self, f.name)]
+        }
+
+
+def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
+    """All settings of `cls`, nested ones with dotted names, in order of declaration."""
+    infos: list[SettingInfo] = []
+    own = {info.name: info for info in _own_infos(cls)}
+    hints = typing.get_type_hints(cls)
+    for f in dataclasses.fields(cls):
+        if f.name in own:
+            infos.append(dataclasses.replace(own[f.name], name=prefix + f.name))
+        else:
+            infos.extend(setting_infos(hints[f.name], f"{prefix}{f.name}."))
+    return infos
+
+
+def load_yaml(path: str | Path) -> dict[str, Any]:
+    """One YAML mapping, by safe load.
+
+    Raises:
+        ConfigError: If the file cannot be read, is no YAML, or holds no mapping.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as err:
+        raise ConfigError(f"{path}: {err.strerror or err}") from err
+    except (yaml.YAMLError, UnicodeDecodeError) as err:
+        raise ConfigError(f"{path}: not YAML: {' '.join(str(err).split())}") from err
+    if document is None:
+        return {}
+    if not isinstance(document, dict):
+        raise ConfigError(f"{path}: holds a {type(document).__name__}, not a mapping")
+    return document
+
+
+def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
+    """`["a.b=1", "c=x"]` to `{"a.b": 1, "c": "x"}`; values are YAML scalars or lists.
+
+    Raises:
+        ConfigError: At a word without `=` or a value that is no YAML.
+    """
+    result: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key:
+            raise ConfigError(f"{pair}: is not key=value")
+        try:
+            result[key] = yaml.safe_load(text)
+        except yaml.YAMLError as err:
+            raise ConfigError(f"{key}: {text!r} is not a YAML value") from err
+    return result
+
+
+def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
+    hints = typing.get_type_hints(cls)
+    infos = []
+    for f in dataclasses.fields(cls):
+        item, is_list, optional = _analyse(hints[f.name])
+        if isinstance(item, type) and issubclass(item, Settings):
+            continue
+        if "description" not in f.metadata:
+            raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
+        infos.append(
+            SettingInfo(name=f.name, type=item, default=f.default, is_list=is_list, optional=optional, **f.metadata)
+        )
+    return infos
+
+
+def _analyse(hint: Any) -> tuple[type, bool, bool]:
+    """A field's annotation as item type, is it a tuple, may it be None."""
+    optional = False
+    arguments = typing.get_args(hint)
+    if type(None) in arguments:
+        optional = True
+        (hint,) = [a for a in arguments if a is not type(None)]
+    origin = typing.get_origin(hint)
+    if origin is tuple:
+        return typing.get_args(hint)[0], True, optional
+    if origin is typing.Literal:
+        return type(typing.get_args(hint)[0]), False, optional
+    return hint, False, optional
+
+
+def _checked(info: SettingInfo, value: Any, owner: str) -> Any:
+    name = f"{owner}.{info.name}"
+    if value is None:
+        if info.optional:
+            return None
+        raise ConfigError(f"{name}: is empty")
+    if not info.is_list:
+        return _checked_item(info, value, name)
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ConfigError(f"{name}: {value!r} is not a list")
+    return tuple(_checked_item(info, item, f"{name}[{i}]") for i, item in enumerate(value))
+
+
+def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:  # any scalar in, the same or its float out
+    if info.type is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
+        raise ConfigError(f"{name}: {value!r} is not {_article(info.type)}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}: {value} is not finite")
+    number = value if isinstance(value, (int, float)) else 0.0
+    if info.minimum is not None and number < info.minimum:
+        raise ConfigError(f"{name}: {value} is below {info.minimum}{_unit(info)}")
+    if info.maximum is not None and number > info.maximum:
+        raise ConfigError(f"{name}: {value} is above {info.maximum}{_unit(info)}")
+    if info.choices and value not in info.choices:
+        raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(str, info.choices))}")
+    return value
+
+
+def _article(kind: type) -> str:
+    return {int: "a whole number", float: "a number", str: "text", bool: "true or false"}.get(kind, kind.__name__)
+
+
+def _unit(info: SettingInfo) -> str:
+    return f" {info.unit}" if info.unit else ""
+
+
+def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Dotted keys as nested mappings."""
+    result: dict[str, Any] = {}
+    for key, value in mapping.items():
+        *parents, leaf = str(key).split(".")
+        place = result
+        for parent in parents:
+            place = place.setdefault(parent, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"{source}: {key}: {parent} is a value and a group at once")
+        if isinstance(value, Mapping):
+            inner = _nested(value, source)
+            if isinstance(place.get(leaf), dict):
+                place[leaf].update(inner)
+                continue
+            value = inner
+        place[leaf] = value
+    return result
+
+
+def _build(cls: type[_S], mapping: Mapping[str, Any], source: str, prefix: str) -> _S:
+    hints = typing.get_type_hints(cls)
+    known = [f.name for f in dataclasses.fields(cls)]
+    values: dict[str, Any] = {}
+    for key, value in mapping.items():
+        if key not in known:
+            raise ConfigError(f"{source}{prefix}{key}: unknown setting; known: {', '.join(known)}")
+        hint = hints[key]
+        if isinstance(hint, type) and issubclass(hint, Settings):
+            if not isinstance(value, Mapping):
+                raise ConfigError(f"{source}{prefix}{key}: {value!r} is not a group of settings")
+            values[key] = _build(hint, value, source, f"{prefix}{key}.")
+        else:
+            values[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return cls(**values)
+    except ConfigError as err:
+        raise ConfigError(f"{source}{err}") from err

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One family of exceptions: whoever calls foretouch catches `ForetouchError`.
+
+A message is one line that names the file or message, the field and the rule it breaks, so that
+the command line can print it as it is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = [
+    "CameraError",
+    "CloudError",
+    "ConfigError",
+    "DatasetError",
+    "FileError",
+    "ForetouchError",
+    "GraspError",
+    "MissingDependencyError",
+    "ModelError",
+    "TactileError",
+]
+
+
+class ForetouchError(Exception):
+    """A known failure, told in one line."""
+
+
+class ConfigError(ForetouchError):
+    """A setting that is unknown, of the wrong type or out of its bounds."""
+
+
+class CloudError(ForetouchError):
+    """A cloud whose shape, layout or values cannot be used."""
+
+
+class GraspError(ForetouchError):
+    """A grasp that cannot be used: not finite, or of zero width."""
+
+
+class TactileError(ForetouchError):
+    """A tactile reading that a working BioTac SP does not give."""
+
+
+class ModelError(ForetouchError):
+    """A model that is damaged, of another architecture or of another modality."""
+
+
+class CameraError(ForetouchError):
+    """A camera that is absent, unplugged or stalled."""
+
+
+class DatasetError(ForetouchError):
+    """A dataset or recording that cannot be read or written."""
+
+
+class MissingDependencyError(ForetouchError):
+    """A package or library that this machine lacks; the message holds the line that mends it."""
+
+
+class FileError(ForetouchError):
+    """A file that breaks a rule.
+
+    Args:
+        path: The file.
+        rule: What it breaks, in words.
+        field: The part of the file at fault, or None for the whole.
+    """
+
+    def __init__(self, path: str | Path, rule: str, *, field: str | None = None) -> None:
+        self.path = Path(path)
+        self.rule = rule
+        self.field = field
+        place = f"{path}: {field}" if field else f"{path}"
+        super().__init__(f"{place}: {rule}")

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make `import open3d` and `import pyrealsense2` work where the system has no libusb.
+
+Both wheels link against `libusb-1.0.so.0`, which minimal machines lack. The wheel
+`libusb-package` carries the same library; loaded globally first, it satisfies both.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+from foretouch.errors import MissingDependencyError
+
+__all__ = ["ensure_libusb"]
+
+
+def ensure_libusb() -> None:
+    """Load libusb into this process, from the system or else from the wheel.
+
+    Raises:
+        MissingDependencyError: If neither has it.
+    """
+    try:
+        ctypes.CDLL("libusb-1.0.so.0", mode=ctypes.RTLD_GLOBAL)
+        return
+    except OSError:
+        pass
+    try:
+        import libusb_package
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    except (ImportError, OSError) as err:
+        raise MissingDependencyError(
+            "libusb-1.0.so.0: not found, Open3D and pyrealsense2 need it: pip install libusb-package"
+        ) from err

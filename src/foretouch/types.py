@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The things that travel between the steps: clouds, planes, grasps, touches.
+
+All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor
+counts. Clouds and all that is derived from them are in the camera's optical frame (x right,
+y down, z forward) unless `frame_id` says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError, GraspError, TactileError
+
+__all__ = [
+    "ELECTRODES",
+    "TOUCH_SIZE",
+    "Cloud",
+    "Float32",
+    "Float64",
+    "Grasp",
+    "GraspSample",
+    "Plane",
+    "Reference",
+    "Touch",
+    "TouchPrediction",
+]
+
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+UInt8 = npt.NDArray[np.uint8]
+Reference = Literal["none", "tare", "touches"]
+
+ELECTRODES = 24  # of one BioTac SP
+TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A point cloud, ordered like an image or not.
+
+    Attributes:
+        xyz: (N, 3) or organised (H, W, 3), float32 [m]. A pixel without depth holds NaN in all three.
+        rgb: The same leading shape, uint8, or None.
+        frame_id: The frame of `xyz`.
+        stamp_ns: When it was measured [ns].
+
+    Raises:
+        CloudError: If a shape or a dtype is another.
+    """
+
+    xyz: Float32
+    rgb: UInt8 | None = None
+    frame_id: str = ""
+    stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
+            raise CloudError(f"xyz: shape {self.xyz.shape} is neither (N, 3) nor (H, W, 3)")
+        if self.xyz.dtype != np.float32:
+            raise CloudError(f"xyz: dtype {self.xyz.dtype} is not float32")
+        if self.rgb is not None:
+            if self.rgb.shape != self.xyz.shape:
+                raise CloudError(f"rgb: shape {self.rgb.shape} is not that of xyz, {self.xyz.shape}")
+            if self.rgb.dtype != np.uint8:
+                raise CloudError(f"rgb: dtype {self.rgb.dtype} is not uint8")
+
+    @property
+    def organised(self) -> bool:
+        """Whether neighbours in the array are neighbours in the image."""
+        return self.xyz.ndim == 3
+
+    @property
+    def size(self) -> int:
+        """Number of points, those without depth included."""
+        return self.xyz.size // 3
+
+    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Cloud:
+        """Some of the points, as an unorganised cloud.
+
+        Args:
+            index: Indices into the flattened cloud, or a mask of (N,) or (H, W).
+        """
+        flat = index.reshape(-1) if index.dtype == np.bool_ else index
+        rgb = None if self.rgb is None else self.rgb.reshape(-1, 3)[flat]
+        return Cloud(self.xyz.reshape(-1, 3)[flat], rgb, self.frame_id, self.stamp_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """The plane n·p + d = 0.
+
+    Attributes:
+        normal: (3,) float64, of unit length, towards the camera where the plane was measured.
+        offset: d [m].
+    """
+
+    normal: Float64
+    offset: float
+
+    @classmethod
+    def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
+        """From (a, b, c, d) of any scale.
+
+        Raises:
+            CloudError: If a number is not finite or (a, b, c) is zero.
+        """
+        abcd = np.asarray(coefficients, dtype=np.float64)
+        if abcd.shape != (4,) or not np.isfinite(abcd).all():
+            raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
+        length = float(np.linalg.norm(abcd[:3]))
+        if length == 0.0:
+            raise CloudError("plane: the normal has zero length")
+        return cls(abcd[:3] / length, float(abcd[3]) / length)
+
+    @property
+    def coefficients(self) -> Float64:
+        """(4,) float64: a, b, c, d."""
+        return np.append(self.normal, self.offset)
+
+    def height(self, xyz: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+        """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
+        return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """Two contacts and the pose of the hand (P2: g1, g2, R).
+
+    Attributes:
+        g1: (3,) float64 [m], cloud frame.
+        g2: (3,) float64 [m], cloud frame.
+        rotation: (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis.
+        score: Rank of GeoGrasp, higher is better; NaN where the original's rule gives no finite one.
+        id: Unique within a session.
+        object_id: The object that it was planned on.
+
+    Raises:
+        GraspError: If a contact or the rotation is not finite or of another shape, or g1 is g2.
+    """
+
+    g1: Float64
+    g2: Float64
+    rotation: Float64
+    score: float = float("nan")
+    id: str = ""
+    object_id: str = ""
+
+    def __post_init__(self) -> None:
+        for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise GraspError(f"{name}: shape {value.shape} is not {shape}")
+            if not np.isfinite(value).all():
+                raise GraspError(f"{name}: {value.tolist()} is not finite")
+        if np.array_equal(self.g1, self.g2):
+            raise GraspError(f"g1, g2: both contacts are at {self.g1.tolist()}")
+
+    @property
+    def midpoint(self) -> Float64:
+        """(3,) float64 [m]: the origin of the hand frame."""
+        return (self.g1 + self.g2) / 2.0
+
+    @property
+    def width_m(self) -> float:
+        """Distance of the contacts [m]."""
+        return float(np.linalg.norm(self.g1 - self.g2))
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """One reading of both fingers [counts].
+
+    Attributes:
+        pdc_th: Static pressure of the thumb.
+        pdc_mf: Static pressure of the middle finger.
+        e_th: (24,) float64, electrodes of the thumb.
+        e_mf: (24,) float64, electrodes of the middle finger.
+
+    Raises:
+        TactileError: If a shape is another. Values are not judged here: see `foretouch.tactile`.
+    """
+
+    pdc_th: float
+    pdc_mf: float
+    e_th: Float64
+    e_mf: Float64
+
+    def __post_init__(self) -> None:
+        for name in ("e_th", "e_mf"):
+            shape = getattr(self, name).shape
+            if shape != (ELECTRODES,):
+                raise TactileError(f"{name}: shape {shape} is not ({ELECTRODES},)")
+
+    @classmethod
+    def from_vector(cls, vector: npt.NDArray[np.floating]) -> Touch:
+        """From (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
+        if vector.shape != (TOUCH_SIZE,):
+            raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
+        v = vector.astype(np.float64)
+        return cls(float(v[0]), float(v[1]), v[2 : 2 + ELECTRODES], v[2 + ELECTRODES :])
+
+    def vector(self) -> Float64:
+        """(50,) float64: PDC_TH, PDC_MF, E_TH, E_MF."""
+        return np.concatenate([[self.pdc_th, self.pdc_mf], self.e_th, self.e_mf])
+
+
+@dataclass(frozen=True, eq=False)
+class TouchPrediction:
+    """What the fingertips would read if `grasp` were executed.
+
+    Attributes:
+        grasp: The grasp.
+        value: Prediction [counts]; None where `status` is not "ok".
+        lower, upper: Bounds of the interval [counts]; None until the model's card holds a calibration.
+        reference: What the prediction could lean on.
+        flags: Of `out_of_range`, `unfamiliar`, `late`, `fallback_model`.
+        status: "ok" or "refused".
+        reason: Why, in words, where it is refused.
+    """
+
+    grasp: Grasp
+    value: Touch | None
+    lower: Touch | None = None
+    upper: Touch | None = None
+    reference: Reference = "none"
+    flags: tuple[str, ...] = ()
+    status: Literal["ok", "refused"] = "ok"
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSample:
+    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>).
+
+    Attributes:
+        id: `<object>/<source id>`.
+        object: Label of the object.
+        cloud: The object's cloud that the grasp was planned on.
+        grasp: The grasp.
+        touch: What was read in contact; None for an unlabelled sample.
+        tare: What was read without contact; None if nothing was.
+        stamp_ns: When it was recorded [ns].
+        extra: Whatever else the source holds, by name.
+    """
+
+    id: str
+    object: str
+    cloud: Cloud
+    grasp: Grasp
+    touch: Touch | None = None
+    tare: Touch | None = None
+    stamp_ns: int = 0
+    extra: Mapping[str, float] = field(default_factory=dict)

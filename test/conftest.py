@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every test shares: where the recordings of others are, and a seed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of FORETOUCH_DATA, or a skip with a reason."""
+    folder = os.environ.get("FORETOUCH_DATA")
+    if not folder:
+        pytest.skip("FORETOUCH_DATA is not set: the recordings of others are not part of this repository")
+    path = Path(folder)
+    if not (path / "vision2tactile").is_dir():
+        pytest.fail(f"FORETOUCH_DATA={path}: holds no vision2tactile folder")
+    return path
+
+
+@pytest.fixture(scope="session")
+def reference(real_data: Path) -> Path:
+    """Outputs of the original GeoGrasp on the real clouds."""
+    path = real_data.parent / "reference"
+    if not path.is_dir():
+        pytest.skip(f"{path}: absent")
+    return path
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Seeded by FORETOUCH_TEST_SEED, 0 by default."""
+    return np.random.default_rng(int(os.environ.get("FORETOUCH_TEST_SEED", "0")))
