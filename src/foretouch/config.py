@@ -257,12 +257,10 @@ def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
             if not isinstance(place, dict):
                 raise ConfigError(f"{source}: {key}: {parent} is a value and a group at once")
         if isinstance(value, Mapping):
-            inner = _nested(value, source)
-            if isinstance(place.get(leaf), dict):
-                place[leaf].update(inner)
-                continue
-            value = inner
-        place[leaf] = value
+            group = place.setdefault(leaf, {})
+            group.update(_nested(value, source))
+        else:
+            place[leaf] = value
     return result
 
 
