@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch doctor`: what this machine lacks or has in another version, and the line that mends it.
+
+The pins are read from the installed package's own metadata, so they are written once, in setup.cfg.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import Literal
+
+from foretouch.cli.output import print_json, print_table
+
+__all__ = ["Finding", "add_arguments", "examine", "run"]
+
+State = Literal["ok", "mismatch", "missing", "broken", "optional"]
+_REQUIREMENT = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?==([^;\s]+)(?:\s*;\s*extra == ['\"](\w+)['\"])?")
+_SHM_NEEDED_MB = 256  # three 64 MB segments and some room
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        name: What.
+        state: "ok", "mismatch" (works perhaps), "missing", "broken", or "optional" (absent, and only some need it).
+        found: What is there.
+        mend: The line that mends it, "" where nothing needs to.
+    """
+
+    name: str
+    state: State
+    found: str
+    mend: str = ""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """--json and --all."""
+    parser.add_argument("--json", action="store_true", help="one JSON object a finding")
+    parser.add_argument("--all", action="store_true", help="show what is well too")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if something is missing, broken or mismatched."""
+    findings = list(examine())
+    troubles = [finding for finding in findings if finding.state not in {"ok", "optional"}]
+    if arguments.json:
+        for finding in findings:
+            print_json(asdict(finding))
+        return int(bool(troubles))
+    shown = findings if arguments.all else [f for f in findings if f.state != "ok"]
+    if shown:
+        print_table("foretouch doctor", ["what", "state", "found", "mend"], [[f.name, f.state, f.found, f.mend] for f in shown])
+    print(f"{len(findings)} looked at, {len(troubles)} to mend")
+    return int(bool(troubles))
+
+
+def examine() -> Iterator[Finding]:
+    """All findings, cheapest first."""
+    yield _python()
+    yield from _pins()
+    yield from _imports()
+    yield from _ros()
+    yield _shared_memory()
+    yield _model()
+    yield _camera()
+
+
+def _python() -> Finding:
+    version = platform.python_version()
+    if sys.version_info < (3, 11):
+        return Finding("Python", "mismatch", version, "make setup PYTHON=python3.11")
+    return Finding("Python", "ok", f"{version} {platform.machine()}")
+
+
+def _pins() -> Iterator[Finding]:
+    """Every requirement of setup.cfg against what is installed."""
+    from_ros_install = bool(os.environ.get("ROS_DISTRO"))
+    for line in metadata.requires("foretouch") or []:
+        match = _REQUIREMENT.match(line)
+        if match is None:
+            continue
+        name, wanted, extra = match.groups()
+        if extra in {"test", "dev"} or (extra == "ros" and from_ros_install):
+            continue
+        yield _pin(name, wanted, extra)
+
+
+def _pin(name: str, wanted: str, extra: str | None) -> Finding:
+    try:
+        found = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        state: State = "optional" if extra == "camera" else "missing"
+        return Finding(name, state, "absent", f"pip install {name}=={wanted}")
+    if found.split("+")[0] != wanted:
+        return Finding(name, "mismatch", f"{found}, tested with {wanted}", f"pip install {name}=={wanted}")
+    return Finding(name, "ok", found)
+
+
+def _imports() -> Iterator[Finding]:
+    """Libraries that can be installed and yet fail to load, each tried in a process of its own."""
+    preload = "from foretouch.libusb import ensure_libusb; ensure_libusb()"
+    for name, code, mend in (
+        ("open3d loads", f"{preload}; import open3d", "apt install libgl1 libgomp1 libusb-1.0-0"),
+        ("torch loads", "import torch", "pip install --force-reinstall torch"),
+        ("pyrealsense2 loads", f"{preload}; import pyrealsense2", "pip install 'foretouch[camera]'"),
+    ):
+        yield _tried(name, code, mend)
+
+
+def _ros() -> Iterator[Finding]:
+    distro = os.environ.get("ROS_DISTRO", "PyPI wheels")
+    yield _tried(f"rclpy loads ({distro})", "import foretouch.ros.environment; import rclpy", "pip install 'foretouch[ros]'")
+    yield _tried(
+        "foretouch_msgs loads",
+        "import foretouch.ros.environment; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()",
+        "pip install ./foretouch_msgs",
+    )
+    for name, why in (("launch_ros", "launch files"), ("sensor_msgs_py", "comparison in tests"), ("sr_robot_msgs", "Shadow's own messages")):
+        present = _succeeds(f"import {name}")
+        yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
+
+
+def _shared_memory() -> Finding:
+    name = "shared memory"
+    try:
+        free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
+    except OSError:
+        return Finding(name, "missing", "/dev/shm is absent", "docker run --ipc=host, or --shm-size=1g")
+    state: State = "ok" if free_mb >= _SHM_NEEDED_MB else "mismatch"
+    mend = "" if state == "ok" else "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
+    return Finding(name, state, f"{free_mb:.0f} MB free", mend)
+
+
+def _model() -> Finding:
+    from foretouch.errors import ForetouchError
+    from foretouch.models import load_model
+
+    try:
+        model = load_model()
+    except (ForetouchError, ImportError) as err:
+        return Finding("default model", "broken", str(err), "pip install --force-reinstall foretouch")
+    return Finding("default model", "ok", f"{model.name} {model.sha256[:12]}")
+
+
+def _camera() -> Finding:
+    from foretouch.errors import ForetouchError
+
+    try:
+        from foretouch.camera import list_devices
+
+        devices = list_devices()
+    except (ForetouchError, ImportError) as err:
+        return Finding("RealSense", "optional", str(err))
+    if not devices:
+        return Finding("RealSense", "optional", "no device plugged in")
+    return Finding("RealSense", "ok", ", ".join(devices))
+
+
+def _tried(name: str, code: str, mend: str) -> Finding:
+    message = _failure(code)
+    return Finding(name, "ok", "yes") if message is None else Finding(name, "broken", message, mend)
+
+
+def _succeeds(code: str) -> bool:
+    return _failure(code) is None
+
+
+def _failure(code: str) -> str | None:
+    """The last line of the error, or None: a crash of a native library must not end the doctor."""
+    done = subprocess.run(  # noqa: S603 - our own interpreter and code
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+    if done.returncode == 0:
+        return None
+    lines: list[str] = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {done.returncode}"
+
+

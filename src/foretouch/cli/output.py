@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a person or a program sees: one JSON object a line, or tables."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+__all__ = ["print_json", "print_table", "warn"]
+
+
+def print_json(record: Mapping[str, Any]) -> None:
+    """One line on stdout. Numbers that are not finite become null, as JSON knows none."""
+    sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """A table for a person; numbers are to be formatted with their units by the caller."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(column, justify="left" if column == columns[0] else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console(soft_wrap=False).print(table)
+
+
+def warn(message: str) -> None:
+    """One line on stderr."""
+    print(f"foretouch: {message}", file=sys.stderr)
+
+
+def _plain(value: Any) -> Any:
+    """Arrays, mappings and numbers as what JSON holds."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
