@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one road from a cloud to predicted touch, shared by the nodes and the command line.
 
-    scene cloud ─ see ─► objects + table ─ plan ─► grasps ─ feel ─► touch
+    scene cloud ─ see ─► objects + table ─ plan ─► grasps ─ predict ─► touch
 
 Each step is one method over the public function of its package, so that the same input gives
 bit-equal output wherever it is run.
@@ -11,17 +11,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from foretouch.cloud.segmentation import ObjectSegment, Segmentation, SegmentationConfig, TargetConfig, choose_targets, segment
+from foretouch.cloud.segmentation import Segmentation, SegmentationConfig, TargetConfig, choose_targets, segment
 from foretouch.config import Settings, setting
-from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
-from foretouch.types import Cloud, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
-__all__ = ["ASSUMED_TABLE", "Felt", "Pipeline", "PipelineConfig", "PipelineResult"]
+__all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "Sight"]
 
 ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 """The table of a cloud that holds an object and nothing else: seen from straight above, as in the public recordings."""
@@ -35,26 +36,51 @@ class PipelineConfig(Settings):
     target: TargetConfig = TargetConfig()
     grasp: GeoGraspConfig = GeoGraspConfig()
     model: str = setting("default", "Name of a shipped model, or the path of a checkpoint", read_only=True)
-    vary_seed: int | None = setting(None, "Slide each grasp along the object by a random amount drawn from this seed")
+
+
+@dataclass(frozen=True, eq=False)
+class FoundObject:
+    """One object and the table it stands on.
+
+    Attributes:
+        id: Unique within its cloud.
+        cloud: (N, 3), the object's points alone.
+        plane: The table, in the cloud's frame.
+        pixels: (N,) int64, flat index of each point in the image it was cut from; None if there is none.
+        image_shape: (H, W) of that image.
+    """
+
+    id: str
+    cloud: Cloud
+    plane: Plane
+    pixels: npt.NDArray[np.int64] | None = None
+    image_shape: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What was seen in a scene.
+
+    Attributes:
+        status: "ok", "no_target", or the segmentation's own.
+        reason: Why, in words; "" for "ok".
+        segmentation: Everything that was found.
+        targets: Those objects that are to be grasped, best first.
+    """
+
+    status: str
+    reason: str
+    segmentation: Segmentation
+    targets: tuple[FoundObject, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """One object with what was planned and predicted for it.
+    """One object with what was planned and predicted for it; the predictions are in the order of the grasps."""
 
-    Attributes:
-        object_id: Id of the object in its cloud.
-        cloud: The object's points, unorganised.
-        plan: Outcome of GeoGrasp.
-        predictions: One for each grasp of the plan, in its order.
-        ms: Time of `grasp` and `touch` [ms].
-    """
-
-    object_id: str
-    cloud: Cloud
+    target: FoundObject
     plan: GraspPlan
     predictions: tuple[TouchPrediction, ...]
-    ms: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,26 +90,20 @@ class PipelineResult:
     Attributes:
         status: "ok", or the status of the step that ended the road.
         reason: Why, in words; "" for "ok".
-        segmentation: None where the cloud was an object already.
-        plane: The table that grasps were planned on.
-        felt: The target objects, best first.
-        ms: Wall time a step and `total` [ms].
+        sight: None where the cloud was an object already.
+        felt: The targets, best first.
+        ms: Wall time of `segment`, `grasp`, `touch` and `total` [ms].
     """
 
     status: str
     reason: str
-    segmentation: Segmentation | None
-    plane: Plane | None
+    sight: Sight | None
     felt: tuple[Felt, ...]
     ms: dict[str, float]
 
 
 class Pipeline:
-    """The road with its settings and its model, which is loaded when first needed.
-
-    Raises:
-        ModelError: By the first prediction, if the model cannot be loaded.
-    """
+    """The road with its settings and its model, which is loaded when first needed."""
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
         self.config = config if config is not None else PipelineConfig()
@@ -91,94 +111,90 @@ class Pipeline:
 
     @property
     def model(self) -> TouchModel:
-        """The touch model, loaded once."""
+        """The touch model, loaded once.
+
+        Raises:
+            ModelError: If it is absent or damaged.
+        """
         if self._model is None:
             self._model = load_model(self.config.model)
         return self._model
 
-    def run(self, cloud: Cloud) -> PipelineResult:
-        """From a cloud of the whole scene to predicted touch.
+    def see(self, cloud: Cloud) -> Sight:
+        """The table and the target objects of a scene.
 
         Args:
             cloud: Organised (H, W, 3) or (N, 3), with the table in view.
         """
-        began = time.perf_counter()
-        segmentation = segment(cloud, self.config.segmentation)
-        ms = {"segment": _ms_since(began)}
-        if segmentation.status != "ok":
-            return _ended(segmentation.status, segmentation.reason, segmentation, ms)
-        targets, reason = choose_targets(segmentation.objects, self.config.target)
-        if not targets:
-            return _ended("no_target", reason, segmentation, ms)
-        if segmentation.plane is None:
-            raise AssertionError("a segmentation that is ok has a plane")
-        shape = cloud.xyz.shape[:2] if cloud.organised else None
-        felt = tuple(self._feel_object(target, segmentation.plane, shape) for target in targets)
-        return _finished(segmentation, segmentation.plane, felt, ms)
+        found = segment(cloud, self.config.segmentation)
+        if found.status != "ok" or found.plane is None:
+            return Sight(found.status, found.reason, found, ())
+        chosen, reason = choose_targets(found.objects, self.config.target)
+        shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
+        targets = tuple(
+            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape) for one in chosen
+        )
+        return Sight("ok" if targets else "no_target", "" if targets else reason, found, targets)
 
-    def run_object(self, cloud: Cloud, plane: Plane = ASSUMED_TABLE, *, object_id: str = "1") -> PipelineResult:
+    def plan(self, target: FoundObject) -> GraspPlan:
+        """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`)."""
+        return plan_grasps(
+            target.cloud,
+            target.plane,
+            self.config.grasp,
+            pixels=target.pixels,
+            image_shape=target.image_shape,
+            object_id=target.id,
+        )
+
+    def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
+        """The grasp with given contacts, posed as GeoGrasp would.
+
+        Args:
+            target: The object; its axis fixes the rotation.
+            g1: (3,) first contact [m], cloud frame.
+            g2: (3,) second contact [m], cloud frame.
+
+        Raises:
+            GraspError: If a contact is not finite or both are one.
+        """
+        posed = Grasp(g1, g2, np.eye(3), object_id=target.id)
+        axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
+        return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
+
+    def predict(self, target: FoundObject, grasps: Sequence[Grasp], *, tare: Touch | None = None) -> list[TouchPrediction]:
+        """Touch for each grasp on one object; the cloud's features are computed once."""
+        return self.model.predict(target.cloud, grasps, tare=tare) if grasps else []
+
+    def run(self, cloud: Cloud) -> PipelineResult:
+        """From a cloud of the whole scene to predicted touch."""
+        began = time.perf_counter()
+        sight = self.see(cloud)
+        ms = {"segment": (time.perf_counter() - began) * 1e3}
+        if not sight.targets:
+            return PipelineResult(sight.status, sight.reason, sight, (), {**ms, "total": ms["segment"]})
+        return self._run_targets(sight.targets, sight, ms)
+
+    def run_object(self, cloud: Cloud, plane: Plane = ASSUMED_TABLE) -> PipelineResult:
         """From a cloud that holds one object and nothing else to predicted touch.
 
         Args:
             cloud: The object's points.
             plane: The table it stands on, in the cloud's frame.
-            object_id: Written into the grasps.
         """
-        return _finished(None, plane, (self._feel(cloud, plane, object_id),), {})
+        return self._run_targets((FoundObject("1", cloud, plane),), None, {})
 
-    def plan(
-        self,
-        cloud: Cloud,
-        plane: Plane,
-        *,
-        object_id: str = "",
-        pixels: np.ndarray[tuple[int], np.dtype[np.int64]] | None = None,
-        image_shape: tuple[int, int] | None = None,
-    ) -> GraspPlan:
-        """Grasps for one object (see `foretouch.grasp.plan_grasps`)."""
-        seed = self.config.vary_seed
-        rng = None if seed is None else np.random.default_rng([seed, cloud.stamp_ns])
-        return plan_grasps(
-            cloud, plane, self.config.grasp, rng=rng, pixels=pixels, image_shape=image_shape, object_id=object_id
-        )
-
-    def predict(self, cloud: Cloud, grasps: Sequence[Grasp], *, tare: Touch | None = None) -> list[TouchPrediction]:
-        """Touch for each grasp on one object; the cloud's features are computed once."""
-        return self.model.predict(cloud, grasps, tare=tare) if grasps else []
-
-    def _feel_object(self, target: ObjectSegment, plane: Plane, shape: tuple[int, int] | None) -> Felt:
-        pixels = target.pixels if shape is not None else None
-        return self._feel(target.cloud, plane, str(target.id), pixels, shape)
-
-    def _feel(
-        self,
-        cloud: Cloud,
-        plane: Plane,
-        object_id: str,
-        pixels: np.ndarray[tuple[int], np.dtype[np.int64]] | None = None,
-        shape: tuple[int, int] | None = None,
-    ) -> Felt:
-        began = time.perf_counter()
-        plan = self.plan(cloud, plane, object_id=object_id, pixels=pixels, image_shape=shape)
-        ms = {"grasp": _ms_since(began)}
-        began = time.perf_counter()
-        predictions = tuple(self.predict(cloud, plan.grasps))
-        ms["touch"] = _ms_since(began)
-        return Felt(object_id, cloud, plan, predictions, ms)
-
-
-def _finished(segmentation: Segmentation | None, plane: Plane, felt: tuple[Felt, ...], ms: dict[str, float]) -> PipelineResult:
-    for step in ("grasp", "touch"):
-        ms[step] = sum(one.ms[step] for one in felt)
-    ms["total"] = sum(ms.values())
-    if any(one.predictions for one in felt):
-        return PipelineResult("ok", "", segmentation, plane, felt, ms)
-    return PipelineResult(felt[0].plan.status, felt[0].plan.reason, segmentation, plane, felt, ms)
-
-
-def _ended(status: str, reason: str, segmentation: Segmentation, ms: dict[str, float]) -> PipelineResult:
-    return PipelineResult(status, reason, segmentation, segmentation.plane, (), {**ms, "total": sum(ms.values())})
-
-
-def _ms_since(began: float) -> float:
-    return (time.perf_counter() - began) * 1e3
+    def _run_targets(self, targets: Sequence[FoundObject], sight: Sight | None, ms: dict[str, float]) -> PipelineResult:
+        felt = []
+        ms = {**ms, "grasp": 0.0, "touch": 0.0}
+        for target in targets:
+            began = time.perf_counter()
+            plan = self.plan(target)
+            planned = time.perf_counter()
+            felt.append(Felt(target, plan, tuple(self.predict(target, plan.grasps))))
+            ms["grasp"] += (planned - began) * 1e3
+            ms["touch"] += (time.perf_counter() - planned) * 1e3
+        ms["total"] = sum(ms.values())
+        ok = any(one.predictions for one in felt)
+        first = felt[0].plan
+        return PipelineResult("ok" if ok else first.status, "" if ok else first.reason, sight, tuple(felt), ms)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch grasp`: where a hand can hold each object, best first."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from foretouch.cli.inputs import (
+    Record,
+    add_input_arguments,
+    add_plan_arguments,
+    answer_each,
+    found_objects,
+    grasp_record,
+    pipeline_config,
+)
+from foretouch.cli.output import print_table
+from foretouch.pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from foretouch.dataset.source import SourceItem
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The common inputs and the settings of GeoGrasp."""
+    add_input_arguments(parser)
+    add_plan_arguments(parser)
+    parser.add_argument("--tip-mm", type=float, help="width of the gripper's tip [mm]")
+    parser.add_argument("--count", type=int, help="how many grasps at the most")
+    parser.add_argument("--slide-m", type=float, help="slide the grasp plane along the object's axis by this much [m]")
+    parser.add_argument("--vary", type=int, metavar="SEED", help="slide it by a random amount, drawn from this seed")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if a cloud was refused or gave no grasp."""
+    changes = {
+        key: value
+        for key, value in {
+            "grasp.tip_mm": arguments.tip_mm,
+            "grasp.count": arguments.count,
+            "slide_m": arguments.slide_m,
+            "vary_seed": arguments.vary,
+        }.items()
+        if value is not None
+    }
+    pipeline = Pipeline(pipeline_config(arguments, changes))
+
+    def answer(item: SourceItem) -> Iterator[Record]:
+        for one in found_objects(item, arguments, pipeline):
+            plan = pipeline.plan_object(one)
+            yield {
+                "object_id": one.id,
+                "status": plan.status,
+                "reason": plan.reason,
+                "plane": one.plane.coefficients,
+                "plane_source": one.plane_source,
+                "grasps": [grasp_record(grasp) for grasp in plan.grasps],
+                "initial_points": plan.initial_points,
+                "axis": plan.axis,
+                "centroid": plan.centroid,
+                "counts": plan.counts,
+                "ms": plan.ms,
+                "failed": not plan.grasps,
+            }
+
+    return answer_each(arguments, answer, _show)
+
+
+def _show(record: dict[str, Any]) -> None:
+    rows = [
+        [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}"]
+        for rank, grasp in enumerate(record["grasps"], 1)
+    ]
+    title = f"{record['input']} object {record['object_id']}: {record['status']} {record['reason']}"
+    print_table(title, ["rank", "g1 [m]", "g2 [m]", "score"], rows)
+
+
+def _point(xyz: Any) -> str:
+    return " ".join(f"{value:.4f}" for value in xyz)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch segment`: the table and the objects of each cloud."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from foretouch.cli.inputs import add_input_arguments, answer_each, pipeline_config
+from foretouch.cli.output import print_table
+from foretouch.errors import ConfigError
+
+if TYPE_CHECKING:
+    from foretouch.dataset.source import SourceItem
+
+__all__ = ["add_arguments", "run"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The common inputs and --labels-out."""
+    add_input_arguments(parser)
+    parser.add_argument("--labels-out", metavar="F.npy", help="write the labels, int32 in the cloud's shape, 0 = none (one input)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if a cloud was refused or holds no object."""
+    if arguments.labels_out and len(arguments.inputs) > 1:
+        raise ConfigError(f"--labels-out: takes one input, not {len(arguments.inputs)}")
+    config = pipeline_config(arguments).segmentation
+
+    def answer(item: SourceItem) -> Iterator[dict[str, Any]]:
+        import numpy as np
+
+        from foretouch.cloud.segmentation import segment
+
+        found = segment(item.cloud, config)
+        if arguments.labels_out:
+            np.save(arguments.labels_out, found.labels, allow_pickle=False)
+        yield {
+            "status": found.status,
+            "reason": found.reason,
+            "plane": None if found.plane is None else found.plane.coefficients,
+            "objects": [
+                {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds} for one in found.objects
+            ],
+            "counts": found.counts,
+            "ms": found.ms,
+            "failed": found.status != "ok",
+        }
+
+    return answer_each(arguments, answer, _show)
+
+
+def _show(record: dict[str, Any]) -> None:
+    rows = [
+        [str(one["id"]), str(one["n_points"]), " ".join(f"{v:.3f}" for v in one["centroid"]), _extent_mm(one["bounds"])]
+        for one in record["objects"]
+    ]
+    title = f"{record['input']}: {record['status']} {record['reason']} ({record['ms']['total']:.1f} ms)"
+    print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)
+
+
+def _extent_mm(bounds: Any) -> str:
+    return " x ".join(f"{1e3 * (high - low):.0f}" for low, high in zip(*bounds, strict=True))
