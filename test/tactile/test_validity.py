@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Validity and tare: absent, dead and out-of-range readings."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from foretouch.errors import TactileError
+from foretouch.tactile.tare import make_tare, offsets, restore
+from foretouch.tactile.validity import check_series, check_touch
+from foretouch.types import Touch
+
+REST = Touch(2779.0, 1676.0, np.full(24, 3300.0), np.full(24, 3500.0))
+
+
+def test_a_reading_at_rest_is_valid() -> None:
+    check = check_touch(REST)
+    assert check.valid
+    assert check.out_of_range == ()
+    check.require()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"e_th": np.zeros(24)}, "e_th: all 24 electrodes are 0, an absent sensor"),
+        ({"pdc_mf": -22072.0}, "pdc_mf: -22072 is not between 0 and 4095"),
+        ({"pdc_th": -9784.0}, "pdc_th: -9784 is not"),
+        ({"pdc_th": float("nan")}, "pdc_th: nan is not"),
+        ({"e_mf": np.r_[np.full(23, 3500.0), 5000.0]}, r"e_mf\[23\]: 5000 is not .* \(1 such"),
+        ({"e_mf": np.r_[np.nan, np.full(23, 3500.0)]}, r"e_mf\[0\]: nan"),
+    ],
+)
+def test_faults_are_named(change, message: str) -> None:
+    check = check_touch(dataclasses.replace(REST, **change))
+    assert not check.valid
+    with pytest.raises(TactileError, match=message):
+        check.require()
+
+
+def test_all_faults_are_told_at_once() -> None:
+    with pytest.raises(TactileError, match=r"pdc_th.*; e_mf"):
+        check_touch(dataclasses.replace(REST, pdc_th=-1.0, e_mf=np.zeros(24))).require()
+
+
+def test_out_of_range_is_a_flag_only() -> None:
+    check = check_touch(dataclasses.replace(REST, pdc_th=3500.0, e_mf=np.full(24, 3900.0)))
+    assert check.valid
+    assert check.out_of_range == ("PDC_TH", "E_MF")
+
+
+def test_a_pdc_that_never_moves_is_dead() -> None:
+    assert "constant at 1676 over 3000" in check_series(np.full(3000, 1676.0)).faults[0]
+    assert check_series(np.r_[np.full(3000, 1676.0), 1677.0]).valid
+    assert check_series(np.full(100, 1676.0)).valid  # too short to judge
+
+
+def test_tare_is_the_median_and_offsets_invert() -> None:
+    noisy = [dataclasses.replace(REST, pdc_th=v) for v in (2779.0, 2780.0, 3300.0)]
+    tare = make_tare(noisy)
+    assert tare.pdc_th == 2780.0
+    touch = dataclasses.replace(REST, pdc_th=2900.0, e_th=REST.e_th - 100)
+    assert_allclose(offsets(touch, tare)[[0, 1, 2]], [120.0, 0.0, -100.0])
+    assert_allclose(restore(offsets(touch, tare), tare).vector(), touch.vector())
+
+
+def test_bad_tare_is_refused() -> None:
+    with pytest.raises(TactileError, match="tare: no reading"):
+        make_tare([])
+    with pytest.raises(TactileError, match="tare: reading 1: e_mf: all 24"):
+        make_tare([REST, dataclasses.replace(REST, e_mf=np.zeros(24))])
