@@ -115,6 +115,16 @@ class Settings:
         """The same settings with some fields changed, checked again."""
         return dataclasses.replace(self, **changes)
 
+    def updated(self, changes: Mapping[str, Any], source: str = "") -> Self:
+        """The same settings with those of a mapping laid over them; its keys may be nested or dotted.
+
+        Raises:
+            ConfigError: As `from_mapping`.
+        """
+        merged = self.to_mapping()
+        _merge(merged, _nested(changes, source))
+        return self.from_mapping(merged, source)
+
     def to_mapping(self) -> dict[str, Any]:
         """Plain nested data that `from_mapping` reads back."""
         return {
@@ -262,6 +272,14 @@ def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
         else:
             place[leaf] = value
     return result
+
+
+def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    for key, value in changes.items():
+        if isinstance(value, Mapping) and isinstance(base.get(key), dict):
+            _merge(base[key], value)
+        else:
+            base[key] = value
 
 
 def _build(cls: type[_S], mapping: Mapping[str, Any], source: str, prefix: str) -> _S:

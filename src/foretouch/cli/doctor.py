@@ -60,7 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
         return int(bool(troubles))
     shown = findings if arguments.all else [f for f in findings if f.state != "ok"]
     if shown:
-        print_table("foretouch doctor", ["what", "state", "found", "mend"], [[f.name, f.state, f.found, f.mend] for f in shown])
+        print_table(
+            "foretouch doctor", ["what", "state", "found", "mend"], [[f.name, f.state, f.found, f.mend] for f in shown]
+        )
     print(f"{len(findings)} looked at, {len(troubles)} to mend")
     return int(bool(troubles))
 
@@ -120,13 +122,19 @@ def _imports() -> Iterator[Finding]:
 
 def _ros() -> Iterator[Finding]:
     distro = os.environ.get("ROS_DISTRO", "PyPI wheels")
-    yield _tried(f"rclpy loads ({distro})", "import foretouch.ros.environment; import rclpy", "pip install 'foretouch[ros]'")
+    yield _tried(
+        f"rclpy loads ({distro})", "import foretouch.ros.environment; import rclpy", "pip install 'foretouch[ros]'"
+    )
     yield _tried(
         "foretouch_msgs loads",
         "import foretouch.ros.environment; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()",
         "pip install ./foretouch_msgs",
     )
-    for name, why in (("launch_ros", "launch files"), ("sensor_msgs_py", "comparison in tests"), ("sr_robot_msgs", "Shadow's own messages")):
+    for name, why in (
+        ("launch_ros", "launch files"),
+        ("sensor_msgs_py", "comparison in tests"),
+        ("sr_robot_msgs", "Shadow's own messages"),
+    ):
         present = _succeeds(f"import {name}")
         yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
 
@@ -185,5 +193,3 @@ def _failure(code: str) -> str | None:
         return None
     lines: list[str] = done.stderr.strip().splitlines()
     return lines[-1] if lines else f"exit status {done.returncode}"
-
-

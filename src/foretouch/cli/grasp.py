@@ -17,7 +17,6 @@ from foretouch.cli.inputs import (
     pipeline_config,
 )
 from foretouch.cli.output import print_table
-from foretouch.pipeline import Pipeline
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
@@ -37,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or gave no grasp."""
+    from foretouch.pipeline import Pipeline
+
     changes = {
         key: value
         for key, value in {
@@ -51,13 +52,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     def answer(item: SourceItem) -> Iterator[Record]:
         for one in found_objects(item, arguments, pipeline):
-            plan = pipeline.plan_object(one)
+            plan = pipeline.plan(one)
             yield {
-                "object_id": one.id,
+                "object": one.id,
                 "status": plan.status,
                 "reason": plan.reason,
                 "plane": one.plane.coefficients,
-                "plane_source": one.plane_source,
                 "grasps": [grasp_record(grasp) for grasp in plan.grasps],
                 "initial_points": plan.initial_points,
                 "axis": plan.axis,
@@ -75,7 +75,7 @@ def _show(record: dict[str, Any]) -> None:
         [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}"]
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
-    title = f"{record['input']} object {record['object_id']}: {record['status']} {record['reason']}"
+    title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']}"
     print_table(title, ["rank", "g1 [m]", "g2 [m]", "score"], rows)
 
 

@@ -8,12 +8,24 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.output import print_json, warn
-from foretouch.errors import ForetouchError
+from foretouch.config import load_yaml, parse_overrides
+from foretouch.errors import CloudError, ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
+    from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+    from foretouch.types import Grasp
 
-__all__ = ["add_input_arguments", "add_plan_arguments", "answer_each", "four_numbers"]
+__all__ = [
+    "Record",
+    "add_input_arguments",
+    "add_plan_arguments",
+    "answer_each",
+    "found_objects",
+    "grasp_record",
+    "pipeline_config",
+    "six_numbers",
+]
 
 Record = dict[str, Any]
 
@@ -30,9 +42,14 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
     """--plane, --scene, --target: what the cloud holds and where its table is."""
     parser.add_argument(
-        "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0; the cloud then holds the object alone"
+        "--plane",
+        type=four_numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0; the cloud then holds the object alone",
     )
-    parser.add_argument("--scene", action="store_true", help="find the table and the objects of an unorganised cloud too")
+    parser.add_argument(
+        "--scene", action="store_true", help="find the table and the objects of an unorganised cloud too"
+    )
     parser.add_argument("--target", choices=["nearest", "largest", "all"], help="which object of a scene")
 
 
@@ -44,6 +61,50 @@ def four_numbers(text: str) -> list[float]:
 def six_numbers(text: str) -> list[float]:
     """`x1,y1,z1,x2,y2,z2` for argparse."""
     return _numbers(text, 6)
+
+
+def pipeline_config(arguments: argparse.Namespace, changes: dict[str, Any] | None = None) -> PipelineConfig:
+    """Defaults, then --config, then --set, then the command's own options.
+
+    Args:
+        arguments: With `config`, `set` and maybe `target`.
+        changes: Dotted settings from the command's own options.
+    """
+    from foretouch.pipeline import PipelineConfig
+
+    settings: dict[str, Any] = load_yaml(arguments.config) if arguments.config else {}
+    config = PipelineConfig.from_mapping(settings, arguments.config or "")
+    target = {"target.mode": arguments.target} if getattr(arguments, "target", None) else {}
+    for source, layer in (("--set", parse_overrides(arguments.set)), ("options", {**target, **(changes or {})})):
+        config = config.updated(layer, source)
+    return config
+
+
+def found_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
+    """What is to be grasped in one input: the cloud itself, or the targets of its scene.
+
+    An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object, which
+    stands on --plane or, by assumption, on a table seen from straight above.
+
+    Raises:
+        CloudError: If a scene holds no target.
+    """
+    from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+    from foretouch.types import Plane
+
+    if arguments.plane is not None:
+        return [FoundObject("1", item.cloud, Plane.from_coefficients(arguments.plane))]
+    if not (arguments.scene or item.cloud.organised):
+        return [FoundObject("1", item.cloud, ASSUMED_TABLE)]
+    sight = pipeline.see(item.cloud)
+    if not sight.targets:
+        raise CloudError(f"{sight.status}: {sight.reason}")
+    return list(sight.targets)
+
+
+def grasp_record(grasp: Grasp) -> Record:
+    """A grasp as JSON holds it: contacts [m], rotation row-major, score (null where GeoGrasp gives none)."""
+    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
 def answer_each(

@@ -13,7 +13,9 @@ __all__ = ["add_arguments", "run"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Names or paths; all shipped models by default."""
-    parser.add_argument("models", metavar="MODEL", nargs="*", help="names or paths of checkpoints (default: all shipped)")
+    parser.add_argument(
+        "models", metavar="MODEL", nargs="*", help="names or paths of checkpoints (default: all shipped)"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a model: its card")
 
 

@@ -20,7 +20,9 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and --labels-out."""
     add_input_arguments(parser)
-    parser.add_argument("--labels-out", metavar="F.npy", help="write the labels, int32 in the cloud's shape, 0 = none (one input)")
+    parser.add_argument(
+        "--labels-out", metavar="F.npy", help="write the labels, int32 in the cloud's shape, 0 = none (one input)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -42,7 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
             "reason": found.reason,
             "plane": None if found.plane is None else found.plane.coefficients,
             "objects": [
-                {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds} for one in found.objects
+                {"id": one.id, "n_points": one.n_points, "centroid": one.centroid, "bounds": one.bounds}
+                for one in found.objects
             ],
             "counts": found.counts,
             "ms": found.ms,
