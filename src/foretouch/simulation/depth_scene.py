@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Solids on a table seen by a D415: exact depth, labels and plane, and what the camera adds to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.camera.deproject import Deprojector
+from foretouch.errors import ConfigError
+from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
+from foretouch.simulation.placement import random_objects
+from foretouch.simulation.primitives import Primitive
+from foretouch.simulation.view import CameraView
+from foretouch.types import Cloud, Float64
+
+__all__ = ["FIRST_OBJECT", "TABLE", "DepthImage", "DepthScene", "random_scene"]
+
+TABLE = 1  # label of the table; 0 is everything else
+FIRST_OBJECT = 2  # label of the first object
+
+_COLOURS = np.array(
+    [[60, 60, 66], [150, 140, 125], [196, 78, 62], [70, 130, 180], [226, 172, 63], [104, 159, 98], [150, 105, 175]],
+    np.float32,
+)
+_FLOOR_M = 0.75  # below the table top
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """One frame with its ground truth.
+
+    Attributes:
+        depth_mm: (H, W) uint16 [mm] along the optical axis, 0 where there is none.
+        rgb: (H, W, 3) uint8, in the same view as the depth.
+        labels: (H, W) int32: 0 none or floor, 1 table, 2 and on the objects; exact, also where depth is noisy or absent.
+        K: (3, 3) float64, intrinsics [px].
+        plane: (4,) float64, the table in the camera frame, its normal towards the camera [m].
+    """
+
+    depth_mm: npt.NDArray[np.uint16]
+    rgb: npt.NDArray[np.uint8]
+    labels: npt.NDArray[np.int32]
+    K: Float64
+    plane: Float64
+
+    def cloud(
+        self, frame_id: str = "camera_depth_optical_frame", stamp_ns: int = 0, *, with_rgb: bool = False
+    ) -> Cloud:
+        """The frame as an organised cloud, NaN where there is no depth."""
+        height, width = self.depth_mm.shape
+        xyz = Deprojector.pinhole(self.K, width, height).points(self.depth_mm)
+        return Cloud(xyz, self.rgb if with_rgb else None, frame_id, stamp_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthScene:
+    """Solids, a table and a camera.
+
+    Attributes:
+        view: The camera.
+        objects: The solids; the k-th has the label 2 + k.
+        table_size: (2,) float64, edge lengths of the table about the world's origin [m].
+        floor_m: Distance of the floor below the table top [m]; None for no floor.
+    """
+
+    view: CameraView
+    objects: tuple[Primitive, ...]
+    table_size: Float64
+    floor_m: float | None = _FLOOR_M
+
+    def render(
+        self,
+        rng: np.random.Generator | None = None,
+        noise_m: float = 0.0,
+        flying_pixels: bool = False,
+        *,
+        stereo_shadows: bool = False,
+    ) -> DepthImage:
+        """One frame; without effects it is exact to the millimetre that the depth is rounded to.
+
+        Args:
+            rng: Of noise and flying pixels; may be None without either.
+            noise_m: Standard deviation of the depth at 1 m, growing with its square [m].
+            flying_pixels: Whether pixels on a depth edge lie between both sides.
+            stereo_shadows: Whether what only one of the two imagers sees has no depth.
+
+        Raises:
+            ConfigError: If an effect needs a generator and none is given, or the noise is negative.
+        """
+        if noise_m < 0.0:
+            raise ConfigError(f"noise_m: {noise_m} is negative")
+        depth, labels = self.cast()
+        rgb = self._colours(depth, labels)
+        hidden = stereo_shadow(depth, self.view.matrix[0, 0]) if stereo_shadows else None
+        if noise_m > 0.0 or flying_pixels:
+            if rng is None:
+                raise ConfigError("rng: is None, noise and flying pixels need a generator")
+            depth = add_flying_pixels(depth, rng) if flying_pixels else depth
+            depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
+        if hidden is not None:
+            depth = np.where(hidden, np.inf, depth)
+        depth_mm = _to_millimetres(depth)
+        return DepthImage(depth_mm, rgb, labels, self.view.matrix, self.view.table_plane())
+
+    def cast(self) -> tuple[Float64, npt.NDArray[np.int32]]:
+        """Exact depth and labels.
+
+        Returns:
+            (H, W) float64 [m] along the optical axis, inf where a ray meets nothing; (H, W) int32.
+        """
+        depth, labels = self._background()
+        for label, solid in enumerate(self.objects, FIRST_OBJECT):
+            window = self.view.window(solid.corners())
+            hit = solid.cast(self.view.eye, self.view.directions(window))
+            nearer = hit < depth[window]
+            depth[window][nearer] = hit[nearer]
+            labels[window][nearer] = label
+        return depth, labels
+
+    def moved(self, index: int, offset: Float64) -> DepthScene:
+        """The scene with one object shifted by (3,) in the world [m]."""
+        objects = list(self.objects)
+        objects[index] = objects[index].moved(offset)
+        return replace(self, objects=tuple(objects))
+
+    def _background(self) -> tuple[Float64, npt.NDArray[np.int32]]:
+        rays = self.view.directions()
+        down = np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
+        table = -self.view.eye[2] / down
+        at = self.view.eye[:2] + table[..., None] * rays[..., :2]
+        on_table = (np.abs(at) <= self.table_size / 2.0).all(axis=-1)
+        below = np.full(table.shape, np.inf)
+        if self.floor_m is not None:
+            below = -(self.view.eye[2] + self.floor_m) / down
+        return np.where(on_table, table, below), np.where(on_table, TABLE, 0).astype(np.int32)
+
+    def _colours(self, depth: Float64, labels: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
+        """A colour per label, darker where the surface turns away, by the slope of the depth."""
+        index = np.where(labels < FIRST_OBJECT, labels, FIRST_OBJECT + (labels - FIRST_OBJECT) % (len(_COLOURS) - 2))
+        z = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
+        slope_v, slope_u = np.gradient(z)
+        steep = np.float32(self.view.matrix[0, 0]) * np.hypot(slope_u, slope_v) / np.maximum(z, np.float32(0.1))
+        shade = np.float32(1.0) / np.sqrt(np.float32(1.0) + steep * steep)
+        colours: npt.NDArray[np.float32] = _COLOURS[index] * (0.35 + 0.65 * shade)[..., None]
+        return colours.astype(np.uint8)
+
+
+def random_scene(
+    rng: np.random.Generator,
+    width: int = 848,
+    height: int = 480,
+    n_objects: int = 3,
+    *,
+    view: Literal["any", "oblique", "top"] = "any",
+    may_occlude: bool = False,
+) -> DepthScene:
+    """Boxes, cans and balls on a table; they do not touch and lie wholly inside the image.
+
+    Args:
+        rng: Decides all.
+        width: [px]
+        height: [px]
+        n_objects: How many; 0 is an empty table.
+        view: Straight down, oblique (30 to 55 degrees from the vertical), or drawn, one in four straight down.
+        may_occlude: Whether one object may hide a part of another.
+
+    Raises:
+        ConfigError: If so many objects find no place.
+    """
+    top = view == "top" or (view == "any" and rng.random() < 0.25)
+    tilt = 0.0 if top else np.radians(rng.uniform(30.0, 55.0))
+    camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
+    table = np.array([1.4, 1.0])
+    objects = random_objects(rng, camera, n_objects, table, may_occlude=may_occlude)
+    return DepthScene(camera, objects, table)
+
+
+def _to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
+    """[m] to whole millimetres as uint16, 0 where there is none or it does not fit."""
+    rounded = np.rint(depth * 1000.0)
+    return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a simulated depth camera stands and what each of its pixels looks along.
+
+The world has its origin on the table top, z up. The camera frame is the optical one (x right,
+y down, z forward).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.camera.deproject import pinhole_matrix
+from foretouch.types import Float64
+
+__all__ = ["CameraView", "Window"]
+
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """A pinhole camera in the world.
+
+    Attributes:
+        width: [px]
+        height: [px]
+        matrix: (3, 3) float64, intrinsics [px].
+        eye: (3,) float64, its optical centre in the world [m].
+        R_world_camera: (3, 3) float64, its axes as columns in the world.
+    """
+
+    width: int
+    height: int
+    matrix: Float64
+    eye: Float64
+    R_world_camera: Float64
+
+    @classmethod
+    def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float) -> CameraView:
+        """A D415 (65 degrees) that looks at the origin of the world.
+
+        Args:
+            width: [px]
+            height: [px]
+            distance_m: From the origin [m].
+            tilt_rad: Between its axis and the vertical; 0 looks straight down [rad].
+        """
+        sine, cosine = np.sin(tilt_rad), np.cos(tilt_rad)
+        forward = np.array([0.0, sine, -cosine])
+        right = np.array([1.0, 0.0, 0.0])
+        rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+        return cls(width, height, pinhole_matrix(width, height), -distance_m * forward, rotation)
+
+    def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
+        """(h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""
+        x = (np.arange(self.width)[window[1]] - self.matrix[0, 2]) / self.matrix[0, 0]
+        y = (np.arange(self.height)[window[0]] - self.matrix[1, 2]) / self.matrix[1, 1]
+        axes = self.R_world_camera
+        rays: Float64 = (x[:, None] * axes[:, 0])[None] + (y[:, None] * axes[:, 1])[:, None] + axes[:, 2]
+        return rays
+
+    def project(self, points: Float64) -> tuple[Float64, Float64]:
+        """Pixels of points in the world.
+
+        Args:
+            points: (n, 3) float64 [m].
+
+        Returns:
+            (n, 2) float64 column and row [px], meaningless behind the camera; (n,) float64 depth [m].
+        """
+        local = (points - self.eye) @ self.R_world_camera
+        depth = local[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = (local @ self.matrix.T)[:, :2] / depth[:, None]
+        return pixels, depth
+
+    def bounds(self, points: Float64) -> Float64:
+        """(2, 2) float64 smallest and largest (column, row) of points; the whole line of sight if one is behind."""
+        pixels, depth = self.project(points)
+        if (depth <= 0.0).any():
+            return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        return np.stack([pixels.min(axis=0), pixels.max(axis=0)])
+
+    def window(self, points: Float64) -> Window:
+        """The pixels that can see the convex hull of points (n, 3)."""
+        (left, top), (right, bottom) = self.bounds(points)
+        columns = slice(int(max(0.0, np.floor(left))), int(min(self.width, np.ceil(right) + 1.0)))
+        rows = slice(int(max(0.0, np.floor(top))), int(min(self.height, np.ceil(bottom) + 1.0)))
+        return rows, columns
+
+    def table_plane(self) -> Float64:
+        """(4,) float64 a, b, c, d of the table top in the camera frame, the normal towards the camera."""
+        return np.append(self.R_world_camera[2], self.eye[2])
