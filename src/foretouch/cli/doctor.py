@@ -144,7 +144,7 @@ def _shared_memory() -> Finding:
     try:
         free_mb = shutil.disk_usage("/dev/shm").free / 1e6  # noqa: S108 - DDS puts its segments there
     except OSError:
-        return Finding(name, "missing", "/dev/shm is absent", "docker run --ipc=host, or --shm-size=1g")
+        return Finding(name, "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
     state: State = "ok" if free_mb >= _SHM_NEEDED_MB else "mismatch"
     mend = "" if state == "ok" else "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
     return Finding(name, state, f"{free_mb:.0f} MB free", mend)

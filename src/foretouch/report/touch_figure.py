@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One picture of a prediction: the object with its contacts, and both fingertips with their electrodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from foretouch.tactile.layout import electrode_positions
+from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
+
+__all__ = ["draw_electrodes", "draw_front", "draw_scene", "save_touch_picture"]
+
+_FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # g1, g2 as the models take them: thumb, middle finger
+_MAX_POINTS = 6000  # more only make a scatter slower, not denser
+
+
+def save_touch_picture(
+    path: str | Path,
+    scene: Cloud | None,
+    target: Cloud,
+    prediction: TouchPrediction,
+    *,
+    rest: Touch | None = None,
+    title: str = "",
+) -> Path:
+    """Write one PNG: scene, object with contacts, electrodes of thumb and middle finger.
+
+    Args:
+        path: Where to; its folder is made.
+        scene: The whole cloud, or None.
+        target: The object's points.
+        prediction: What is drawn; a refused one is drawn without its fingers.
+        rest: Reading without contact; the electrodes are then coloured by their drop from it.
+        title: Above all.
+
+    Returns:
+        The path.
+    """
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    seen, front, thumb, middle = figure.subplots(1, 4, width_ratios=[1.35, 1.1, 0.8, 0.8])
+    draw_scene(seen, scene if scene is not None else target, target)
+    draw_front(front, target, prediction.grasp)
+    if prediction.value is not None:
+        value = prediction.value
+        for axes, name, pdc, electrodes, at_rest in (
+            (thumb, "TH", value.pdc_th, value.e_th, None if rest is None else rest.e_th),
+            (middle, "MF", value.pdc_mf, value.e_mf, None if rest is None else rest.e_mf),
+        ):
+            draw_electrodes(axes, electrodes, at_rest, colour=_FINGER_COLOURS[name])
+            finger = "thumb" if name == "TH" else "middle finger"
+            axes.set_title(f"{finger}: PDC {pdc:.0f} counts", color=_FINGER_COLOURS[name])
+    else:
+        for axes in (thumb, middle):
+            axes.set_axis_off()
+        thumb.set_title(f"refused: {prediction.reason}")
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+    return path
+
+
+def draw_scene(axes: Axes, scene: Cloud, target: Cloud) -> None:
+    """The scene as the camera sees it, x right and y down [m], shaded by depth, the target on top."""
+    points = _finite_subset(scene)
+    axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="Greys", linewidths=0)
+    chosen = _finite_subset(target)
+    axes.scatter(chosen[:, 0], chosen[:, 1], s=1.5, color="#edae49", linewidths=0)
+    _as_image(axes, "what the camera sees")
+
+
+def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
+    """The object as the camera sees it, with both contacts and the line between them [m]."""
+    points = _finite_subset(target)
+    axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
+    ends = np.stack([grasp.g1, grasp.g2])
+    axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
+    for name, end in zip(("TH", "MF"), ends, strict=True):
+        axes.scatter(end[0], end[1], s=70, color=_FINGER_COLOURS[name], edgecolors="white", zorder=3, label=name)
+    axes.legend(loc="upper right", fontsize=8)
+    _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
+
+
+def draw_electrodes(axes: Axes, electrodes: Float64, rest: Float64 | None, *, colour: str) -> None:
+    """The 24 electrodes of one fingertip, unrolled from the core.
+
+    Args:
+        axes: Where to.
+        electrodes: (24,) counts.
+        rest: (24,) counts without contact, or None: then the counts themselves are coloured.
+        colour: Of the outline.
+    """
+    x, y, z = 1e3 * electrode_positions().T
+    around = np.degrees(np.arctan2(y, -z))
+    values = electrodes if rest is None else rest - electrodes
+    drawn = axes.scatter(around, x, s=190, c=values, cmap="viridis_r" if rest is None else "magma_r", edgecolors=colour)
+    for k, (angle, along) in enumerate(zip(around, x, strict=True), 1):
+        axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color="white")
+    label = "electrode [counts]" if rest is None else "drop from rest [counts]"
+    axes.figure.colorbar(drawn, ax=axes, location="bottom", label=label, shrink=0.9)
+    axes.set(xlabel="around the core [°]", ylabel="along the finger [mm]")
+    axes.margins(0.15)
+
+
+def _finite_subset(cloud: Cloud) -> Float64:
+    points = cloud.xyz.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    step = max(1, len(points) // _MAX_POINTS)
+    return points[::step].astype(np.float64)
+
+
+def _as_image(axes: Axes, title: str) -> None:
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
