@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes of a `sensor_msgs/PointCloud2` to arrays and back, without ROS.
+
+The layout of the message is described by `PointCloud2Layout`; its bytes are read through strided
+NumPy views, so that decoding costs the same for one point and for a million. Only what no view can
+express is copied: big-endian numbers on a little-endian machine (or the reverse), float64
+coordinates, and x, y, z that are not evenly spaced.
+"""
+
+from __future__ import annotations
+
+import array
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError
+from foretouch.types import Cloud, Float32, UInt8
+
+__all__ = ["DATATYPES", "PointArrays", "PointBytes", "PointCloud2Layout", "PointField", "decode", "encode"]
+
+PointBytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | npt.NDArray[np.uint8]"
+
+# Codes of sensor_msgs/PointField.
+DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_NAMES = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
+_UINT8, _FLOAT32, _FLOAT64 = 2, 7, 8
+_PACKED_COLOUR = (5, 6, 7)  # four bytes, whatever number they are said to be
+_HOST_IS_BIGENDIAN = sys.byteorder == "big"
+
+
+@dataclass(frozen=True)
+class PointField:
+    """One field of a point, as `sensor_msgs/PointField`.
+
+    Attributes:
+        name: Such as "x" or "rgb".
+        offset: From the start of the point [bytes].
+        datatype: Key of `DATATYPES`.
+        count: Numbers in the field.
+    """
+
+    name: str
+    offset: int
+    datatype: int
+    count: int = 1
+
+    @property
+    def end(self) -> int:
+        """First byte after the field, from the start of the point."""
+        return self.offset + self.count * int(DATATYPES[self.datatype][1])
+
+
+class PointArrays(NamedTuple):
+    """What a message holds.
+
+    Attributes:
+        xyz: (N, 3), or (H, W, 3) where the height is above 1, float32 [m], read-only; a view where possible.
+        rgb: The same leading shape, uint8, read-only, or None.
+    """
+
+    xyz: Float32
+    rgb: UInt8 | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointCloud2Layout:
+    """How the bytes of a message are to be read; the fields are those of `sensor_msgs/PointCloud2`.
+
+    Attributes:
+        height: Rows; 1 for a cloud that is not organised.
+        width: Points a row.
+        fields: What a point holds.
+        is_bigendian: Byte order of the numbers.
+        point_step: From one point to the next [bytes].
+        row_step: From one row to the next [bytes].
+        is_dense: Whether the sender promises that all points are finite. Not relied on.
+
+    Raises:
+        CloudError: Names the field and the rule it breaks.
+    """
+
+    height: int
+    width: int
+    fields: tuple[PointField, ...]
+    point_step: int
+    row_step: int
+    is_bigendian: bool = False
+    is_dense: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("height", "width", "point_step", "row_step"):
+            if getattr(self, name) < 0:
+                raise CloudError(f"{name}: {getattr(self, name)} is negative")
+        if self.height and self.row_step < self.width * self.point_step:
+            raise CloudError(
+                f"row_step: {self.row_step} is less than width {self.width} x point_step {self.point_step}"
+            )
+        _check_fields(self.fields, self.point_step)
+
+    @property
+    def organised(self) -> bool:
+        """Whether the points are ordered like an image."""
+        return self.height > 1
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(N,), or (H, W) where organised; (0,) where there is no point."""
+        if self.height * self.width == 0:
+            return (0,)
+        return (self.height, self.width) if self.organised else (self.width,)
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Steps in bytes that belong to `shape`."""
+        return (self.row_step, self.point_step) if len(self.shape) == 2 else (self.point_step,)
+
+    def field(self, name: str) -> PointField | None:
+        """The field of that name, or None."""
+        return next((field for field in self.fields if field.name == name), None)
+
+
+def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
+    """Coordinates and colours of a message.
+
+    Args:
+        layout: Of the message.
+        data: Its bytes: `bytes`, `array.array`, `memoryview` or uint8 array. They must live and stay unchanged
+            as long as the result, which may be a view of them.
+
+    Returns:
+        `PointArrays`; points without depth keep their NaN or infinity. Colours come from `rgb` or `rgba`
+        (blue in the lowest byte, as PCL packs them) or from `r`, `g`, `b` of UINT8; others are ignored.
+
+    Raises:
+        CloudError: If the sizes do not add up, x, y or z is missing, or a datatype has no such meaning.
+    """
+    try:
+        bytes_ = np.frombuffer(data, np.uint8)
+    except (TypeError, ValueError, BufferError) as err:
+        raise CloudError(f"data: {err}") from err
+    expected = layout.row_step * layout.height
+    if bytes_.size != expected:
+        raise CloudError(
+            f"data: {bytes_.size} bytes are not row_step {layout.row_step} x height {layout.height} = {expected}"
+        )
+    xyz = _coordinates(layout, bytes_)
+    rgb = _colours(layout, bytes_)
+    for result in (xyz, rgb):
+        if result is not None:
+            result.flags.writeable = False
+    return PointArrays(xyz, rgb)
+
+
+def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
+    """A cloud as the layout and bytes of a message.
+
+    Args:
+        cloud: Organised or not; without a colour a point takes 12 bytes (x, y, z), with it 16 (and `rgb`,
+            packed into a FLOAT32 as PCL and RViz expect).
+
+    Returns:
+        Layout, and the bytes as `array.array("B")`: the one type that rclpy takes over without a look at
+        each byte.
+    """
+    shape = cloud.xyz.shape[:-1]
+    height, width = shape if cloud.organised else (1, *shape)
+    fields = [PointField(name, 4 * i, _FLOAT32) for i, name in enumerate("xyz")]
+    points: npt.NDArray[Any] = cloud.xyz.astype("<f4", order="C", copy=False)
+    if cloud.rgb is not None:
+        fields.append(PointField("rgb", 12, _FLOAT32))
+        points = _with_colour(points, cloud.rgb)
+    step = 12 if cloud.rgb is None else 16
+    data = array.array("B")
+    data.frombytes(points.reshape(-1).view(np.uint8).data)
+    layout = PointCloud2Layout(
+        height=height,
+        width=width,
+        fields=tuple(fields),
+        point_step=step,
+        row_step=step * width,
+        is_dense=bool(np.isfinite(cloud.xyz).all()),
+    )
+    return layout, data
+
+
+def _with_colour(xyz: npt.NDArray[np.float32], rgb: UInt8) -> npt.NDArray[np.float32]:
+    points = np.empty((*xyz.shape[:-1], 4), "<f4")
+    points[..., :3] = xyz
+    r, g, b = np.moveaxis(rgb, -1, 0).astype(np.uint32)
+    points.view("<u4")[..., 3] = (r << 16) | (g << 8) | b
+    return points
+
+
+def _check_fields(fields: Sequence[PointField], point_step: int) -> None:
+    """Known datatypes, unique names, within the point, none over another."""
+    seen: set[str] = set()
+    for field in fields:
+        if field.name in seen:
+            raise CloudError(f"fields: {field.name} stands twice")
+        seen.add(field.name)
+        if field.datatype not in DATATYPES:
+            raise CloudError(f"{field.name}: datatype {field.datatype} is none of 1 to 8")
+        if field.offset < 0 or field.count < 0:
+            raise CloudError(f"{field.name}: offset {field.offset} or count {field.count} is negative")
+        if field.end > point_step:
+            raise CloudError(f"{field.name}: ends at byte {field.end}, beyond point_step {point_step}")
+    solid = sorted((field for field in fields if field.count), key=lambda field: field.offset)
+    for before, after in pairwise(solid):
+        if after.offset < before.end:
+            raise CloudError(
+                f"{after.name}: offset {after.offset} lies within {before.name}, which ends at {before.end}"
+            )
+
+
+def _coordinates(layout: PointCloud2Layout, data: UInt8) -> Float32:
+    fields = []
+    for name in "xyz":
+        field = layout.field(name)
+        if field is None:
+            known = ", ".join(f.name for f in layout.fields) or "none"
+            raise CloudError(f"fields: {name} is missing; there are: {known}")
+        if field.datatype not in (_FLOAT32, _FLOAT64):
+            raise CloudError(f"{name}: datatype {_NAMES[field.datatype]} is neither FLOAT32 nor FLOAT64")
+        if field.count != 1:
+            raise CloudError(f"{name}: count {field.count} is not 1")
+        fields.append(field)
+    x, y, z = fields
+    native = layout.is_bigendian == _HOST_IS_BIGENDIAN
+    spacing = y.offset - x.offset
+    if native and spacing == z.offset - y.offset and all(f.datatype == _FLOAT32 for f in fields):
+        return _view(layout, data, "f4", x.offset, (3, spacing))
+    columns = [_view(layout, data, _dtype(layout, field), field.offset) for field in fields]
+    xyz = np.empty((*layout.shape, 3), np.float32)
+    with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite: no point, as any infinity
+        for i, column in enumerate(columns):
+            xyz[..., i] = column
+    return xyz
+
+
+def _colours(layout: PointCloud2Layout, data: UInt8) -> UInt8 | None:
+    packed = layout.field("rgb") or layout.field("rgba")
+    if packed is not None:
+        if packed.datatype not in _PACKED_COLOUR or packed.count != 1:
+            raise CloudError(
+                f"{packed.name}: {packed.count} x {_NAMES[packed.datatype]} is not one FLOAT32, UINT32 or INT32"
+            )
+        # In memory: blue, green, red, alpha, or the reverse where big-endian.
+        first, step = (packed.offset + 1, 1) if layout.is_bigendian else (packed.offset + 2, -1)
+        return _view(layout, data, "u1", first, (3, step))
+    channels = [layout.field(name) for name in "rgb"]
+    if not all(field is not None and field.datatype == _UINT8 and field.count == 1 for field in channels):
+        return None
+    offsets = [field.offset for field in channels if field is not None]
+    if offsets[1] - offsets[0] == offsets[2] - offsets[1]:
+        return _view(layout, data, "u1", offsets[0], (3, offsets[1] - offsets[0]))
+    return np.stack([_view(layout, data, "u1", offset) for offset in offsets], axis=-1)
+
+
+def _dtype(layout: PointCloud2Layout, field: PointField) -> str:
+    return (">" if layout.is_bigendian else "<") + DATATYPES[field.datatype]
+
+
+def _view(
+    layout: PointCloud2Layout, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None
+) -> npt.NDArray[Any]:
+    """One number of each point, or `last` = (how many, bytes apart) of them, without a copy."""
+    shape, strides = layout.shape, layout.strides
+    if last is not None:
+        shape, strides = (*shape, last[0]), (*strides, last[1])
+    if not data.size:
+        return np.empty(shape, dtype)
+    return np.ndarray(shape, dtype, buffer=data, offset=offset, strides=strides)
