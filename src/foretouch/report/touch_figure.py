@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from foretouch.pipeline import FoundObject
 from foretouch.tactile.layout import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
 
@@ -22,7 +23,7 @@ _MAX_POINTS = 6000  # more only make a scatter slower, not denser
 def save_touch_picture(
     path: str | Path,
     scene: Cloud | None,
-    target: Cloud,
+    target: FoundObject,
     prediction: TouchPrediction,
     *,
     rest: Touch | None = None,
@@ -32,8 +33,8 @@ def save_touch_picture(
 
     Args:
         path: Where to; its folder is made.
-        scene: The whole cloud, or None.
-        target: The object's points.
+        scene: The whole cloud, or None where the object is all there is.
+        target: The object.
         prediction: What is drawn; a refused one is drawn without its fingers.
         rest: Reading without contact; the electrodes are then coloured by their drop from it.
         title: Above all.
@@ -45,8 +46,8 @@ def save_touch_picture(
     FigureCanvasAgg(figure)
     figure.suptitle(title)
     seen, front, thumb, middle = figure.subplots(1, 4, width_ratios=[1.35, 1.1, 0.8, 0.8])
-    draw_scene(seen, scene if scene is not None else target, target)
-    draw_front(front, target, prediction.grasp)
+    draw_scene(seen, scene if scene is not None else target.cloud, target)
+    draw_front(front, target.cloud, prediction.grasp)
     if prediction.value is not None:
         value = prediction.value
         for axes, name, pdc, electrodes, at_rest in (
@@ -55,7 +56,7 @@ def save_touch_picture(
         ):
             draw_electrodes(axes, electrodes, at_rest, colour=_FINGER_COLOURS[name])
             finger = "thumb" if name == "TH" else "middle finger"
-            axes.set_title(f"{finger}: PDC {pdc:.0f} counts", color=_FINGER_COLOURS[name])
+            axes.set_title(f"{finger}, PDC {pdc:.0f}", color=_FINGER_COLOURS[name], fontsize=11)
     else:
         for axes in (thumb, middle):
             axes.set_axis_off()
@@ -66,12 +67,22 @@ def save_touch_picture(
     return path
 
 
-def draw_scene(axes: Axes, scene: Cloud, target: Cloud) -> None:
-    """The scene as the camera sees it, x right and y down [m], shaded by depth, the target on top."""
+def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
+    """The scene as the camera sees it, shaded by depth, the target tinted.
+
+    An organised cloud is drawn as its depth image, another one as points with x right and y down [m].
+    """
+    if scene.organised and target.pixels is not None:
+        depth = scene.xyz[..., 2]
+        near, far = np.nanpercentile(depth, [1, 95])
+        axes.imshow(depth, cmap="Greys", vmin=near, vmax=far)
+        tint = np.full(depth.size, np.nan)
+        tint[target.pixels] = 1.0
+        axes.imshow(tint.reshape(depth.shape), cmap="Wistia", vmin=0, vmax=1)
+        axes.set(xticks=[], yticks=[], title="what the camera sees")
+        return
     points = _finite_subset(scene)
     axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="Greys", linewidths=0)
-    chosen = _finite_subset(target)
-    axes.scatter(chosen[:, 0], chosen[:, 1], s=1.5, color="#edae49", linewidths=0)
     _as_image(axes, "what the camera sees")
 
 

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foretouch.config import Settings, load_yaml, parse_overrides, setting, setting_infos
+from foretouch.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner(Settings):
+    range_m: float = setting(2.0, "How far", unit="m", minimum=0.1, maximum=16.0)
+    mode: str = setting("near", "Which", choices=("near", "far"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outer(Settings):
+    inner: Inner = Inner()
+    count: int = setting(3, "How many", minimum=1, read_only=True)
+    point: tuple[float, ...] | None = setting(None, "Where")
+
+
+def test_nested_and_dotted_keys_mean_the_same() -> None:
+    assert Outer.from_mapping({"inner": {"range_m": 3}}) == Outer.from_mapping({"inner.range_m": 3.0})
+
+
+def test_plain_data_reads_back() -> None:
+    made = Outer.from_mapping({"inner.mode": "far", "point": [1, 2.5]})
+    assert Outer.from_mapping(made.to_mapping()) == made
+    assert made.point == (1.0, 2.5)
+
+
+def test_updated_keeps_what_is_not_named() -> None:
+    changed = Outer.from_mapping({"count": 5}).updated({"inner.range_m": 1})
+    assert (changed.count, changed.inner.range_m, changed.inner.mode) == (5, 1.0, "near")
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({"inner": {"rnage_m": 3}}, r"f\.yaml: inner\.rnage_m: unknown setting; known: range_m, mode"),
+        ({"inner.range_m": 17}, r"range_m: 17.0 is above 16.0 m"),
+        ({"inner.range_m": "near"}, "'near' is not a number"),
+        ({"inner.range_m": float("nan")}, "nan is not finite"),
+        ({"inner.mode": "middle"}, "'middle' is none of near, far"),
+        ({"count": 2.0}, "2.0 is not a whole number"),
+        ({"count": True}, "True is not a whole number"),
+        ({"count": None}, "count: is empty"),
+        ({"point": 1.0}, "1.0 is not a list"),
+        ({"point": [1, "x"]}, r"point\[1\]: 'x' is not a number"),
+        ({"inner": 5}, "inner: 5 is not a group"),
+        ({"inner": 5, "inner.range_m": 1}, "a value and a group at once"),
+    ],
+)
+def test_refusals_name_field_value_and_rule(mapping: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Outer.from_mapping(mapping, "f.yaml")
+
+
+def test_infos_carry_what_ros_parameters_need() -> None:
+    infos = {info.name: info for info in setting_infos(Outer)}
+    assert list(infos) == ["inner.range_m", "inner.mode", "count", "point"]
+    assert (infos["inner.range_m"].minimum, infos["inner.range_m"].unit) == (0.1, "m")
+    assert infos["count"].read_only
+    assert infos["point"].is_list
+    assert infos["point"].optional
+
+
+def test_a_field_without_setting_is_our_own_mistake() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Bare(Settings):
+        width: float = 1.0
+
+    with pytest.raises(TypeError, match=r"Bare\.width: declare it with setting"):
+        Bare()
+
+
+def test_overrides_are_yaml_values() -> None:
+    assert parse_overrides(["a.b=1", "c=[1, 2]", "d=x=y"]) == {"a.b": 1, "c": [1, 2], "d": "x=y"}
+    with pytest.raises(ConfigError, match="is not key=value"):
+        parse_overrides(["a"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("- 1\n", "holds a list"), ("a: [", "not YAML"), ("!!python/object/apply:os.getcwd []", "not YAML")],
+)
+def test_yaml_refusals_are_one_line_with_the_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_yaml(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.yaml: No such file"):
+        load_yaml(tmp_path / "none.yaml")
