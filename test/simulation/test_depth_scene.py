@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered scenes against geometry worked out by hand, and random ones against their promises."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.camera import pinhole_matrix
+from foretouch.errors import ConfigError
+from foretouch.simulation import Box, CameraView, Cylinder, DepthScene, Sphere, random_scene
+from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE
+
+_TABLE_SIZE = np.array([1.4, 1.0])
+
+
+def _top(*objects: Box | Cylinder | Sphere, distance_m: float = 1.0) -> DepthScene:
+    return DepthScene(CameraView.towards_table(424, 240, distance_m, 0.0), objects, _TABLE_SIZE)
+
+
+def test_the_focal_length_is_that_of_65_degrees() -> None:
+    assert pinhole_matrix(848, 480)[0, 0] == pytest.approx(848 / 2 / np.tan(np.radians(32.5)))
+
+
+def test_a_box_from_above_has_the_depth_and_the_area_of_its_lid() -> None:
+    box = Box(position=np.array([0.0, 0.0, 0.1]), size=np.array([0.2, 0.1, 0.2]))
+    image = _top(box).render()
+    seen = image.labels == FIRST_OBJECT
+    assert np.unique(image.depth_mm[seen]).tolist() == [800]  # 1 m less its height
+    focal = image.K[0, 0]
+    assert seen.sum() == pytest.approx(0.2 * 0.1 * (focal / 0.8) ** 2, rel=0.03)
+    assert np.unique(image.depth_mm[image.labels == TABLE]).tolist() == [1000]
+
+
+def test_table_pixels_lie_on_the_stated_plane() -> None:
+    for tilt in (0.0, 0.5, 0.9):
+        image = DepthScene(CameraView.towards_table(424, 240, 0.9, tilt), (), _TABLE_SIZE).render()
+        points = image.cloud().xyz[image.labels == TABLE].astype(np.float64)
+        heights = points @ image.plane[:3] + image.plane[3]
+        assert image.plane[3] > 0.0  # the camera stands above the table
+        # Rounding to a millimetre moves a point by half of one along its ray.
+        assert np.abs(heights).max() <= 0.0005 * np.linalg.norm(points / points[:, 2:], axis=1).max()
+
+
+def test_ball_pixels_lie_on_the_ball() -> None:
+    ball = Sphere(position=np.array([0.05, -0.03, 0.07]), radius=0.07)
+    view = CameraView.towards_table(424, 240, 0.8, 0.7)
+    scene = DepthScene(view, (ball,), _TABLE_SIZE)
+    depth, labels = scene.cast()
+    points = view.eye + view.directions() * depth[..., None]
+    distance = np.linalg.norm(points[labels == FIRST_OBJECT] - ball.position, axis=1)
+    assert (labels == FIRST_OBJECT).sum() > 1000
+    np.testing.assert_allclose(distance, 0.07, atol=1e-12)
+
+
+def test_the_window_of_an_object_hides_none_of_its_pixels(rng: np.random.Generator) -> None:
+    for _ in range(5):
+        scene = random_scene(rng, 212, 120, 3)
+        labels = scene.cast()[1]
+        for label, solid in enumerate(scene.objects, FIRST_OBJECT):
+            whole = np.isfinite(solid.cast(scene.view.eye, scene.view.directions()))
+            assert np.array_equal(whole, labels == label)
+
+
+def test_the_nearer_object_hides_the_farther() -> None:
+    low = Box(position=np.array([0.0, 0.0, 0.05]), size=np.array([0.2, 0.2, 0.1]))
+    high = Box(position=np.array([0.0, 0.0, 0.2]), size=np.array([0.1, 0.1, 0.1]))
+    for order in ((low, high), (high, low)):
+        scene = _top(*order)
+        labels = scene.cast()[1]
+        assert labels[120, 212] == FIRST_OBJECT + order.index(high)
+        assert (labels == FIRST_OBJECT + order.index(low)).any()
+
+
+def test_beyond_the_table_is_the_floor_or_nothing() -> None:
+    view = CameraView.towards_table(424, 240, 1.0, 0.9)
+    floor = DepthScene(view, (), _TABLE_SIZE).render()
+    void = DepthScene(view, (), _TABLE_SIZE, floor_m=None).render()
+    outside = floor.labels == 0
+    assert outside.any()
+    assert (floor.depth_mm[outside] > 0).any()
+    assert (void.depth_mm[outside] == 0).all()
+    assert np.isnan(void.cloud().xyz[outside]).all()
+
+
+def test_the_cloud_is_organised_and_projects_back_on_its_pixels() -> None:
+    image = random_scene(np.random.default_rng(3), 212, 120).render()
+    cloud = image.cloud("optical", 17, with_rgb=True)
+    assert (cloud.organised, cloud.frame_id, cloud.stamp_ns) == (True, "optical", 17)
+    assert cloud.rgb is not None
+    assert np.array_equal(cloud.rgb, image.rgb)
+    xyz = cloud.xyz.astype(np.float64)
+    pixels = (xyz @ image.K.T)[..., :2] / xyz[..., 2:]
+    rows, columns = np.mgrid[0:120, 0:212]
+    valid = np.isfinite(xyz).all(axis=-1)
+    assert np.array_equal(valid, image.depth_mm > 0)
+    np.testing.assert_allclose(pixels[valid], np.stack([columns, rows], axis=-1)[valid], atol=1e-3)
+
+
+@pytest.mark.parametrize("view", ["oblique", "top"])
+def test_random_objects_stand_on_the_table_apart_and_inside_the_image(view: str) -> None:
+    for seed in range(20):
+        scene = random_scene(np.random.default_rng(seed), 424, 240, 3, view=view)  # type: ignore[arg-type]
+        labels = scene.cast()[1]
+        for label, solid in enumerate(scene.objects, FIRST_OBJECT):
+            rows, columns = np.nonzero(labels == label)
+            assert len(rows) > 100, "too small to segment"
+            assert rows.min() > 0
+            assert columns.min() > 0
+            assert rows.max() < 239
+            assert columns.max() < 423
+            lowest = solid.corners()[:, 2].min()
+            assert lowest == pytest.approx(0.0, abs=1e-12)
+        for i, one in enumerate(scene.objects):
+            for other in scene.objects[:i]:
+                gap = np.linalg.norm((one.position - other.position)[:2]) - one.footprint_m() - other.footprint_m()
+                assert gap > 0.03
+
+
+def test_a_seed_gives_the_same_bits() -> None:
+    images = [
+        random_scene(np.random.default_rng(5), 212, 120).render(
+            np.random.default_rng(6), noise_m=0.002, flying_pixels=True, stereo_shadows=True
+        )
+        for _ in range(2)
+    ]
+    assert np.array_equal(images[0].depth_mm, images[1].depth_mm)
+    assert np.array_equal(images[0].rgb, images[1].rgb)
+
+
+def test_effects_change_the_depth_and_leave_the_truth_alone() -> None:
+    scene = random_scene(np.random.default_rng(5), 212, 120)
+    exact, noisy = scene.render(), scene.render(np.random.default_rng(6), 0.002, True, stereo_shadows=True)
+    assert not np.array_equal(exact.depth_mm, noisy.depth_mm)
+    assert np.array_equal(exact.labels, noisy.labels)
+    assert np.array_equal(exact.plane, noisy.plane)
+    assert (noisy.depth_mm == 0).sum() > (exact.depth_mm == 0).sum()
+
+
+def test_moving_an_object_moves_its_pixels_only() -> None:
+    scene = _top(Sphere(position=np.array([0.0, 0.0, 0.05]), radius=0.05))
+    before, after = scene.render(), scene.moved(0, np.array([0.1, 0.0, 0.0])).render()
+    shift = np.argwhere(after.labels == 2).mean(axis=0) - np.argwhere(before.labels == 2).mean(axis=0)
+    assert shift[1] == pytest.approx(0.1 * before.K[0, 0] / 0.97, rel=0.03)  # +x in the world is right in the image
+    assert abs(shift[0]) < 0.5
+
+
+def test_bad_arguments_are_named() -> None:
+    scene = _top()
+    with pytest.raises(ConfigError, match=r"noise_m: -0\.1 is negative"):
+        scene.render(np.random.default_rng(0), noise_m=-0.1)
+    with pytest.raises(ConfigError, match="rng: is None"):
+        scene.render(flying_pixels=True)
+    with pytest.raises(ConfigError, match="n_objects: 60 find no place in a view of 212x120"):
+        random_scene(np.random.default_rng(0), 212, 120, 60)
