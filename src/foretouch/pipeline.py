@@ -136,12 +136,20 @@ class Pipeline:
         )
         return Sight("ok" if targets else "no_target", "" if targets else reason, found, targets)
 
-    def plan(self, target: FoundObject) -> GraspPlan:
-        """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`)."""
+    def plan(self, target: FoundObject, *, slide_m: float = 0.0, rng: np.random.Generator | None = None) -> GraspPlan:
+        """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
+
+        Args:
+            target: The object.
+            slide_m: Moves the grasp plane along the object's axis [m].
+            rng: Draws the slide instead, where given.
+        """
         return plan_grasps(
             target.cloud,
             target.plane,
             self.config.grasp,
+            slide_m=slide_m,
+            rng=rng,
             pixels=target.pixels,
             image_shape=target.image_shape,
             object_id=target.id,
@@ -162,7 +170,9 @@ class Pipeline:
         axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
-    def predict(self, target: FoundObject, grasps: Sequence[Grasp], *, tare: Touch | None = None) -> list[TouchPrediction]:
+    def predict(
+        self, target: FoundObject, grasps: Sequence[Grasp], *, tare: Touch | None = None
+    ) -> list[TouchPrediction]:
         """Touch for each grasp on one object; the cloud's features are computed once."""
         return self.model.predict(target.cloud, grasps, tare=tare) if grasps else []
 

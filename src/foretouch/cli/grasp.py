@@ -30,12 +30,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_plan_arguments(parser)
     parser.add_argument("--tip-mm", type=float, help="width of the gripper's tip [mm]")
     parser.add_argument("--count", type=int, help="how many grasps at the most")
-    parser.add_argument("--slide-m", type=float, help="slide the grasp plane along the object's axis by this much [m]")
-    parser.add_argument("--vary", type=int, metavar="SEED", help="slide it by a random amount, drawn from this seed")
+    slide = parser.add_mutually_exclusive_group()
+    slide.add_argument(
+        "--slide-m",
+        type=float,
+        default=0.0,
+        metavar="δ",
+        help="slide the grasp plane along the object's axis by this much [m]",
+    )
+    slide.add_argument(
+        "--vary", type=int, metavar="SEED", help="slide it by a random amount for each cloud, drawn from this seed"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or gave no grasp."""
+    import numpy as np
+
     from foretouch.pipeline import Pipeline
 
     changes = {
@@ -43,16 +54,15 @@ def run(arguments: argparse.Namespace) -> int:
         for key, value in {
             "grasp.tip_mm": arguments.tip_mm,
             "grasp.count": arguments.count,
-            "slide_m": arguments.slide_m,
-            "vary_seed": arguments.vary,
         }.items()
         if value is not None
     }
     pipeline = Pipeline(pipeline_config(arguments, changes))
+    rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
 
     def answer(item: SourceItem) -> Iterator[Record]:
         for one in found_objects(item, arguments, pipeline):
-            plan = pipeline.plan(one)
+            plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
             yield {
                 "object": one.id,
                 "status": plan.status,
