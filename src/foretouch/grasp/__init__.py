@@ -1,1 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+"""GeoGrasp: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
+
+from foretouch.grasp.axis import object_axis
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
+
+__all__ = ["GeoGraspConfig", "hand_rotation", "object_axis", "quaternion_xyzw"]

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Distances to the nearest neighbours, by a k-d tree or, for the points of a depth image, by its pixels.
+
+The tree is that of small_gicp: on one thread, 51 neighbours of each of 3000 points, it takes two thirds
+of the time of SciPy's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.pixel_window import PixelGrid, window_mean_distance
+from foretouch.types import Float32
+
+__all__ = ["mean_neighbour_distance"]
+
+# Half widths of the windows, tried in turn on the points that are not proven yet. On a surface seen
+# head-on 50 neighbours reach 4 pixels far; slants, rims and holes need more.
+_HALF_WIDTHS = (5, 8)
+
+
+def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None) -> Float32:
+    """Mean distance from each point to its k nearest neighbours, the point itself excluded.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite.
+        k: Neighbours; all others where there are fewer.
+        grid: The pixels at which the points were seen. The result is the same without, only later.
+
+    Returns:
+        (N,) float32 [m]; zero for a single point.
+    """
+    k = min(k, len(xyz) - 1)
+    if k < 1:
+        return np.zeros(len(xyz), np.float32)
+    result = np.zeros(len(xyz), np.float32)
+    pending = np.arange(len(xyz), dtype=np.int64)
+    if grid is not None:
+        for half in (h for h in _HALF_WIDTHS if (2 * h + 1) ** 2 > k):
+            distance, proven = window_mean_distance(xyz, grid, pending, k, half)
+            result[pending[proven]] = distance[proven]
+            pending = pending[~proven]
+    if len(pending):
+        result[pending] = _tree_mean_distance(xyz, pending, k)
+    return result
+
+
+def _tree_mean_distance(xyz: Float32, query: npt.NDArray[np.int64], k: int) -> Float32:
+    import small_gicp
+
+    double = xyz.astype(np.float64)
+    index, _ = small_gicp.KdTree(double).batch_knn_search(double[query], k + 1)
+    index = index.astype(np.int64)
+    # Again in float32, as the pixel window has them: equal distances must round equally.
+    squared = np.zeros(index.shape, np.float32)
+    for axis in range(3):
+        difference = xyz[:, axis][index] - xyz[query, axis, None]
+        difference *= difference
+        squared += difference
+    return np.asarray(np.sqrt(squared).sum(axis=1, dtype=np.float64) / k, np.float32)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Normals and curvature of chosen points, after PCL's NormalEstimation as GeoGrasp uses it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.types import Float32, Float64
+
+__all__ = ["normals_and_curvature"]
+
+_BLOCK_PAIRS = 200_000  # pairs of query and neighbour at a time, so that a block stays in the cache
+_FEWEST = 3  # points that span a plane
+
+
+def normals_and_curvature(
+    xyz: Float32, query: npt.NDArray[np.integer], radius_m: float = 0.03
+) -> tuple[Float64, Float64]:
+    """Fit a plane to all points around each chosen one.
+
+    Neighbours, the point itself among them, are strictly closer than the radius, compared in float32 as
+    PCL does. The normal is the minor eigenvector of their covariance, turned towards the sensor
+    at the origin; curvature is the least eigenvalue over their sum, 0 for neighbours in one place.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite.
+        query: (Q,) integer, indices of the points to answer for. Q may be 0.
+        radius_m: Radius of the neighbourhood [m].
+
+    Returns:
+        (Q, 3) float64 unit normals and (Q,) float64 curvature in 0 ... 1/3; NaN in both where fewer than
+        three points are near.
+    """
+    normals = np.full((len(query), 3), np.nan)
+    curvature = np.full(len(query), np.nan)
+    if len(query) == 0:
+        return normals, curvature
+    near = xyz[_in_box(xyz, xyz[query], radius_m)]
+    moments = _moments(near, near[0])
+    block = max(1, _BLOCK_PAIRS // len(near))
+    for start in range(0, len(query), block):
+        part = slice(start, start + block)
+        sums = _neighbours(near, xyz[query[part]], radius_m) @ moments
+        normals[part], curvature[part] = _fit(sums, xyz[query[part]])
+    return normals, curvature
+
+
+def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
+    """The points that can be neighbours of any of `around`."""
+    margin = np.float32(radius_m * 1.001)
+    inside: npt.NDArray[np.bool_] = np.ones(len(xyz), np.bool_)
+    for axis in range(3):
+        inside &= xyz[:, axis] >= around[:, axis].min() - margin
+        inside &= xyz[:, axis] <= around[:, axis].max() + margin
+    return inside
+
+
+def _neighbours(near: Float32, points: Float32, radius_m: float) -> Float64:
+    """(Q, M) float64: 1 for neighbours, else 0."""
+    squared = np.zeros((len(points), len(near)), np.float32)
+    for axis in range(3):
+        difference = near[None, :, axis] - points[:, axis, None]
+        difference *= difference
+        squared += difference
+    limit = np.float32(radius_m) * np.float32(radius_m)
+    return (squared < limit).astype(np.float64)
+
+
+def _moments(xyz: Float32, origin: Float32) -> Float64:
+    """(M, 10) float64: 1, the coordinates from `origin`, and their six products."""
+    x, y, z = (xyz.astype(np.float64) - origin.astype(np.float64)).T
+    return np.column_stack([np.ones(len(xyz)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
+
+
+def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
+    """Normals and curvature from the summed moments of each neighbourhood."""
+    enough = sums[:, 0] >= _FEWEST
+    normals = np.full((len(sums), 3), np.nan)
+    curvature = np.full(len(sums), np.nan)
+    mean = sums[enough] / sums[enough, :1]
+    square = mean[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    values, vectors = np.linalg.eigh(square - mean[:, 1:4, None] * mean[:, None, 1:4])
+    normal = vectors[:, :, 0]
+    away = np.einsum("ij,ij->i", normal, points[enough].astype(np.float64)) > 0.0
+    normals[enough] = np.where(away[:, None], -normal, normal)
+    trace = values.sum(axis=1)
+    flat = trace <= 0.0
+    trace[flat] = 1.0
+    curvature[enough] = np.where(flat, 0.0, np.clip(values[:, 0], 0.0, None) / trace)
+    return normals, curvature

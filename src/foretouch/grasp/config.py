@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of GeoGrasp. The defaults are those of the original with a BioTac SP fingertip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from foretouch.config import Settings, setting
+
+__all__ = ["GeoGraspConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeoGraspConfig(Settings):
+    """How contacts are sought (GeoGrasp = Zapata-Impata et al. 2019)."""
+
+    tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
+    count: int = setting(1, "Grasps to return at most, best first", minimum=1, maximum=10_000)
+    neighbours: int = setting(50, "Nearest neighbours averaged by the outlier filter", minimum=1, maximum=1000)
+    outlier_deviations: float = setting(
+        1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0
+    )
+    normal_radius_m: float = setting(
+        0.03, "Radius of the neighbourhood of a normal", unit="m", minimum=0.001, maximum=1.0
+    )
+    slab_half_width_m: float = setting(
+        0.007, "Points closer than this to the grasp plane may be contacts", unit="m", minimum=0.0005, maximum=0.5
+    )
+    slide_fraction: float = setting(
+        0.8, "Part of the object's extent along its axis that a random slide is drawn from", minimum=0.0, maximum=1.0
+    )
+
+    @property
+    def voxel_m(self) -> float:
+        """Edge of the voxel grid [m]: half a fingertip."""
+        return self.tip_mm / 2000.0
+
+    @property
+    def contact_radius_m(self) -> float:
+        """Radius around an initial point in which contacts are sought [m]: two fingertips."""
+        return 2.0 * self.tip_mm / 1000.0

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose of the hand at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from foretouch.errors import GraspError
+from foretouch.types import Float64
+
+__all__ = ["PARALLEL_SINE", "hand_rotation", "is_parallel", "quaternion_xyzw"]
+
+PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
+
+
+def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
+    """Whether the line of the contacts runs along the object's axis, which leaves the hand's X open."""
+    z = _unit(g1 - g2, "g1 - g2")
+    return bool(np.linalg.norm(np.cross(z, _unit(axis, "axis"))) < PARALLEL_SINE)
+
+
+def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
+    """Rotation of the hand: Z = g1 - g2, X = Z x axis, Y = Z x X, each of unit length.
+
+    Where Z runs along the axis, X would be zero. By convention the coordinate axis that is least
+    aligned with Z (the first of equals) then stands in for the object's axis.
+
+    Args:
+        g1: (3,) floating [m], contact of the first finger.
+        g2: (3,) floating [m], contact of the second finger, the same frame.
+        axis: (3,) floating, the object's axis, of any length, the same frame.
+
+    Returns:
+        (3, 3) float64, proper rotation; its columns are the hand's X, Y, Z in the frame of the contacts.
+
+    Raises:
+        GraspError: If the contacts coincide, the axis has no length, or a number is not finite.
+    """
+    z = _unit(np.asarray(g1, np.float64) - np.asarray(g2, np.float64), "g1 - g2")
+    x = np.cross(z, _unit(np.asarray(axis, np.float64), "axis"))
+    if np.linalg.norm(x) < PARALLEL_SINE:
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
+    return np.column_stack([x, y / np.linalg.norm(y), z])
+
+
+def quaternion_xyzw(rotation: Float64) -> Float64:
+    """Unit quaternion of a rotation, in the order of ROS messages.
+
+    Args:
+        rotation: (3, 3) floating, proper rotation.
+
+    Returns:
+        (4,) float64: x, y, z, w with w >= 0; a half turn has its first non-zero component positive.
+
+    Raises:
+        GraspError: If the matrix is not a proper rotation within 1e-3, or not finite.
+    """
+    r = np.asarray(rotation, np.float64)
+    proper = r.shape == (3, 3) and bool(np.isfinite(r).all())
+    if not proper or np.abs(r @ r.T - np.eye(3)).max() > 1e-3 or np.linalg.det(r) < 0:
+        raise GraspError(f"rotation: {r.tolist()} is not a rotation matrix")
+    squares = np.array(
+        [
+            1.0 + r[0, 0] - r[1, 1] - r[2, 2],
+            1.0 - r[0, 0] + r[1, 1] - r[2, 2],
+            1.0 - r[0, 0] - r[1, 1] + r[2, 2],
+            1.0 + r[0, 0] + r[1, 1] + r[2, 2],
+        ]
+    )  # 4x², 4y², 4z², 4w²
+    # The row of 4qqᵀ with the largest diagonal loses the fewest digits (Shepperd 1978).
+    xy, xz, yz = r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2]
+    xw, yw, zw = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    rows = np.array(
+        [[squares[0], xy, xz, xw], [xy, squares[1], yz, yw], [xz, yz, squares[2], zw], [xw, yw, zw, squares[3]]]
+    )
+    q = rows[np.argmax(squares)]
+    q = q / np.linalg.norm(q)
+    leading = q[3] if abs(q[3]) > 1e-12 else q[np.flatnonzero(np.abs(q) > 1e-12)[0]]
+    return np.asarray(-q if leading < 0 else q, np.float64)
+
+
+def _unit(vector: Float64, name: str) -> Float64:
+    length = float(np.linalg.norm(vector))
+    if not np.isfinite(length) or length == 0.0:
+        raise GraspError(f"{name}: {np.asarray(vector).tolist()} has no direction")
+    return np.asarray(vector / length, np.float64)
