@@ -70,6 +70,35 @@ def test_infos_carry_what_ros_parameters_need() -> None:
     assert infos["point"].optional
 
 
+@dataclass(frozen=True, kw_only=True)
+class Scene(Settings):
+    items: tuple[Inner, ...] = ()
+    light: Inner | None = None
+
+
+def test_lists_of_groups_and_absent_groups() -> None:
+    made = Scene.from_mapping({"items": [{"range_m": 1}, {"mode": "far"}]})
+    assert [(item.range_m, item.mode) for item in made.items] == [(1.0, "near"), (2.0, "far")]
+    assert made.light is None
+    assert Scene.from_mapping(made.to_mapping()) == made
+    assert Scene.from_mapping({"light": {}}).light == Inner()
+    assert setting_infos(Scene) == []
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({"items": {"range_m": 1}}, "items: .* is not a list"),
+        ({"items": [{"range_m": 1}, 3]}, r"items\[1\]: 3 is not a group"),
+        ({"items": [{"rnage": 1}]}, r"items\[0\]\.rnage: unknown setting"),
+        ({"light": {"range_m": 99}}, "99.0 is above"),
+    ],
+)
+def test_groups_in_lists_are_checked(mapping: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Scene.from_mapping(mapping)
+
+
 def test_a_field_without_setting_is_our_own_mistake() -> None:
     @dataclass(frozen=True, kw_only=True)
     class Bare(Settings):

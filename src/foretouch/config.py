@@ -127,26 +127,21 @@ class Settings:
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain nested data that `from_mapping` reads back."""
-        return {
-            f.name: value.to_mapping()
-            if isinstance(value, Settings)
-            else list(value)
-            if isinstance(value, tuple)
-            else value
-            for f in dataclasses.fields(self)
-            for value in [getattr(self, f.name)]
-        }
+        return {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
 
 
 def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
-    """All settings of `cls`, nested ones with dotted names, in order of declaration."""
+    """All settings of `cls`, nested ones with dotted names, in order of declaration.
+
+    Lists of groups and groups that may be absent have no fixed names, and are left out.
+    """
     infos: list[SettingInfo] = []
     own = {info.name: info for info in _own_infos(cls)}
     hints = typing.get_type_hints(cls)
     for f in dataclasses.fields(cls):
         if f.name in own:
             infos.append(dataclasses.replace(own[f.name], name=prefix + f.name))
-        else:
+        elif isinstance(hints[f.name], type):
             infos.extend(setting_infos(hints[f.name], f"{prefix}{f.name}."))
     return infos
 
@@ -193,7 +188,7 @@ def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
     infos = []
     for f in dataclasses.fields(cls):
         item, is_list, optional = _analyse(hints[f.name])
-        if isinstance(item, type) and issubclass(item, Settings):
+        if issubclass(item, Settings):
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
@@ -289,14 +284,34 @@ def _build(cls: type[_S], mapping: Mapping[str, Any], source: str, prefix: str) 
     for key, value in mapping.items():
         if key not in known:
             raise ConfigError(f"{source}{prefix}{key}: unknown setting; known: {', '.join(known)}")
-        hint = hints[key]
-        if isinstance(hint, type) and issubclass(hint, Settings):
-            if not isinstance(value, Mapping):
-                raise ConfigError(f"{source}{prefix}{key}: {value!r} is not a group of settings")
-            values[key] = _build(hint, value, source, f"{prefix}{key}.")
-        else:
-            values[key] = tuple(value) if isinstance(value, list) else value
+        values[key] = _field_value(hints[key], value, source, f"{prefix}{key}")
     try:
         return cls(**values)
     except ConfigError as err:
         raise ConfigError(f"{source}{err}") from err
+
+
+def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
+    """A plain value as its field wants it; fields that are no groups are checked by their owner."""
+    item, is_list, optional = _analyse(hint)
+    if not issubclass(item, Settings):
+        return tuple(value) if isinstance(value, list) else value
+    if value is None and optional:
+        return None
+    if not is_list:
+        return _group(item, value, source, name)
+    if not isinstance(value, list):
+        raise ConfigError(f"{source}{name}: {value!r} is not a list")
+    return tuple(_group(item, one, source, f"{name}[{i}]") for i, one in enumerate(value))
+
+
+def _group(cls: type[_S], value: Any, source: str, name: str) -> _S:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{source}{name}: {value!r} is not a group of settings")
+    return _build(cls, value, source, f"{name}.")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Settings):
+        return value.to_mapping()
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
