@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of ROS, read without ROS: rosbag2 directories (MCAP, SQLite), bare files, ROS 1 bags.
+
+The containers and message definitions are handled by `rosbags`; the clouds in them by
+`foretouch.cloud.pointcloud2`. `Recording` gives the messages as they were recorded, for the
+replay, and the clouds in them, for everybody else. Writing is in `foretouch.dataset.bag_writer`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from foretouch.cloud.pointcloud2 import PointCloud2Layout, PointField, decode
+from foretouch.errors import CloudError, FileError
+from foretouch.types import Cloud
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+    from rosbags.typesys.store import Typestore
+
+__all__ = [
+    "POINT_CLOUD_TYPE",
+    "RECORDING_SUFFIXES",
+    "Message",
+    "Recording",
+    "Topic",
+    "is_recording",
+    "list_topics",
+    "read_bag",
+]
+
+POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+HEADER_TYPE = "std_msgs/msg/Header"
+RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a recording.
+
+    Attributes:
+        name: As recorded.
+        type: ROS 2 name of its messages, such as `sensor_msgs/msg/PointCloud2`; "" where publishers disagreed.
+        count: Number of messages that the recording declares.
+        fields: Names of the message's fields in order of the wire; empty where the recording has no definition.
+        stamped: Whether the message begins with a `std_msgs/Header`.
+    """
+
+    name: str
+    type: str
+    count: int
+    fields: tuple[str, ...] = ()
+    stamped: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One recorded message.
+
+    Attributes:
+        topic: Its topic.
+        type: ROS 2 name of its type.
+        index: Its place among the messages of its topic, from 0.
+        bag_time_ns: When the recorder received it [ns]; the stamp inside is another matter.
+        data: CDR with its encapsulation header, as `rclpy` publishes it.
+    """
+
+    topic: str
+    type: str
+    index: int
+    bag_time_ns: int
+    data: bytes
+
+
+class Recording:
+    """An open recording; a context manager.
+
+    Args:
+        path: A rosbag2 directory, a directory of `.mcap` or `.db3` files without metadata, such a file, or a ROS 1 `.bag`.
+
+    Raises:
+        FileError: If the path is no recording, or is truncated or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        files = _storage_paths(self.path)
+        with _known_failures(self.path):
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+
+            # Recordings of ROS 2 before Iron hold no definitions: those of a current release then serve.
+            self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
+            self._reader.open()
+        with _known_failures(self.path):
+            self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
+            self.topics: tuple[Topic, ...] = tuple(self._topics())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the files; more than once does no harm."""
+        if self._reader.stack is not None:
+            self._reader.close()
+
+    def cloud_topic(self, topic: str | None = None) -> str:
+        """The topic whose clouds to take.
+
+        Args:
+            topic: Its name; None if the recording holds one topic of clouds only.
+
+        Raises:
+            FileError: If the topic is absent, holds other messages or none, or if several qualify.
+        """
+        clouds = [t for t in self.topics if t.type == POINT_CLOUD_TYPE]
+        if topic is not None:
+            found = next((t for t in self.topics if t.name == topic), None)
+            if found is None:
+                raise FileError(self.path, f"no such topic; known: {_told(self.topics)}", field=topic)
+            if found.type != POINT_CLOUD_TYPE:
+                raise FileError(self.path, f"holds {found.type or 'mixed types'}, not {POINT_CLOUD_TYPE}", field=topic)
+            clouds = [found]
+        if not clouds:
+            raise FileError(self.path, f"no topic of {POINT_CLOUD_TYPE}; known: {_told(self.topics)}")
+        filled = [t for t in clouds if t.count]
+        if not filled:
+            raise FileError(self.path, "holds no messages", field=clouds[0].name)
+        if len(filled) > 1:
+            raise FileError(self.path, f"several topics of clouds, name one with --topic: {_told(filled)}")
+        return filled[0].name
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages in order of their bag time.
+
+        Args:
+            topics: Names of those wanted; None for all.
+
+        Raises:
+            FileError: Where the recording is damaged, or at its end if it holds other counts than it declares.
+        """
+        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        counts: Counter[str] = Counter()
+        if wanted:
+            with _known_failures(self.path):
+                for connection, time_ns, raw in self._reader.messages(wanted):
+                    index = counts[connection.topic]
+                    counts[connection.topic] += 1
+                    yield Message(connection.topic, connection.msgtype, index, time_ns, self._cdr(connection, raw))
+        for topic in self.topics:
+            if (topics is None or topic.name in topics) and counts[topic.name] != topic.count:
+                rule = f"declares {topic.count} messages, holds {counts[topic.name]}"
+                raise FileError(self.path, rule, field=topic.name)
+
+    def decode_cloud(self, message: Message) -> Cloud:
+        """The cloud in a `PointCloud2`, with the frame and stamp of its header.
+
+        Raises:
+            FileError: If the message is damaged, or its sizes do not add up.
+        """
+        place = f"{message.topic}[{message.index}]"
+        with _known_failures(self.path, place):
+            content: Any = self._store.deserialize_cdr(message.data, message.type)
+        try:
+            xyz, rgb = decode(_layout(content), content.data)
+        except CloudError as err:
+            raise FileError(self.path, str(err), field=place) from err
+        stamp = content.header.stamp
+        return Cloud(xyz, rgb, content.header.frame_id, stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+    def clouds(self, topic: str | None = None) -> Iterator[tuple[Message, Cloud]]:
+        """Every cloud of one topic with the message that held it (see `cloud_topic`)."""
+        for message in self.messages([self.cloud_topic(topic)]):
+            yield message, self.decode_cloud(message)
+
+    def _cdr(self, connection: Connection, raw: bytes) -> bytes:
+        return raw if self._reader.is2 else bytes(self._store.ros1_to_cdr(raw, connection.msgtype))
+
+    def _topics(self) -> Iterator[Topic]:
+        definitions = self._store.fielddefs
+        for name, info in sorted(self._reader.topics.items()):
+            fields = definitions[info.msgtype][1] if info.msgtype in definitions else []
+            stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
+            yield Topic(name, info.msgtype or "", info.msgcount, tuple(f[0] for f in fields), stamped)
+
+
+def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
+    """The clouds of a recording, with the frames and stamps of their headers.
+
+    Args:
+        path: See `Recording`.
+        topic: Which; may be left out where only one topic holds clouds.
+
+    Raises:
+        FileError: See `Recording`, `Recording.cloud_topic` and `Recording.decode_cloud`.
+    """
+    with Recording(path) as recording:
+        for _, cloud in recording.clouds(topic):
+            yield cloud
+
+
+def list_topics(path: str | Path) -> tuple[Topic, ...]:
+    """The topics of a recording, by name."""
+    with Recording(path) as recording:
+        return recording.topics
+
+
+def is_recording(path: Path) -> bool:
+    """Whether the path looks like a recording, by its name and, for a directory, by what lies in it."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or bool(_loose_files(path))
+    return path.suffix in RECORDING_SUFFIXES
+
+
+def _storage_paths(path: Path) -> list[Path]:
+    """What to give to the reader: the directory or file itself, or the files of a directory without metadata."""
+    if not path.exists():
+        raise FileError(path, "does not exist")
+    if not is_recording(path):
+        kinds = ", ".join(RECORDING_SUFFIXES)
+        raise FileError(path, f"is no recording: neither a rosbag2 directory nor a file of {kinds}")
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        return _loose_files(path)
+    return [path]
+
+
+def _loose_files(path: Path) -> list[Path]:
+    return sorted(p for suffix in (".mcap", ".db3") for p in path.glob(f"*{suffix}"))
+
+
+@contextmanager
+def _known_failures(path: Path, place: str | None = None) -> Iterator[None]:
+    """Turn whatever the parsers trip over into one line.
+
+    On damaged bytes they raise their own errors, but also those of struct, zstd, SQLite and of
+    Python itself (KeyError, TypeError, UnicodeDecodeError...), hence the wide net.
+    """
+    try:
+        yield
+    except FileError:
+        raise
+    except Exception as err:
+        told = " ".join(str(err).split()) or type(err).__name__
+        raise FileError(path, f"truncated or damaged: {told}", field=place) from err
+
+
+def _without_seq(recorded: Typestore) -> Typestore:
+    """The definitions of a ROS 1 bag with the `std_msgs/Header` of ROS 2, which has no `seq`."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    header = get_typestore(Stores.ROS2_KILTED).fielddefs[HEADER_TYPE]
+    store.register({**recorded.fielddefs, HEADER_TYPE: header})
+    return store
+
+
+def _layout(message: Any) -> PointCloud2Layout:
+    fields = tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields)
+    return PointCloud2Layout(
+        height=message.height,
+        width=message.width,
+        fields=fields,
+        is_bigendian=bool(message.is_bigendian),
+        point_step=message.point_step,
+        row_step=message.row_step,
+    )
+
+
+def _told(topics: Collection[Topic]) -> str:
+    return ", ".join(f"{t.name} ({t.type or 'mixed types'}, {t.count})" for t in topics) or "none"

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writing recordings: rosbag2 directories with MCAP storage, without ROS.
+
+`ros2 bag`, Foxglove and `foretouch.dataset.bag` read them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+from foretouch.cloud.pointcloud2 import encode
+from foretouch.dataset.bag import POINT_CLOUD_TYPE
+from foretouch.errors import DatasetError, FileError
+from foretouch.types import Cloud
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+__all__ = ["DEFAULT_TOPIC", "BagWriter", "Compression", "write_bag"]
+
+DEFAULT_TOPIC = "/foretouch/points"
+Compression = Literal["none", "zstd"]
+
+_CHUNK_CRC_OFFSET = 9 + 24  # opcode and length of the record, then start time, end time and size
+
+
+class BagWriter:
+    """A recording that is being written; a context manager.
+
+    If the block ends with an exception, what was written is removed: no half recording stays.
+
+    Args:
+        path: Directory to be made.
+        compression: Of the MCAP chunks, or none.
+
+    Raises:
+        FileError: If the path exists, or cannot be made.
+    """
+
+    def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
+        self.path = Path(path)
+        self._typestore = get_typestore(Stores.ROS2_KILTED)
+        self._connections: dict[str, Connection] = {}
+        try:
+            self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            if compression == "zstd":
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except WriterError as err:
+            raise FileError(self.path, "exists already and is not overwritten") from err
+        except OSError as err:
+            raise FileError(self.path, err.strerror or str(err)) from err
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self._writer.close()
+        else:
+            self._writer.abort()
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    def write_cloud(self, cloud: Cloud, topic: str = DEFAULT_TOPIC, *, bag_time_ns: int | None = None) -> None:
+        """Append a cloud as `sensor_msgs/PointCloud2`, with its frame and stamp.
+
+        Args:
+            cloud: Organised or not.
+            topic: Where.
+            bag_time_ns: When it was received; by default its own stamp.
+
+        Raises:
+            DatasetError: If a time cannot be written.
+        """
+        message = _point_cloud_message(cloud, self._typestore.types)
+        data = self._typestore.serialize_cdr(message, POINT_CLOUD_TYPE)
+        self.write(topic, POINT_CLOUD_TYPE, cloud.stamp_ns if bag_time_ns is None else bag_time_ns, data)
+
+    def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
+        """Append a serialised message.
+
+        Args:
+            topic: Where.
+            type_name: Such as `std_msgs/msg/String`: of ROS 2 Kilted or made known by `define`.
+            bag_time_ns: When it was received, from 0 on.
+            data: CDR with its encapsulation header.
+
+        Raises:
+            DatasetError: If the type is unknown, or the topic already has another one, or the time is negative.
+        """
+        if bag_time_ns < 0:
+            raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
+        self._writer.write(self._connection(topic, type_name), bag_time_ns, data)
+
+    def add_topic(self, topic: str, type_name: str) -> None:
+        """Declare a topic, which may then stay without messages (raises as `write`)."""
+        self._connection(topic, type_name)
+
+    def define(self, type_name: str, definition: str) -> None:
+        """Make a message type known.
+
+        Args:
+            type_name: Such as `foretouch_msgs/msg/Biotac`.
+            definition: Text of its `.msg` file.
+        """
+        try:
+            self._typestore.register(get_types_from_msg(definition, type_name))
+        except TypesysError as err:
+            raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
+
+    def _connection(self, topic: str, type_name: str) -> Connection:
+        connection = self._connections.get(topic)
+        if connection is None:
+            if type_name not in self._typestore.fielddefs:
+                raise DatasetError(f"{self.path}: {topic}: no definition of {type_name}")
+            connection = self._writer.add_connection(topic, type_name, typestore=self._typestore)
+            self._connections[topic] = connection
+        if connection.msgtype != type_name:
+            raise DatasetError(f"{self.path}: {topic}: holds {connection.msgtype}, not {type_name}")
+        return connection
+
+
+def write_bag(
+    path: str | Path, clouds: Iterable[Cloud], topic: str = DEFAULT_TOPIC, *, compression: Compression = "zstd"
+) -> int:
+    """Write clouds as a recording of one topic.
+
+    Args:
+        path: Directory to be made; must not exist.
+        clouds: In order; their stamps become the bag times.
+        topic: Where.
+        compression: Of the MCAP chunks, or none.
+
+    Returns:
+        Number of clouds written.
+
+    Raises:
+        FileError: If the path exists, or cannot be made.
+        DatasetError: If a stamp cannot be written.
+    """
+    count = 0
+    with BagWriter(path, compression) as writer:
+        writer.add_topic(topic, POINT_CLOUD_TYPE)
+        for cloud in clouds:
+            writer.write_cloud(cloud, topic)
+            count += 1
+    return count
+
+
+class _ChecksummedMcap(McapWriter):
+    """Fills in the checksum of each chunk, which `rosbags` leaves at 0 = unknown, so that readers see damage."""
+
+    def close_chunk(self) -> None:
+        checksum = zlib.crc32(self.chunk.bio.getbuffer())
+        start = self.bio.tell()
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + _CHUNK_CRC_OFFSET)
+        self.bio.write(checksum.to_bytes(4, "little"))
+        self.bio.seek(end)
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
+
+
+def _point_cloud_message(cloud: Cloud, types: dict[str, Any]) -> Any:
+    layout, data = encode(cloud)
+    second, nanosecond = divmod(cloud.stamp_ns, 1_000_000_000)
+    stamp = types["builtin_interfaces/msg/Time"](second, nanosecond)
+    field = types["sensor_msgs/msg/PointField"]
+    return types[POINT_CLOUD_TYPE](
+        header=types["std_msgs/msg/Header"](stamp, cloud.frame_id),
+        height=layout.height,
+        width=layout.width,
+        fields=[field(f.name, f.offset, f.datatype, f.count) for f in layout.fields],
+        is_bigendian=layout.is_bigendian,
+        point_step=layout.point_step,
+        row_step=layout.row_step,
+        data=np.frombuffer(data, np.uint8),
+        is_dense=layout.is_dense,
+    )

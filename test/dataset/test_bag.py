@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in all containers, and what becomes of damaged ones."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording, list_topics, read_bag
+from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.types import Cloud
+
+TOPIC = "/foretouch/points"
+KILTED = get_typestore(Stores.ROS2_KILTED)
+NOETIC = get_typestore(Stores.ROS1_NOETIC)
+
+
+def make_clouds(rng: np.random.Generator, count: int = 6, shape: tuple[int, ...] = (12, 16)) -> list[Cloud]:
+    clouds = []
+    for number in range(count):
+        xyz = rng.normal(size=(*shape, 3)).astype(np.float32)
+        xyz.reshape(-1, 3)[number % 5] = np.nan
+        rgb = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
+        clouds.append(Cloud(xyz, rgb, "camera", 1_700_000_000_123_456_789 + number * 33_333_333))
+    return clouds
+
+
+def assert_same(read: Cloud, written: Cloud) -> None:
+    np.testing.assert_array_equal(read.xyz, written.xyz)
+    np.testing.assert_array_equal(read.rgb, written.rgb)
+    assert (read.frame_id, read.stamp_ns) == (written.frame_id, written.stamp_ns)
+
+
+def foreign_message(store, xyz: np.ndarray, *, stamp_ns: int, seq: int | None = None, **changes):
+    """A PointCloud2 as others write it: big-endian, z y x, bytes between the fields, the points and the rows."""
+    height, width, _ = xyz.shape
+    point_step, row_step = 20, 20 * width + 12
+    rows = np.full((height, row_step), 0xAB, np.uint8)
+    for row in range(height):
+        for column in range(width):
+            for axis, offset in ((2, 0), (1, 8), (0, 12)):
+                start = column * point_step + offset
+                rows[row, start : start + 4] = np.frombuffer(
+                    np.array([xyz[row, column, axis]], ">f4").tobytes(), np.uint8
+                )
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    header = {"stamp": stamp, "frame_id": "lidar"} | ({} if seq is None else {"seq": seq})
+    content = {
+        "header": types["std_msgs/msg/Header"](**header),
+        "height": height,
+        "width": width,
+        "fields": [types["sensor_msgs/msg/PointField"](n, o, 7, 1) for n, o in (("z", 0), ("y", 8), ("x", 12))],
+        "is_bigendian": True,
+        "point_step": point_step,
+        "row_step": row_step,
+        "data": rows.reshape(-1),
+        "is_dense": True,
+    }
+    return types[POINT_CLOUD_TYPE](**(content | changes))
+
+
+def write_foreign(
+    path: Path, messages: list, plugin: StoragePlugin = StoragePlugin.SQLITE3, topic: str = "/cloud"
+) -> None:
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection(topic, POINT_CLOUD_TYPE, typestore=KILTED)
+        for number, message in enumerate(messages):
+            writer.write(connection, 10 + number, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
+
+
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+@pytest.mark.parametrize("shape", [(12, 16), (40,), (0,)])
+def test_what_is_written_is_read(tmp_path, rng, compression, shape):
+    clouds = make_clouds(rng, shape=shape) if shape != (0,) else [Cloud(np.empty((0, 3), np.float32), stamp_ns=5)]
+    assert write_bag(tmp_path / "bag", clouds, compression=compression) == len(clouds)
+    read = list(read_bag(tmp_path / "bag"))
+    assert len(read) == len(clouds)
+    for one, other in zip(read, clouds, strict=True):
+        assert_same(one, other)
+
+
+def test_many_chunks_keep_their_order(tmp_path, rng):
+    clouds = make_clouds(rng, count=9, shape=(150, 200))  # 480 kB each, chunks close at 1 MiB
+    write_bag(tmp_path / "bag", clouds, compression="none")
+    assert [c.stamp_ns for c in read_bag(tmp_path / "bag")] == [c.stamp_ns for c in clouds]
+
+
+def test_the_mcap_library_agrees_and_accepts_the_checksums(tmp_path, rng):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+    support = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
+    clouds = make_clouds(rng)
+    write_bag(tmp_path / "bag", clouds)
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as stream:
+        others = reader.make_reader(stream, validate_crcs=True, decoder_factories=[support.DecoderFactory()])
+        messages = list(others.iter_decoded_messages())
+    assert [m.channel.topic for m in messages] == [TOPIC] * len(clouds)
+    for message, cloud in zip(messages, clouds, strict=True):
+        points = np.frombuffer(bytes(message.decoded_message.data), "<f4").reshape(12, 16, 4)
+        np.testing.assert_array_equal(points[..., :3], cloud.xyz)
+        assert message.decoded_message.header.frame_id == cloud.frame_id
+        assert message.message.log_time == cloud.stamp_ns
+
+
+def test_chunks_carry_their_checksum(tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    content = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    header_length = int.from_bytes(content[9:17], "little")
+    chunk = 17 + header_length
+    assert content[chunk] == 0x06
+    assert content[chunk + 33 : chunk + 37] != bytes(4)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_bag_of_others_with_an_odd_layout(tmp_path, rng, plugin):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    write_foreign(tmp_path / "bag", [foreign_message(KILTED, xyz, stamp_ns=3_000_000_004)], plugin)
+    (cloud,) = read_bag(tmp_path / "bag")
+    np.testing.assert_array_equal(cloud.xyz, xyz)
+    assert (cloud.frame_id, cloud.stamp_ns) == ("lidar", 3_000_000_004)
+
+
+def test_ros1_bag(tmp_path, rng):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    with Ros1Writer(tmp_path / "old.bag") as writer:
+        connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=NOETIC)
+        for seq in range(3):
+            message = foreign_message(NOETIC, xyz + seq, stamp_ns=seq, seq=seq)
+            writer.write(connection, 10 + seq, NOETIC.serialize_ros1(message, POINT_CLOUD_TYPE))
+    clouds = list(read_bag(tmp_path / "old.bag"))
+    assert [c.stamp_ns for c in clouds] == [0, 1, 2]
+    np.testing.assert_array_equal(clouds[2].xyz, xyz + np.float32(2))
+    with Recording(tmp_path / "old.bag") as recording:
+        message = next(recording.messages())
+        content = KILTED.deserialize_cdr(message.data, message.type)  # without the seq of ROS 1
+    assert content.header.frame_id == "lidar"
+
+
+def test_bare_file_and_directory_without_metadata(tmp_path, rng):
+    clouds = make_clouds(rng)
+    write_bag(tmp_path / "bag", clouds)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert_same(next(read_bag(tmp_path / "bag")), clouds[0])
+    assert_same(next(read_bag(tmp_path / "bag" / "bag.mcap")), clouds[0])
+
+
+def test_messages_are_passed_on_as_recorded(tmp_path, rng):
+    text = KILTED.types["std_msgs/msg/String"]
+    said = [bytes(KILTED.serialize_cdr(text(f"say {n}"), "std_msgs/msg/String")) for n in range(3)]
+    (cloud,) = make_clouds(rng, count=1)
+    with BagWriter(tmp_path / "bag") as writer:
+        for number, data in enumerate(said):
+            writer.write("/said", "std_msgs/msg/String", 100 * number, data)
+        writer.write_cloud(cloud, bag_time_ns=150)
+    with Recording(tmp_path / "bag") as recording:
+        messages = list(recording.messages())
+        assert [t.stamped for t in recording.topics] == [True, False]
+    assert [(m.topic, m.index, m.bag_time_ns) for m in messages] == [
+        ("/said", 0, 0), ("/said", 1, 100), (TOPIC, 0, 150), ("/said", 2, 200),
+    ]  # fmt: skip
+    assert [m.data for m in messages if m.topic == "/said"] == said
+
+
+def test_own_message_types_travel(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.define("my_msgs/msg/Reading", "std_msgs/Header header\nint16[] electrodes\n")
+        writer.write("/tactile", "my_msgs/msg/Reading", 0, b"\0\1\0\0")
+    (topic,) = list_topics(tmp_path / "bag")
+    assert (topic.type, topic.count, topic.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
+
+
+def test_topics_are_listed_with_types_and_counts(tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng, count=4), "/a/points")
+    (topic,) = list_topics(tmp_path / "bag")
+    assert (topic.name, topic.type, topic.count) == ("/a/points", POINT_CLOUD_TYPE, 4)
+
+
+def test_missing_topic_names_the_known_ones(tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    with pytest.raises(FileError, match=r"bag: /points: no such topic; known: /foretouch/points \(.*PointCloud2, 6\)"):
+        list(read_bag(tmp_path / "bag", "/points"))
+
+
+def test_topic_of_another_type(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/said", "std_msgs/msg/String")
+    with pytest.raises(FileError, match="/said: holds std_msgs/msg/String, not sensor_msgs/msg/PointCloud2"):
+        list(read_bag(tmp_path / "bag", "/said"))
+    with pytest.raises(FileError, match=r"no topic of sensor_msgs/msg/PointCloud2; known: /said"):
+        list(read_bag(tmp_path / "bag"))
+
+
+def test_several_topics_of_clouds_must_be_chosen_from(tmp_path, rng):
+    first, second = make_clouds(rng, count=2)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_cloud(first, "/left")
+        writer.write_cloud(second, "/right")
+        writer.add_topic("/never_used", POINT_CLOUD_TYPE)
+    with pytest.raises(FileError, match=r"name one with --topic: /left \(.*\), /right \([^)]*\)$"):
+        list(read_bag(tmp_path / "bag"))
+    (cloud,) = read_bag(tmp_path / "bag", "/right")
+    assert_same(cloud, second)
+
+
+def test_recording_without_messages(tmp_path):
+    assert write_bag(tmp_path / "bag", []) == 0
+    with pytest.raises(FileError, match="/foretouch/points: holds no messages"):
+        list(read_bag(tmp_path / "bag"))
+
+
+def test_nothing_is_overwritten(tmp_path, rng):
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(FileError, match="exists already and is not overwritten"):
+        write_bag(tmp_path / "bag", make_clouds(rng))
+
+
+def test_a_failure_leaves_no_half_recording(tmp_path, rng):
+    (cloud,) = make_clouds(rng, count=1)
+    early = Cloud(cloud.xyz, None, "camera", -1)
+    with pytest.raises(DatasetError, match="time -1 ns is before 1970"):
+        write_bag(tmp_path / "bag", [cloud, early])
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_topic_has_one_type_and_a_type_a_definition(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/said", "std_msgs/msg/String")
+        with pytest.raises(DatasetError, match="/said: holds std_msgs/msg/String, not std_msgs/msg/Bool"):
+            writer.add_topic("/said", "std_msgs/msg/Bool")
+        with pytest.raises(DatasetError, match="/x: no definition of nobodys_msgs/msg/X"):
+            writer.add_topic("/x", "nobodys_msgs/msg/X")
+
+
+def test_sizes_that_do_not_add_up_name_the_message(tmp_path, rng):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    good = foreign_message(KILTED, xyz, stamp_ns=1)
+    bad = foreign_message(KILTED, xyz, stamp_ns=2, width=6)
+    write_foreign(tmp_path / "bag", [good, bad, good])
+    with pytest.raises(FileError, match=r"bag: /cloud\[1\]: row_step: 112 is less than width 6 x point_step 20"):
+        list(read_bag(tmp_path / "bag"))
+
+
+def test_a_message_cut_short_names_itself(tmp_path, rng):
+    (cloud,) = make_clouds(rng, count=1)
+    write_bag(tmp_path / "whole", [cloud])
+    with Recording(tmp_path / "whole") as recording:
+        data = next(recording.messages()).data
+    with BagWriter(tmp_path / "cut") as writer:
+        writer.write(TOPIC, POINT_CLOUD_TYPE, 0, data[:1000])
+    with pytest.raises(FileError, match=r"cut: /foretouch/points\[0\]: truncated or damaged"):
+        list(read_bag(tmp_path / "cut"))
+
+
+@pytest.mark.parametrize("name", ["absent", "notes.txt", "folder"])
+def test_what_is_no_recording(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("no recording")
+    (tmp_path / "folder").mkdir()
+    assert not is_recording(tmp_path / name)
+    with pytest.raises(FileError, match=r"does not exist|is no recording: neither"):
+        list(read_bag(tmp_path / name))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+@pytest.mark.parametrize("content", [b"", b"not what the name says" * 100])
+def test_files_that_only_bear_the_name(tmp_path, suffix, content):
+    path = tmp_path / f"x{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=f"x{suffix}: truncated or damaged: ") as caught:
+        list(read_bag(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.97, 0.999])
+def test_cut_storage_is_told_in_one_line(tmp_path, rng, plugin, part):
+    messages = [foreign_message(KILTED, rng.normal(size=(30, 40, 3)).astype(np.float32), stamp_ns=n) for n in range(4)]
+    write_foreign(tmp_path / "bag", messages, plugin)
+    (storage,) = [p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3")]
+    content = storage.read_bytes()
+    storage.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(FileError, match="bag: ") as caught:
+        list(read_bag(tmp_path / "bag"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "told"),
+    [("", "damaged"), ("rosbag2_bagfile_information: 3", "damaged"), ("a: [", "damaged"), ("\0", "damaged")],
+)
+def test_damaged_metadata(tmp_path, rng, metadata, told):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    (tmp_path / "bag" / "metadata.yaml").write_text(metadata)
+    with pytest.raises(FileError, match=told) as caught:
+        list(read_bag(tmp_path / "bag"))
+    assert "\n" not in str(caught.value)
+
+
+def test_fewer_messages_than_declared(tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 6", "message_count: 7"))
+    read = read_bag(tmp_path / "bag")
+    assert len([next(read) for _ in range(6)]) == 6
+    with pytest.raises(FileError, match="/foretouch/points: declares 7 messages, holds 6"):
+        next(read)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+def test_a_flipped_byte_is_seen_or_does_no_harm(tmp_path, rng, compression):
+    clouds = make_clouds(rng)
+    write_bag(tmp_path / "bag", clouds, compression=compression)
+    content = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    seen = 0
+    for trial, place in enumerate(np.linspace(0, len(content) - 1, 120).astype(int)):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << rng.integers(8)
+        folder = tmp_path / f"bag{trial}"
+        shutil.copytree(tmp_path / "bag", folder)
+        (folder / "bag.mcap").write_bytes(damaged)
+        try:
+            read = list(read_bag(folder))
+        except ForetouchError:
+            seen += 1
+            continue
+        for one, other in zip(read, clouds, strict=True):
+            assert_same(one, other)
+    assert seen > 60
