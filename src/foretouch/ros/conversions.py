@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of grasps, planes and predictions to the core's types and back: pure functions, no node.
+
+Clouds are converted in `clouds`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from shape_msgs.msg import Plane as PlaneMsg
+from std_msgs.msg import Header
+
+from foretouch.errors import GraspError
+from foretouch.grasp import quaternion_xyzw
+from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch_msgs.msg import Grasp as GraspMsg
+from foretouch_msgs.msg import Interval, Status
+from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+
+__all__ = [
+    "duration_to_msg",
+    "grasp_from_msg",
+    "grasp_to_msg",
+    "has_orientation",
+    "header_to_msg",
+    "plane_from_msg",
+    "plane_to_msg",
+    "point_to_msg",
+    "pose_stamped",
+    "prediction_to_msg",
+    "refusal_to_msg",
+    "rotation_from_quaternion",
+    "stamp_ns",
+    "stamp_to_msg",
+]
+
+_SECOND_NS = 1_000_000_000
+_UNIT_TOLERANCE = 1e-3  # of a quaternion's length; planners work with float32
+_AGREEMENT = 1e-3  # between a grasp's matrix and its quaternion, per element
+_REFERENCES = {
+    "none": TouchPredictionMsg.NONE,
+    "tare": TouchPredictionMsg.TARE,
+    "touches": TouchPredictionMsg.TOUCHES,
+}
+
+
+def stamp_ns(stamp: Time) -> int:
+    """A stamp in integer nanoseconds."""
+    return int(stamp.sec) * _SECOND_NS + int(stamp.nanosec)
+
+
+def stamp_to_msg(nanoseconds: int) -> Time:
+    """The reverse of `stamp_ns`."""
+    sec, nanosec = divmod(nanoseconds, _SECOND_NS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def duration_to_msg(seconds: float) -> Duration:
+    """A time span, which may be negative."""
+    sec, nanosec = divmod(round(seconds * _SECOND_NS), _SECOND_NS)
+    return Duration(sec=int(np.clip(sec, -(2**31), 2**31 - 1)), nanosec=nanosec)
+
+
+def header_to_msg(frame_id: str, nanoseconds: int) -> Header:
+    """Frame and stamp."""
+    return Header(frame_id=frame_id, stamp=stamp_to_msg(nanoseconds))
+
+
+def point_to_msg(point: Float64) -> Point:
+    """(3,) [m]."""
+    x, y, z = map(float, point)
+    return Point(x=x, y=y, z=z)
+
+
+def plane_to_msg(plane: Plane | None) -> PlaneMsg:
+    """Four zeros stand for no plane."""
+    return PlaneMsg(coef=np.zeros(4) if plane is None else plane.coefficients)
+
+
+def plane_from_msg(message: PlaneMsg) -> Plane | None:
+    """The plane, or None for four zeros.
+
+    Raises:
+        CloudError: If a number is not finite, or only the normal is zero.
+    """
+    if not np.any(message.coef):
+        return None
+    plane = Plane.from_coefficients(message.coef)
+    exact = np.asarray(message.coef, np.float64)
+    # A unit normal must survive as it is: dividing it by its length once more may move its last bit.
+    unit = abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12
+    return Plane(exact[:3], float(exact[3])) if unit else plane
+
+
+def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
+    """A grasp; `pose` is redundant and there for those who move hands."""
+    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
+    return GraspMsg(
+        id=grasp.id,
+        object_id=grasp.object_id,
+        g1=point_to_msg(grasp.g1),
+        g2=point_to_msg(grasp.g2),
+        pose=Pose(position=point_to_msg(grasp.midpoint), orientation=Quaternion(x=x, y=y, z=z, w=w)),
+        rotation=grasp.rotation.reshape(9),
+        score=grasp.score,
+        status=status,
+        reason=reason,
+    )
+
+
+def has_orientation(message: GraspMsg) -> bool:
+    """Whether the grasp says how the hand is turned."""
+    q = message.pose.orientation
+    return any((q.x, q.y, q.z, q.w)) or bool(np.any(message.rotation))
+
+
+def grasp_from_msg(message: GraspMsg, rotation: Float64 | None = None) -> Grasp:
+    """A grasp as the core knows it. The position of its pose is not read: it is the midpoint.
+
+    Args:
+        message: With a rotation, a quaternion, or both.
+        rotation: (3, 3) float64, instead of what the message holds.
+
+    Raises:
+        GraspError: If a number is not finite, the contacts are one point, there is no rotation, or matrix and
+            quaternion contradict each other.
+    """
+    g1, g2 = (np.array([p.x, p.y, p.z]) for p in (message.g1, message.g2))
+    if rotation is None:
+        rotation = _rotation_of(message)
+    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
+
+
+def rotation_from_quaternion(xyzw: Float64) -> Float64:
+    """(3, 3) float64 rotation of a quaternion.
+
+    Args:
+        xyzw: (4,) of unit length within 1e-3; normalised here.
+
+    Raises:
+        GraspError: If a number is not finite or the length is another.
+    """
+    length = float(np.linalg.norm(xyzw))
+    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
+        raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
+    x, y, z, w = xyzw / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _rotation_of(message: GraspMsg) -> Float64:
+    q = message.pose.orientation
+    quaternion = np.array([q.x, q.y, q.z, q.w])
+    matrix = np.asarray(message.rotation, np.float64).reshape(3, 3)
+    if not np.any(matrix):
+        if not np.any(quaternion):
+            raise GraspError("pose: no orientation")
+        return rotation_from_quaternion(quaternion)
+    if not np.isfinite(matrix).all() or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
+        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
+    if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
+        raise GraspError("rotation: is not that of pose.orientation")
+    return matrix
+
+
+def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
+    """The pose of the hand as planners take it."""
+    return PoseStamped(header=header, pose=grasp.pose)
+
+
+def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
+    """What the model said of one grasp; model, age and further flags are the node's to add.
+
+    Args:
+        prediction: Of the model.
+        grasp: The message that the grasp came from.
+        header: Of the cloud.
+    """
+    if prediction.value is None:
+        return refusal_to_msg(grasp, header, Status.REFUSED, prediction.reason)
+    return TouchPredictionMsg(
+        header=header,
+        grasp=grasp,
+        **_modalities(prediction.value, prediction.lower, prediction.upper),
+        reference=_REFERENCES[prediction.reference],
+        status=Status.OK,
+        flags=list(prediction.flags),
+    )
+
+
+def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:
+    """A prediction that was not made: every value is NaN, beside a status and a reason."""
+    unknown = Touch.from_vector(np.full(TOUCH_SIZE, math.nan))
+    return TouchPredictionMsg(
+        header=header,
+        grasp=grasp,
+        **_modalities(unknown, None, None),
+        status=status,
+        reason=reason,
+    )
+
+
+def _modalities(value: Touch, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
+    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; bounds that are not known become NaN."""
+    unknown = np.full(TOUCH_SIZE, math.nan)
+    columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
+    rows = np.stack(columns, axis=1).tolist()
+    intervals = [Interval(value=v, lower=low, upper=high) for v, low, high in rows]
+    return {
+        "pdc_th": intervals[0],
+        "pdc_mf": intervals[1],
+        "e_th": intervals[2 : 2 + ELECTRODES],
+        "e_mf": intervals[2 + ELECTRODES :],
+    }

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the process needs in its environment before NumPy and rclpy are imported.
+
+A variable that the user has set is never changed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+__all__ = ["SHARED_MEMORY_PROFILE", "prepare_environment"]
+
+SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
+"""Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""
+
+_PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def prepare_environment() -> None:
+    """Set what is missing: the ament index, the shared-memory profile, one thread for linear algebra.
+
+    The matrices here are small: with a pool of threads, a plane fit waits for the others longer than
+    it works (8 ms against 0.6 ms on a loaded two-core machine).
+    """
+    if "AMENT_PREFIX_PATH" not in os.environ:  # wheels of PyPI install into the Python prefix
+        os.environ["AMENT_PREFIX_PATH"] = sys.prefix
+    if not any(name in os.environ for name in _PROFILE_VARIABLES):
+        os.environ[_PROFILE_VARIABLES[0]] = str(SHARED_MEMORY_PROFILE)
+    for name in _THREAD_VARIABLES:
+        os.environ.setdefault(name, "1")

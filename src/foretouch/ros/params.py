@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS parameters from `Settings`: type, bounds, description and read-only flag are declared once, there.
+
+A change is checked as a whole against all rules of the settings, those across fields included, and is
+taken or refused as a whole, with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from foretouch.config import SettingInfo, Settings, setting_infos
+from foretouch.errors import ConfigError
+
+__all__ = ["NodeSettings", "describe"]
+
+_S = TypeVar("_S", bound=Settings)
+_FLOAT_LIMIT = 1.7976931348623157e308
+_INT_LIMIT = 2**63 - 1
+
+
+class NodeSettings(Generic[_S]):
+    """The parameters of a node as one frozen `Settings`.
+
+    Args:
+        node: Gets a parameter for every setting of `cls`, nested ones with dotted names.
+        cls: The settings.
+        on_change: Called with the new settings after a change was taken.
+
+    Raises:
+        ConfigError: If a value given at the start (file or command line) breaks a rule.
+    """
+
+    def __init__(self, node: Node, cls: type[_S], on_change: Callable[[_S], None] | None = None) -> None:
+        self._cls = cls
+        self._on_change = on_change
+        self._names = {info.name for info in setting_infos(cls)}
+        self.value: _S = cls.from_mapping({info.name: _declare(node, info) for info in setting_infos(cls)})
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take)
+
+    def _changed(self, parameters: Sequence[Parameter[Any]]) -> _S | None:
+        changes = {p.name: _plain(p.value) for p in parameters if p.name in self._names}
+        return self._cls.from_mapping({**self.value.to_mapping(), **changes}) if changes else None
+
+    def _check(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
+        try:
+            self._changed(parameters)
+        except ConfigError as err:
+            return SetParametersResult(successful=False, reason=str(err))
+        return SetParametersResult(successful=True)
+
+    def _take(self, parameters: Sequence[Parameter[Any]]) -> None:
+        changed = self._changed(parameters)
+        if changed is not None:
+            self.value = changed
+            if self._on_change is not None:
+                self._on_change(changed)
+
+
+def describe(info: SettingInfo) -> ParameterDescriptor:
+    """A setting's description, bounds and read-only flag as a ROS descriptor.
+
+    ROS has no unset value of a type and infers none from an empty list: such settings are declared
+    with dynamic typing and checked by `Settings` alone.
+    """
+    descriptor = ParameterDescriptor(
+        name=info.name,
+        description=f"{info.description} [{info.unit}]" if info.unit else info.description,
+        additional_constraints=f"one of: {', '.join(map(str, info.choices))}" if info.choices else "",
+        read_only=info.read_only,
+        dynamic_typing=info.optional or info.is_list,
+    )
+    if descriptor.dynamic_typing or (info.minimum is None and info.maximum is None):
+        return descriptor
+    low, high = info.minimum, info.maximum
+    if info.type is int:
+        bounds = (-_INT_LIMIT if low is None else int(low), _INT_LIMIT if high is None else int(high))
+        descriptor.integer_range = [IntegerRange(from_value=bounds[0], to_value=bounds[1])]
+    elif info.type is float:
+        limits = (-_FLOAT_LIMIT if low is None else float(low), _FLOAT_LIMIT if high is None else float(high))
+        descriptor.floating_point_range = [FloatingPointRange(from_value=limits[0], to_value=limits[1])]
+    return descriptor
+
+
+def _declare(node: Node, info: SettingInfo) -> Any:
+    """Declare one parameter and give the value it got."""
+    default = list(info.default) if isinstance(info.default, tuple) else info.default
+    try:
+        return _plain(node.declare_parameter(info.name, default, describe(info)).value)
+    except ParameterException as err:
+        raise ConfigError(f"{info.name}: {' '.join(str(err).split())}") from err
+
+
+def _plain(value: Any) -> Any:
+    """Arrays of rclpy as lists."""
+    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
