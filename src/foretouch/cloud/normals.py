@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.voxel import voxel_grid
 from foretouch.types import Float32, Float64
 
-__all__ = ["normals_and_curvature"]
+__all__ = ["count_without_normal", "normals_and_curvature"]
 
 _BLOCK_PAIRS = 200_000  # pairs of query and neighbour at a time, so that a block stays in the cache
 _FEWEST = 3  # points that span a plane
@@ -44,6 +45,26 @@ def normals_and_curvature(
         sums = _neighbours(near, xyz[query[part]], radius_m) @ moments
         normals[part], curvature[part] = _fit(sums, xyz[query[part]])
     return normals, curvature
+
+
+def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
+    """Number of points with fewer than three neighbours, themselves among them, strictly within the radius.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite. N may be 0.
+        radius_m: Radius of the neighbourhood [m].
+    """
+    # A cube of half the radius is 0.87 radii across: three points in it are neighbours of each other.
+    grid = voxel_grid(xyz, radius_m / 2.0)
+    doubtful = xyz[grid.counts[grid.cell] < _FEWEST]
+    if len(doubtful) == 0:
+        return 0
+    near = xyz[_in_box(xyz, doubtful, radius_m)]
+    block = max(1, _BLOCK_PAIRS // len(near))
+    return sum(
+        int(np.count_nonzero(_neighbours(near, doubtful[start : start + block], radius_m).sum(axis=1) < _FEWEST))
+        for start in range(0, len(doubtful), block)
+    )
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:

@@ -3,6 +3,17 @@
 
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.geograsp import plan_grasps, random_slide
+from foretouch.grasp.plan import GraspPlan, PlanStatus
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 
-__all__ = ["GeoGraspConfig", "hand_rotation", "object_axis", "quaternion_xyzw"]
+__all__ = [
+    "GeoGraspConfig",
+    "GraspPlan",
+    "PlanStatus",
+    "hand_rotation",
+    "object_axis",
+    "plan_grasps",
+    "quaternion_xyzw",
+    "random_slide",
+]

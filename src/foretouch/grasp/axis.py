@@ -54,6 +54,7 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
         CloudError: If the points are too few, too far away, or all in one voxel.
     """
     points = usable_points(cloud)
+    points.require_usable()
     inliers = inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())
     axis = find_axis(points.xyz[inliers], plane, config)
     return axis.direction, axis.centroid

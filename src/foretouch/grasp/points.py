@@ -34,6 +34,14 @@ class UsablePoints:
     pixels: npt.NDArray[np.int64] | None = None
     image_shape: tuple[int, int] | None = None
 
+    def require_usable(self) -> None:
+        """Raise a CloudError if there are fewer than three points, or one is a kilometre away."""
+        if len(self.xyz) < _FEWEST:
+            raise CloudError(f"xyz: {len(self.xyz)} finite points, GeoGrasp needs {_FEWEST}")
+        farthest = float(np.abs(self.xyz).max())
+        if farthest > _FARTHEST_M:
+            raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_FARTHEST_M:g} m")
+
     def pixel_grid(self) -> PixelGrid | None:
         """The pixels as given, else as the rays tell them, else None."""
         if self.pixels is None or self.image_shape is None:
@@ -52,8 +60,7 @@ def usable_points(
         image_shape: (H, W) of that image; goes with `pixels`.
 
     Raises:
-        CloudError: If fewer than three points remain, one is a kilometre away, or the pixels do not
-            belong to the cloud.
+        CloudError: If the pixels do not belong to the cloud.
     """
     xyz = cloud.xyz.reshape(-1, 3)
     if cloud.organised:
@@ -69,9 +76,4 @@ def usable_points(
     if n_dropped:
         xyz = xyz[finite]
         pixels = None if pixels is None else pixels[finite]
-    if len(xyz) < _FEWEST:
-        raise CloudError(f"xyz: {len(xyz)} finite points, GeoGrasp needs {_FEWEST}")
-    farthest = float(np.abs(xyz).max())
-    if farthest > _FARTHEST_M:
-        raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_FARTHEST_M:g} m")
     return UsablePoints(xyz, n_dropped, None if pixels is None else pixels.astype(np.int64), image_shape)
