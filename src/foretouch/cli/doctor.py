@@ -122,12 +122,11 @@ def _imports() -> Iterator[Finding]:
 
 def _ros() -> Iterator[Finding]:
     distro = os.environ.get("ROS_DISTRO", "PyPI wheels")
-    yield _tried(
-        f"rclpy loads ({distro})", "import foretouch.ros.environment; import rclpy", "pip install 'foretouch[ros]'"
-    )
+    environment = "from foretouch.ros.environment import prepare_environment; prepare_environment()"
+    yield _tried(f"rclpy loads ({distro})", f"{environment}; import rclpy", "pip install 'foretouch[ros]'")
     yield _tried(
         "foretouch_msgs loads",
-        "import foretouch.ros.environment; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()",
+        f"{environment}; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()",
         "pip install ./foretouch_msgs",
     )
     for name, why in (

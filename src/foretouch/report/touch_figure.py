@@ -72,13 +72,13 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
 
     An organised cloud is drawn as its depth image, another one as points with x right and y down [m].
     """
-    if scene.organised and target.pixels is not None:
+    if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
         near, far = np.nanpercentile(depth, [1, 95])
         axes.imshow(depth, cmap="Greys", vmin=near, vmax=far)
-        tint = np.full(depth.size, np.nan)
-        tint[target.pixels] = 1.0
-        axes.imshow(tint.reshape(depth.shape), cmap="Wistia", vmin=0, vmax=1)
+        tint = np.full(depth.shape, np.nan)
+        tint[np.divmod(target.pixels, target.image_shape[1])] = 1.0
+        axes.imshow(tint, cmap="Wistia", vmin=0, vmax=1)
         axes.set(xticks=[], yticks=[], title="what the camera sees")
         return
     points = _finite_subset(scene)
