@@ -13,6 +13,7 @@ __all__ = ["count_without_normal", "normals_and_curvature"]
 
 _BLOCK_PAIRS = 200_000  # pairs of query and neighbour at a time, so that a block stays in the cache
 _FEWEST = 3  # points that span a plane
+_LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on a line but for float32 rounding
 
 
 def normals_and_curvature(
@@ -22,7 +23,7 @@ def normals_and_curvature(
 
     Neighbours, the point itself among them, are strictly closer than the radius, compared in float32 as
     PCL does. The normal is the minor eigenvector of their covariance, turned towards the sensor
-    at the origin; curvature is the least eigenvalue over their sum, 0 for neighbours in one place.
+    at the origin; curvature is the least eigenvalue over their sum. Neighbours on one line have no normal.
 
     Args:
         xyz: (N, 3) float32 [m], finite.
@@ -30,8 +31,8 @@ def normals_and_curvature(
         radius_m: Radius of the neighbourhood [m].
 
     Returns:
-        (Q, 3) float64 unit normals and (Q,) float64 curvature in 0 ... 1/3; NaN in both where fewer than
-        three points are near.
+        (Q, 3) float64 unit normals and (Q,) float64 curvature in 0 ... 1/3; NaN in both where the
+        neighbours are fewer than three or on one line.
     """
     normals = np.full((len(query), 3), np.nan)
     curvature = np.full(len(query), np.nan)
@@ -48,23 +49,21 @@ def normals_and_curvature(
 
 
 def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
-    """Number of points with fewer than three neighbours, themselves among them, strictly within the radius.
+    """Number of points to which `normals_and_curvature` would give no normal.
 
     Args:
         xyz: (N, 3) float32 [m], finite. N may be 0.
         radius_m: Radius of the neighbourhood [m].
     """
-    # A cube of half the radius is 0.87 radii across: three points in it are neighbours of each other.
-    grid = voxel_grid(xyz, radius_m / 2.0)
-    doubtful = xyz[grid.counts[grid.cell] < _FEWEST]
-    if len(doubtful) == 0:
+    if len(xyz) == 0:
         return 0
-    near = xyz[_in_box(xyz, doubtful, radius_m)]
-    block = max(1, _BLOCK_PAIRS // len(near))
-    return sum(
-        int(np.count_nonzero(_neighbours(near, doubtful[start : start + block], radius_m).sum(axis=1) < _FEWEST))
-        for start in range(0, len(doubtful), block)
-    )
+    # A cube of half the radius is 0.87 radii across: all points in it are neighbours of each other, and
+    # if they span a plane, so do the neighbours of each.
+    grid = voxel_grid(xyz, radius_m / 2.0)
+    spans = _spans_plane(grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None])
+    doubtful = np.flatnonzero(~spans[grid.cell])
+    normals, _ = normals_and_curvature(xyz, doubtful, radius_m)
+    return int(np.count_nonzero(np.isnan(normals[:, 0])))
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
@@ -94,19 +93,30 @@ def _moments(xyz: Float32, origin: Float32) -> Float64:
     return np.column_stack([np.ones(len(xyz)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
 
 
+def _covariance(sums: Float64) -> Float64:
+    """(Q, 3, 3) float64 [m²] from summed moments with at least one point each."""
+    mean = sums / sums[:, :1]
+    square = mean[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    return np.asarray(square - mean[:, 1:4, None] * mean[:, None, 1:4], np.float64)
+
+
+def _spans_plane(sums: Float64) -> npt.NDArray[np.bool_]:
+    """(Q,) bool: whether neighbourhoods hold three points that are not on one line."""
+    c = _covariance(sums)
+    trace = np.trace(c, axis1=1, axis2=2)
+    # Sum of the products of two eigenvalues; zero on a line, where only one is not.
+    products = (trace * trace - np.einsum("qij,qij->q", c, c)) / 2.0
+    return np.asarray((sums[:, 0] >= _FEWEST) & (products > _LINE * trace * trace))
+
+
 def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
     """Normals and curvature from the summed moments of each neighbourhood."""
-    enough = sums[:, 0] >= _FEWEST
     normals = np.full((len(sums), 3), np.nan)
     curvature = np.full(len(sums), np.nan)
-    mean = sums[enough] / sums[enough, :1]
-    square = mean[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
-    values, vectors = np.linalg.eigh(square - mean[:, 1:4, None] * mean[:, None, 1:4])
+    spans = _spans_plane(sums)
+    values, vectors = np.linalg.eigh(_covariance(sums[spans]))
     normal = vectors[:, :, 0]
-    away = np.einsum("ij,ij->i", normal, points[enough].astype(np.float64)) > 0.0
-    normals[enough] = np.where(away[:, None], -normal, normal)
-    trace = values.sum(axis=1)
-    flat = trace <= 0.0
-    trace[flat] = 1.0
-    curvature[enough] = np.where(flat, 0.0, np.clip(values[:, 0], 0.0, None) / trace)
+    away = np.einsum("ij,ij->i", normal, points[spans].astype(np.float64)) > 0.0
+    normals[spans] = np.where(away[:, None], -normal, normal)
+    curvature[spans] = np.clip(values[:, 0], 0.0, None) / values.sum(axis=1)
     return normals, curvature
