@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which points are looked at: those with depth, and within reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, setting
+from foretouch.errors import CloudError, ConfigError
+from foretouch.types import Cloud
+
+__all__ = ["CropConfig", "crop_box", "crop_range", "in_range"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropConfig(Settings):
+    """Depths that count, along the optical axis."""
+
+    min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0, unit="m")
+    max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0, unit="m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_range_m >= self.max_range_m:
+            raise ConfigError(f"CropConfig.min_range_m: {self.min_range_m} is not below max_range_m {self.max_range_m}")
+
+
+def in_range(z: npt.NDArray[np.float32], config: CropConfig) -> npt.NDArray[np.bool_]:
+    """Depths within the range; false where there is none.
+
+    Args:
+        z: Any shape, float32 [m], camera optical frame; NaN or infinite without depth.
+        config: The range, its ends included.
+    """
+    return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))
+
+
+def crop_range(cloud: Cloud, config: CropConfig) -> Cloud:
+    """The finite points within the range, unorganised, in their order. It may hold none."""
+    return cloud.take(in_range(cloud.xyz[..., 2], config) & np.isfinite(cloud.xyz).all(axis=-1))
+
+
+def crop_box(cloud: Cloud, low: npt.ArrayLike, high: npt.ArrayLike) -> Cloud:
+    """The points within an upright box, unorganised, in their order. It may hold none.
+
+    Args:
+        cloud: Points without depth are outside.
+        low: (3,) smallest x, y, z [m], cloud frame, included.
+        high: (3,) largest x, y, z [m], included.
+
+    Raises:
+        CloudError: If a corner is not three numbers, or `low` exceeds `high`.
+    """
+    corners = np.asarray([low, high], dtype=np.float64)
+    if corners.shape != (2, 3) or np.isnan(corners).any() or (corners[0] > corners[1]).any():
+        raise CloudError(f"box: {low!r} to {high!r} are not two corners (3,), the lower one first")
+    with np.errstate(invalid="ignore"):
+        return cloud.take(((cloud.xyz >= corners[0]) & (cloud.xyz <= corners[1])).all(axis=-1))

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dominant plane of a cloud: the table.
+
+RANSAC (Fischler and Bolles 1981) over a few thousand points with all hypotheses of a batch scored in one
+matrix product, then two eigen refits in float64. It stops once a better plane is improbable.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.types import Float32, Float64, Plane
+
+__all__ = ["PlaneConfig", "PlaneFit", "fit_plane"]
+
+_SCORED = 1024  # points that judge a hypothesis
+_REFIT = 4096  # points of the final fit
+_BATCH = 64  # hypotheses scored at once
+_MISS = 1e-4  # accepted probability that no sample of three was on the plane
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneConfig(Settings):
+    """How the table is found, and what is no table."""
+
+    threshold_m: float = setting(
+        0.01, "Points closer than this belong to a plane", minimum=0.001, maximum=0.1, unit="m"
+    )
+    min_fraction: float = setting(0.2, "Share of the points that the table must hold", minimum=0.01, maximum=1.0)
+    min_peak: float = setting(
+        0.6,
+        "Share within the threshold, of the points within three times the threshold: a blob has 0.3 to 0.5, a table almost 1",
+        minimum=0.34,
+        maximum=1.0,
+    )
+    min_spread_m: float = setting(
+        0.02, "Standard deviation of the table's points along its narrow side", minimum=0.001, maximum=1.0, unit="m"
+    )
+    max_trials: int = setting(1024, "Samples of three points that are tried", minimum=64, maximum=100_000)
+    seed: int = setting(0, "Of the random samples", minimum=0)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFit:
+    """What was found.
+
+    Attributes:
+        plane: The dominant plane, its normal towards the camera; None where there is none.
+        reason: Why there is none, in words; "" otherwise.
+        rms_m: Root mean square distance of its points [m].
+        noise_per_m: s of the stereo law sigma = s·z² [1/m], measured along the normal on its points.
+        inliers: Points within the threshold.
+        scored: Points looked at.
+    """
+
+    plane: Plane | None
+    reason: str = ""
+    rms_m: float = 0.0
+    noise_per_m: float = 0.0
+    inliers: int = 0
+    scored: int = 0
+
+
+def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
+    """The plane that holds most points.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite, camera optical frame.
+        config: Thresholds and the seed; the same input gives the same bits.
+
+    Returns:
+        The fit, or the reason why there is none: too few points, all in one place or on a line, a blob.
+    """
+    if len(xyz) < 3:
+        return PlaneFit(None, f"{len(xyz)} points span no plane")
+    rng = np.random.default_rng(config.seed)
+    points = _some(xyz, _REFIT, rng).astype(np.float64)
+    origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
+    points -= origin
+    scored = _some(points, _SCORED, rng).astype(np.float32)
+    best = _ransac(scored, config, rng)
+    if best is None:
+        return PlaneFit(None, "all points lie in one place or on a line", scored=len(scored))
+    return _judge(points, origin, best, config)
+
+
+def _some(points: Float32 | Float64, count: int, rng: np.random.Generator) -> Float32 | Float64:
+    """At most `count` rows, evenly spread over the order, with random offsets: cheap, and blind to scan lines."""
+    if len(points) <= count:
+        return points
+    step = len(points) / count
+    return points[((np.arange(count) + rng.random(count)) * step).astype(np.intp)]
+
+
+def _ransac(points: Float32, config: PlaneConfig, rng: np.random.Generator) -> Float32 | None:
+    """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
+    best, most, trials = None, 0, 0
+    needed: float = config.max_trials
+    while trials < min(needed, config.max_trials):
+        a, b, c = points[rng.integers(len(points), size=(3, _BATCH))]
+        normals = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(normals, axis=1)
+        usable = lengths > 1e-9
+        trials += _BATCH
+        if not usable.any():
+            continue
+        normals = normals[usable] / lengths[usable, None]
+        offsets = -np.einsum("ij,ij->i", normals, a[usable])
+        distance = normals @ points.T
+        distance += offsets[:, None]
+        np.abs(distance, out=distance)
+        counts = np.count_nonzero(distance < np.float32(config.threshold_m), axis=1)
+        first = int(counts.argmax())
+        if counts[first] > most:
+            most = int(counts[first])
+            best = np.append(normals[first], offsets[first])
+            needed = _trials_needed(most / len(points))
+    return best
+
+
+def _trials_needed(share: float) -> float:
+    """Samples of three after which all missed the plane with probability `_MISS`."""
+    hit = share**3
+    return 0.0 if hit >= 1.0 else math.log(_MISS) / math.log1p(-hit)
+
+
+def _judge(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig) -> PlaneFit:
+    """Refit in float64, then hold the plane against the rules."""
+    normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
+    reach, spread = config.threshold_m, 0.0
+    for _ in range(2):
+        inside = points[np.abs(points @ normal + offset) < reach]
+        normal, offset, rms, spread = _eigen_plane(inside)
+        reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit is free of the objects' feet
+    residual = points @ normal + offset
+    near = np.abs(residual) < config.threshold_m
+    inliers = int(np.count_nonzero(near))
+    wide = int(np.count_nonzero(np.abs(residual) < 3.0 * config.threshold_m))
+    kept = residual[near]
+    depth = points[near, 2] + origin[2]
+    rms = float(np.sqrt(np.mean(kept**2)))
+    noise = float(np.sqrt(np.mean((kept / np.maximum(depth**2, 1e-4)) ** 2)))
+    reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
+    plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
+    return PlaneFit(plane, reason, rms, noise, inliers, len(points))
+
+
+def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:
+    """Least-squares plane: unit normal, offset, rms distance, and spread along the second axis."""
+    centre = points.mean(axis=0)
+    moved = points - centre
+    values, vectors = np.linalg.eigh(moved.T @ moved / len(points))
+    values = np.sqrt(np.maximum(values, 0.0))
+    normal = vectors[:, 0]
+    return normal, -float(normal @ centre), float(values[0]), float(values[1])
+
+
+def _fault(fraction: float, peak: float, spread: float, config: PlaneConfig) -> str:
+    if fraction < config.min_fraction:
+        return f"the largest plane holds {fraction:.0%} of the points, less than {config.min_fraction:.0%}"
+    if spread < config.min_spread_m:
+        return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {config.min_spread_m * 1e3:g} mm"
+    if peak < config.min_peak:
+        return f"the largest plane holds {peak:.0%} of the points around it, less than {config.min_peak:.0%}: a blob"
+    return ""
+
+
+def _towards_camera(normal: Float64, offset: float) -> Plane:
+    """Positive on the side of the origin, where the camera is."""
+    sign = -1.0 if offset < 0.0 else 1.0
+    return Plane(sign * normal, sign * offset)
