@@ -13,12 +13,14 @@ __all__ = [
     "CameraError",
     "CloudError",
     "ConfigError",
+    "ContactError",
     "DatasetError",
     "FileError",
     "ForetouchError",
     "GraspError",
     "MissingDependencyError",
     "ModelError",
+    "SimulationError",
     "TactileError",
 ]
 
@@ -33,6 +35,10 @@ class ConfigError(ForetouchError):
 
 class CloudError(ForetouchError):
     """A cloud whose shape, layout or values cannot be used."""
+
+
+class ContactError(ForetouchError):
+    """A contact that cannot be solved: no surface, a layer pressed through, no convergence."""
 
 
 class GraspError(ForetouchError):
@@ -53,6 +59,22 @@ class CameraError(ForetouchError):
 
 class DatasetError(ForetouchError):
     """A dataset or recording that cannot be read or written."""
+
+
+class SimulationError(ForetouchError):
+    """A scene or a sample that cannot be simulated.
+
+    Args:
+        message: One line.
+        reason: A short word by which such failures are counted.
+    """
+
+    def __init__(self, message: str, reason: str = "simulation") -> None:
+        super().__init__(message)
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[type[SimulationError], tuple[str, str]]:
+        return SimulationError, (str(self), self.reason)
 
 
 class MissingDependencyError(ForetouchError):

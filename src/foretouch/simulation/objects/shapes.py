@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shapes by name, each in a unit box: a scene scales them to the size of its object.
+
+P1 grasped cans and boxes, P2 a stuffed Minion, a flat ball, a sponge and a stuffed volleyball. None of their
+meshes is public; these are made here from formulas, with the features that a fingertip or a camera can tell.
+All stand upright along z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.objects.family import random_shape
+from foretouch.simulation.objects.mesh import TriangleMesh
+from foretouch.simulation.objects.surfaces import revolved, rounded_box, star_shaped
+from foretouch.types import Float64
+
+__all__ = ["SHAPES", "unit_mesh"]
+
+
+def _can() -> TriangleMesh:
+    """A tin: a straight wall between two bevelled rims, its lids sunk."""
+    wall = np.linspace(0.045, 0.955, 9)
+    profile = [(0.0, 0.02), (0.46, 0.02), (0.47, 0.0), (0.49, 0.0), (0.5, 0.015), (0.5, 0.03)]
+    profile += [(0.495, z) for z in wall]
+    profile += [(0.5, 0.97), (0.5, 0.985), (0.49, 1.0), (0.47, 1.0), (0.46, 0.98), (0.0, 0.98)]
+    return revolved(profile)
+
+
+def _box() -> TriangleMesh:
+    """A carton."""
+    return rounded_box((1.0, 1.0, 1.0), 0.025)
+
+
+def _ball() -> TriangleMesh:
+    """A ball; an ellipsoid where the object's size says so."""
+    return star_shaped(lambda d: np.full(len(d), 0.5))
+
+
+def _flat_ball() -> TriangleMesh:
+    """A ball that has lost its air: it bulges where it lies, and its top has caved in."""
+
+    def radius(d: Float64) -> Float64:
+        cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
+        folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
+        return np.asarray(0.5 - cave * 0.5 + folds, np.float64)
+
+    return star_shaped(radius)
+
+
+def _sponge() -> TriangleMesh:
+    """A block with soft edges and a waist, its surface wavy at the scale of a fingertip."""
+    block = rounded_box((1.0, 1.0, 1.0), 0.12, cells=40, rounding=6)
+    x, y, z = block.vertices.T
+    waist = 1.0 - 0.10 * np.cos(np.pi * x) ** 2 * np.abs(2.0 * y) ** 3
+    waves = 1.0 + 0.012 * np.sin(23.0 * x + 1.0) * np.sin(19.0 * y + 2.0) * np.sin(17.0 * z + 0.5)
+    return TriangleMesh(np.stack([x * waves, y * waist * waves, z * waves], axis=1), block.faces)
+
+
+def _minion() -> TriangleMesh:
+    """A stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
+
+    def radius(d: Float64) -> Float64:
+        capsule = _capsule_radius(d, 0.5, 0.42)
+        goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
+        arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
+        seam = 0.012 * np.exp(-(((d[:, 2] + 0.35) / 0.05) ** 2))
+        return np.asarray(capsule + goggle + arms - seam, np.float64)
+
+    return star_shaped(radius)
+
+
+def _volleyball() -> TriangleMesh:
+    """A stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
+
+    def radius(d: Float64) -> Float64:
+        ordered = np.sort(np.abs(d), axis=1)
+        between_panels = ordered[:, 2] - ordered[:, 1]
+        largest = np.argmax(np.abs(d), axis=1)
+        along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
+        strips = np.abs(np.abs(along) - 0.22)
+        seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
+        return np.asarray(0.5 - seams, np.float64)
+
+    return star_shaped(radius)
+
+
+_BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
+    "ball": _ball,
+    "box": _box,
+    "can": _can,
+    "flat_ball": _flat_ball,
+    "minion": _minion,
+    "sponge": _sponge,
+    "volleyball": _volleyball,
+}
+SHAPES: Final = (*_BUILDERS, "random")
+"""Names that a scene may use; `random` is a family with a member for each number."""
+
+
+@lru_cache(maxsize=256)
+def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
+    """A closed mesh in [-0.5, 0.5]³, upright along z.
+
+    Args:
+        shape: Out of `SHAPES`.
+        variant: Member of the family `random`; the others have one.
+
+    Raises:
+        SimulationError: If there is no such shape.
+    """
+    if shape == "random":
+        mesh = random_shape(np.random.default_rng([0x5EED, variant]))
+    elif shape in _BUILDERS:
+        mesh = _BUILDERS[shape]()
+    else:
+        raise SimulationError(f"shape: {shape!r} is none of {', '.join(SHAPES)}", "mesh")
+    mesh = mesh.in_unit_box()
+    mesh.require_closed(f"{shape}[{variant}]")
+    return mesh
+
+
+def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:
+    """Distance of an upright capsule's surface along unit directions (n, 3)."""
+    straight = half_height - radius  # from the middle to the centre of a cap
+    across = np.hypot(d[:, 0], d[:, 1])
+    wall = radius / np.maximum(across, 1e-9)
+    on_wall = wall * np.abs(d[:, 2]) <= straight
+    up = np.abs(d[:, 2])
+    cap = straight * up + np.sqrt(np.maximum(radius**2 - (straight * across) ** 2, 0.0))
+    return np.where(on_wall, wall, cap)
+
+
+def _bump(d: Float64, towards: tuple[float, float, float], width: float) -> Float64:
+    """A smooth hill of height 1 about one direction; `width` is in radians."""
+    axis = np.asarray(towards) / np.linalg.norm(towards)
+    return np.asarray(np.exp(-((np.arccos(np.clip(d @ axis, -1.0, 1.0)) / width) ** 2)), np.float64)
