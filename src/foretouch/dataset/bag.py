@@ -50,6 +50,7 @@ class Topic:
         count: Number of messages that the recording declares.
         fields: Names of the message's fields in order of the wire; empty where the recording has no definition.
         stamped: Whether the message begins with a `std_msgs/Header`.
+        latched: Whether late subscribers were given the last message (transient local).
     """
 
     name: str
@@ -57,6 +58,7 @@ class Topic:
     count: int
     fields: tuple[str, ...] = ()
     stamped: bool = False
+    latched: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,19 +163,26 @@ class Recording:
                 rule = f"declares {topic.count} messages, holds {counts[topic.name]}"
                 raise FileError(self.path, rule, field=topic.name)
 
+    def content(self, message: Message) -> Any:
+        """The fields of a message as an object that resembles those of ROS.
+
+        Raises:
+            FileError: If the message is damaged.
+        """
+        with _known_failures(self.path, _place(message)):
+            return self._store.deserialize_cdr(message.data, message.type)
+
     def decode_cloud(self, message: Message) -> Cloud:
         """The cloud in a `PointCloud2`, with the frame and stamp of its header.
 
         Raises:
             FileError: If the message is damaged, or its sizes do not add up.
         """
-        place = f"{message.topic}[{message.index}]"
-        with _known_failures(self.path, place):
-            content: Any = self._store.deserialize_cdr(message.data, message.type)
+        content = self.content(message)
         try:
             xyz, rgb = decode(_layout(content), content.data)
         except CloudError as err:
-            raise FileError(self.path, str(err), field=place) from err
+            raise FileError(self.path, str(err), field=_place(message)) from err
         stamp = content.header.stamp
         return Cloud(xyz, rgb, content.header.frame_id, stamp.sec * 1_000_000_000 + stamp.nanosec)
 
@@ -190,7 +199,8 @@ class Recording:
         for name, info in sorted(self._reader.topics.items()):
             fields = definitions[info.msgtype][1] if info.msgtype in definitions else []
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
-            yield Topic(name, info.msgtype or "", info.msgcount, tuple(f[0] for f in fields), stamped)
+            latched = any(_is_latched(connection) for connection in info.connections)
+            yield Topic(name, info.msgtype or "", info.msgcount, tuple(f[0] for f in fields), stamped, latched)
 
 
 def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
@@ -261,6 +271,18 @@ def _without_seq(recorded: Typestore) -> Typestore:
     header = get_typestore(Stores.ROS2_KILTED).fielddefs[HEADER_TYPE]
     store.register({**recorded.fielddefs, HEADER_TYPE: header})
     return store
+
+
+def _is_latched(connection: Connection) -> bool:
+    from rosbags.interfaces import QosDurability
+
+    profiles = getattr(connection.ext, "offered_qos_profiles", [])  # of ROS 2
+    latching = bool(getattr(connection.ext, "latching", False))  # of ROS 1
+    return latching or any(profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles)
+
+
+def _place(message: Message) -> str:
+    return f"{message.topic}[{message.index}]"
 
 
 def _layout(message: Any) -> PointCloud2Layout:

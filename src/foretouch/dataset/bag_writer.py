@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 import zlib
 from collections.abc import Iterable
@@ -19,6 +20,7 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from foretouch.cloud.pointcloud2 import encode
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
@@ -28,11 +30,12 @@ from foretouch.types import Cloud
 if TYPE_CHECKING:
     from types import TracebackType
 
-__all__ = ["DEFAULT_TOPIC", "BagWriter", "Compression", "write_bag"]
+__all__ = ["DEFAULT_TOPIC", "BagWriter", "Compression", "serialize_cloud", "write_bag"]
 
 DEFAULT_TOPIC = "/foretouch/points"
 Compression = Literal["none", "zstd"]
 
+_STAMP_END_NS = 2**31 * 1_000_000_000  # builtin_interfaces/Time counts seconds in an int32
 _CHUNK_CRC_OFFSET = 9 + 24  # opcode and length of the record, then start time, end time and size
 
 
@@ -84,11 +87,10 @@ class BagWriter:
             bag_time_ns: When it was received; by default its own stamp.
 
         Raises:
-            DatasetError: If a time cannot be written.
+            DatasetError: If a time is negative or beyond 2038, where the stamps of ROS end.
         """
-        message = _point_cloud_message(cloud, self._typestore.types)
-        data = self._typestore.serialize_cdr(message, POINT_CLOUD_TYPE)
-        self.write(topic, POINT_CLOUD_TYPE, cloud.stamp_ns if bag_time_ns is None else bag_time_ns, data)
+        time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
+        self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
     def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
         """Append a serialised message.
@@ -178,12 +180,19 @@ class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _ChecksummedMcap}  # noqa: RUF012  # read only
 
 
-def _point_cloud_message(cloud: Cloud, types: dict[str, Any]) -> Any:
+def serialize_cloud(cloud: Cloud) -> bytes:
+    """A cloud as the CDR of a `sensor_msgs/PointCloud2`, encapsulation header included.
+
+    Raises:
+        DatasetError: If the stamp is one that ROS cannot hold.
+    """
+    if not 0 <= cloud.stamp_ns < _STAMP_END_NS:
+        raise DatasetError(f"stamp_ns: {cloud.stamp_ns} is before 1970 or after 2038")
+    types: dict[str, Any] = _kilted().types
     layout, data = encode(cloud)
-    second, nanosecond = divmod(cloud.stamp_ns, 1_000_000_000)
-    stamp = types["builtin_interfaces/msg/Time"](second, nanosecond)
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(cloud.stamp_ns, 1_000_000_000))
     field = types["sensor_msgs/msg/PointField"]
-    return types[POINT_CLOUD_TYPE](
+    message = types[POINT_CLOUD_TYPE](
         header=types["std_msgs/msg/Header"](stamp, cloud.frame_id),
         height=layout.height,
         width=layout.width,
@@ -194,3 +203,9 @@ def _point_cloud_message(cloud: Cloud, types: dict[str, Any]) -> Any:
         data=np.frombuffer(data, np.uint8),
         is_dense=layout.is_dense,
     )
+    return bytes(_kilted().serialize_cdr(message, POINT_CLOUD_TYPE))
+
+
+@functools.cache
+def _kilted() -> Typestore:
+    return get_typestore(Stores.ROS2_KILTED)

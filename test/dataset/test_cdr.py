@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Headers in serialised messages, against the serialiser of rosbags."""
+
+from __future__ import annotations
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from foretouch.dataset.cdr import read_header, with_stamp
+from foretouch.errors import DatasetError
+
+STORE = get_typestore(Stores.ROS2_KILTED)
+TYPE = "geometry_msgs/msg/PointStamped"
+
+
+def serialised(stamp_ns: int, frame_id: str, *, little_endian: bool = True) -> bytes:
+    types = STORE.types
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    point = types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
+    message = types[TYPE](types["std_msgs/msg/Header"](stamp, frame_id), point)
+    return bytes(STORE.serialize_cdr(message, TYPE, little_endian=little_endian))
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+@pytest.mark.parametrize("frame_id", ["", "camera", "ünïcode"])
+def test_reads_what_rosbags_wrote(frame_id, little_endian):
+    assert read_header(serialised(1_700_000_000_999_999_999, frame_id, little_endian=little_endian)) == (
+        1_700_000_000_999_999_999,
+        frame_id,
+    )
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_a_new_stamp_changes_nothing_else(little_endian):
+    old = serialised(5, "camera", little_endian=little_endian)
+    assert with_stamp(old, 7_000_000_008) == serialised(7_000_000_008, "camera", little_endian=little_endian)
+
+
+@pytest.mark.parametrize("size", [0, 3, 4, 10, 15, 18])
+def test_bytes_that_end_too_early(size):
+    with pytest.raises(DatasetError, match="header: "):
+        read_header(serialised(1, "camera")[:size])
+
+
+def test_a_stamp_that_ros_cannot_hold():
+    with pytest.raises(DatasetError, match="stamp 3000000000000000000 ns"):
+        with_stamp(serialised(1, "camera"), 3 * 10**18)
