@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a model has to beat: predictors that see no cloud, or only simple numbers of it.
+
+With few objects, each recorded on days of its own, object, time and drift go together: a model may seem to
+feel shapes while it only recognises the session. The object mean and the trees on object and time show how far
+that alone goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.learning.geometry_features import geometry_features
+from foretouch.types import Float64, GraspSample
+
+__all__ = ["BASELINES", "Baseline", "geometry_trees", "object_mean", "object_time_trees", "training_mean"]
+
+Features = npt.NDArray[np.float64]
+
+_TREES: Final = 300
+_LEAF: Final = 3
+_FEATURE_SHARE: Final = 0.5
+
+
+class Baseline(Protocol):
+    """Fit on some samples and predict others: train samples, (S, 50) labels, test samples, seed to (T, 50)."""
+
+    def __call__(
+        self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
+    ) -> Float64:
+        """Predictions of the test samples [counts]."""
+        ...
+
+
+def training_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """The mean of all labels for every sample: skill 0 by definition."""
+    del train, seed
+    return np.tile(labels.mean(axis=0), (len(test), 1))
+
+
+def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """The mean of the labels of the same object; the training mean where the object is new."""
+    predicted = training_mean(train, labels, test, seed)
+    known = np.array([sample.object for sample in train])
+    for name in np.unique(known):
+        here = [i for i, sample in enumerate(test) if sample.object == name]
+        predicted[here] = labels[known == name].mean(axis=0)
+    return predicted
+
+
+def object_time_trees(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """Extremely randomised trees that see which object it is and when, and nothing else."""
+    names = sorted({sample.object for sample in train})
+    return _trees(_object_time(train, names), labels, _object_time(test, names), seed)
+
+
+def geometry_trees(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """Extremely randomised trees on `geometry_features`."""
+    return _trees(
+        np.array([geometry_features(sample) for sample in train]),
+        labels,
+        np.array([geometry_features(sample) for sample in test]),
+        seed,
+    )
+
+
+BASELINES: Final[dict[str, Baseline]] = {
+    "training_mean": training_mean,
+    "object_mean": object_mean,
+    "object_time_trees": object_time_trees,
+    "geometry_trees": geometry_trees,
+}
+
+
+def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Features:
+    """(S, 1 + objects): time in days, then which object; an object unseen in training has none set."""
+    table = np.zeros((len(samples), 1 + len(names)))
+    for row, sample in zip(table, samples, strict=True):
+        row[0] = sample.stamp_ns / 86_400e9
+        if sample.object in names:
+            row[1 + names.index(sample.object)] = 1.0
+    return table
+
+
+def _trees(train: Features, labels: Float64, test: Features, seed: int) -> Float64:
+    from sklearn.ensemble import ExtraTreesRegressor
+
+    forest = ExtraTreesRegressor(
+        n_estimators=_TREES, min_samples_leaf=_LEAF, max_features=_FEATURE_SHARE, random_state=seed, n_jobs=1
+    )
+    scale = labels.std(axis=0) + 1e-9  # so that no electrode outweighs another in the choice of a split
+    forest.fit(train, labels / scale)
+    return np.asarray(forest.predict(test) * scale, np.float64)

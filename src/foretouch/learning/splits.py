@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Splits of a dataset into folds, each tested once by a model that never saw it.
+
+Three questions, three splits:
+
+- `random_folds`: how well is another grasp of the same sessions predicted? P1's five folds. Neighbours in
+  time land on both sides, so drift and session are known to the model: the easiest question.
+- `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
+  cut into consecutive blocks.
+- `group_folds`: how well is an object predicted that was never touched? With the objects of the public
+  recordings this is also another day, for each was recorded on days of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import DatasetError
+
+__all__ = ["Fold", "group_folds", "random_folds", "time_folds"]
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """One division of the samples.
+
+    Attributes:
+        train, test: Sorted indices of the samples, disjoint.
+        name: What is held out.
+    """
+
+    train: Indices
+    test: Indices
+    name: str = ""
+
+
+def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:
+    """Shuffle the samples and cut them into `folds` parts whose sizes differ by at most one.
+
+    Raises:
+        DatasetError: If there are fewer samples than folds, or fewer than two folds.
+    """
+    _check(count, folds, "samples")
+    return _folds(count, np.array_split(rng.permutation(count), folds), [f"random {k}" for k in range(folds)])
+
+
+def time_folds(groups: Sequence[str], stamps_ns: Sequence[int], folds: int) -> list[Fold]:
+    """Cut each group's samples, ordered by time, into consecutive blocks; fold k tests every group's block k.
+
+    Args:
+        groups: (S,) name of each sample's group: its object.
+        stamps_ns: (S,) when it was recorded [ns].
+        folds: Number of blocks.
+
+    Raises:
+        DatasetError: If a group has fewer samples than folds, or folds are fewer than two.
+    """
+    blocks: list[list[Indices]] = [[] for _ in range(folds)]
+    stamps = np.asarray(stamps_ns, np.int64)
+    for name, members in _by_group(groups).items():
+        _check(len(members), folds, f"samples of {name}")
+        ordered = members[np.argsort(stamps[members], kind="stable")]
+        for k, block in enumerate(np.array_split(ordered, folds)):
+            blocks[k].append(block)
+    return _folds(len(groups), [np.concatenate(block) for block in blocks], [f"block {k}" for k in range(folds)])
+
+
+def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.Generator | None = None) -> list[Fold]:
+    """Keep each group on one side.
+
+    Args:
+        groups: (S,) name of each sample's group: its object.
+        folds: Number of folds, over which the shuffled groups are dealt out; by default one a group, in
+            order of name (leave one object out).
+        rng: Shuffles the groups; needed with `folds`.
+
+    Raises:
+        DatasetError: If there are fewer groups than folds, or fewer than two folds.
+    """
+    members = _by_group(groups)
+    names = sorted(members)
+    _check(len(names), len(names) if folds is None else folds, "groups")
+    if folds is None:
+        parts = [[name] for name in names]
+    else:
+        if rng is None:
+            raise DatasetError("group_folds: folds needs an rng")
+        shuffled = [names[i] for i in rng.permutation(len(names))]
+        parts = [shuffled[k::folds] for k in range(folds)]
+    return _folds(
+        len(groups),
+        [np.concatenate([members[name] for name in part]) for part in parts],
+        ["+".join(sorted(part)) for part in parts],
+    )
+
+
+def _folds(count: int, tests: Sequence[Indices], names: Sequence[str]) -> list[Fold]:
+    everything = np.arange(count, dtype=np.intp)
+    return [
+        Fold(train=np.setdiff1d(everything, test), test=np.sort(test).astype(np.intp), name=name)
+        for test, name in zip(tests, names, strict=True)
+    ]
+
+
+def _by_group(groups: Sequence[str]) -> dict[str, Indices]:
+    names = np.asarray(groups, dtype=str)
+    return {str(name): np.flatnonzero(names == name) for name in np.unique(names)}
+
+
+def _check(count: int, folds: int, what: str) -> None:
+    if folds < 2:
+        raise DatasetError(f"folds: {folds} is fewer than 2")
+    if count < folds:
+        raise DatasetError(f"folds: {count} {what} are fewer than {folds} folds")

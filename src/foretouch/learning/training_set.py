@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Labelled samples, prepared once and sampled anew for every batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.frame import UnitSphereFrame
+from foretouch.cloud.sampling import sample_indices
+from foretouch.errors import DatasetError
+from foretouch.models.familiarity import describe
+from foretouch.models.preparation import PreparedCloud, finite_points, prepare_grasps, sample_channels
+from foretouch.models.settings import ModelConfig
+from foretouch.tactile.validity import check_touch
+from foretouch.types import Float32, Float64, GraspSample
+
+__all__ = ["TrainingSet", "duplicate_labels"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """What a network trains on.
+
+    Attributes:
+        clouds: Of S samples, each (N_i, C) float32 in the unit sphere: all points, not yet sampled.
+        grasps: (S, G) float32, as fed to the head.
+        labels: (S, 50) float64 [counts].
+        lengths: (S, 5) float64 [m], for the familiarity of the card.
+        config: Of the network that it was prepared for.
+    """
+
+    clouds: tuple[Float32, ...]
+    grasps: Float32
+    labels: Float64
+    lengths: Float64
+    config: ModelConfig
+
+    @classmethod
+    def build(cls, samples: Sequence[GraspSample], config: ModelConfig) -> TrainingSet:
+        """Prepare samples.
+
+        Raises:
+            DatasetError: If there is none, or one is unlabelled or no reading of a working sensor; named by id.
+            CloudError: If a cloud is unusable.
+        """
+        if not samples:
+            raise DatasetError("training set: no sample")
+        clouds, grasps, labels, lengths = [], [], [], []
+        for sample in samples:
+            labels.append(_label(sample))
+            usable = finite_points(sample.cloud, config)
+            frame = UnitSphereFrame.fit(usable.xyz)
+            points = sample_channels(usable, np.arange(usable.size), frame, config)
+            clouds.append(points)
+            grasps.append(prepare_grasps([sample.grasp], frame, config)[0])
+            lengths.append(describe(PreparedCloud(points, frame), [sample.grasp])[0])
+        return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config)
+
+    def __len__(self) -> int:
+        return len(self.clouds)
+
+    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+        """(B, n, C) float32: other points of the chosen clouds each time.
+
+        Args:
+            index: (B,) samples.
+            rng: Chooses the points.
+            n_points: By default those of the configuration.
+        """
+        count = self.config.n_points if n_points is None else n_points
+        chosen = [self.clouds[i] for i in index]
+        return np.stack([c[sample_indices(c[:, :3], count, method=self.config.sampler, rng=rng)] for c in chosen])
+
+
+def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
+    """Pairs of ids whose 50 labels are all equal: noise makes that next to impossible, so one is wrong."""
+    seen: dict[bytes, str] = {}
+    pairs = []
+    for sample in samples:
+        key = _label(sample).tobytes()
+        if key in seen:
+            pairs.append((seen[key], sample.id))
+        seen.setdefault(key, sample.id)
+    return pairs
+
+
+def _label(sample: GraspSample) -> Float64:
+    if sample.touch is None:
+        raise DatasetError(f"{sample.id}: touch: is not labelled")
+    check = check_touch(sample.touch)
+    if not check.valid:
+        raise DatasetError(f"{sample.id}: touch: {check.faults[0]}")
+    return sample.touch.vector()

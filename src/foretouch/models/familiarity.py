@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a cloud and a grasp are like those that a model was trained on: a plain rule, from its card.
+
+Five lengths describe a grasp on a cloud. A prediction is `unfamiliar` when one of them leaves the span
+seen in training by more than a tenth of that span. The rule finds the absurd (a house instead of a can, metres
+mistaken for millimetres, a grasp beside the object); an object of another make and of usual size passes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from foretouch.errors import ModelError
+from foretouch.models.preparation import PreparedCloud
+from foretouch.types import Float64, Grasp
+
+__all__ = ["LENGTHS", "Familiarity", "describe"]
+
+LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
+"""Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
+other, of their midpoint from the centroid, and of the farther contact from the nearest point that the model sees."""
+
+_MARGIN: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Familiarity:
+    """Spans of the five lengths over the training samples.
+
+    Attributes:
+        low, high: (5,) float64 [m], in the order of `LENGTHS`.
+    """
+
+    low: Float64
+    high: Float64
+
+    @classmethod
+    def fit(cls, lengths: Float64) -> Familiarity:
+        """From (S, 5) descriptions of the training samples."""
+        return cls(lengths.min(axis=0), lengths.max(axis=0))
+
+    @classmethod
+    def from_card(cls, spans: Mapping[str, Sequence[float]]) -> Familiarity:
+        """From `to_card`.
+
+        Raises:
+            ModelError: If a length is missing or its span is not [low, high].
+        """
+        try:
+            table = np.array([spans[name] for name in LENGTHS], np.float64)
+        except (KeyError, TypeError, ValueError) as err:
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
+        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
+        return cls(table[:, 0], table[:, 1])
+
+    def to_card(self) -> dict[str, list[float]]:
+        """Plain data for the card."""
+        return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
+
+    def unfamiliar(self, lengths: Float64) -> list[tuple[str, ...]]:
+        """Which lengths of each of (K, 5) descriptions leave their span; empty tuples where none does."""
+        margin = _MARGIN * (self.high - self.low)
+        outside = ~((lengths >= self.low - margin) & (lengths <= self.high + margin))
+        return [tuple(name for name, far in zip(LENGTHS, row, strict=True) if far) for row in outside]
+
+
+def describe(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
+    """(K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
+    if not grasps:
+        return np.empty((0, len(LENGTHS)))
+    frame = prepared.frame
+    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
+    offset = np.linalg.norm(contacts.mean(axis=1) - frame.centre, axis=1)
+    width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+    cloud = [float(np.linalg.norm(frame.centre)), frame.scale]
+    gap = _nearest(prepared, contacts.reshape(-1, 3)).reshape(-1, 2).max(axis=1)
+    return np.column_stack([np.tile(cloud, (len(grasps), 1)), width, offset, gap])
+
+
+def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
+    """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
+    frame = prepared.frame
+    moved = frame.apply_points(targets).astype(np.float32)
+    points = prepared.points[:, :3]
+    # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
+    squared = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
+    return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)) * frame.scale, np.float64)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One frozen configuration for every network of this package: P1's, P2's and the shared one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
+from foretouch.tactile.modalities import MODALITIES, modality_size
+from foretouch.tactile.ranges import TactileRanges
+
+__all__ = ["GRASP_SIZE", "METRIC_SIZE", "ModelConfig"]
+
+GRASP_SIZE: Final = 15
+"""g1, g2 (3 + 3) and R (9), as in P2."""
+
+METRIC_SIZE: Final = 2
+"""Radius of the cloud and width of the grasp [dm], which the unit sphere takes away."""
+
+_CHANNELS: Final = {"xyz": 3, "xyz+rgb": 6, "xyz+normals": 6}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelConfig(Settings):
+    """What a network looks like and what it is fed; the defaults are P2's, with all four modalities at once.
+
+    P2 does not say what its six channels are: the public clouds hold x, y, z and colour, so three
+    choices exist. P2 trains one network a modality (`outputs: [PDC_TH]`); with several outputs they
+    share the features and the head.
+
+    Raises:
+        ConfigError: If a setting is out of its bounds, or outputs repeat or are none.
+    """
+
+    n_points: int = setting(750, "Points that the network sees: 750 in P2, 500 in P1", minimum=8, maximum=8192)
+    channels: str = setting("xyz", "What each point carries", choices=tuple(_CHANNELS))
+    sampler: str = setting("random", "How the points are chosen", choices=("random", "voxel", "farthest"))
+    sampler_seed: int = setting(0, "Seed of the sampler in prediction", minimum=0)
+    outputs: tuple[str, ...] = setting(MODALITIES, "Modalities that it predicts", choices=MODALITIES)
+    use_grasp: bool = setting(True, "Feed g1, g2 and R to the head, as P2 does and P1 does not")
+    metric_inputs: bool = setting(
+        False,
+        "Feed the head the radius of the cloud and the width of the grasp as well [dm]: "
+        "a departure from both papers, whose unit sphere hides how large the object is",
+    )
+    tnet: bool = setting(True, "Turn the points by a learned 3 x 3 matrix first (the T-Net of PointNet)")
+    trunk_widths: tuple[int, ...] = setting((64, 128, 1024), "Shared layers over the points", minimum=1, maximum=8192)
+    tnet_widths: tuple[int, ...] = setting(
+        (64, 128, 1024, 512, 256), "Layers of the T-Net: three over the points, then two", minimum=1, maximum=8192
+    )
+    head_widths: tuple[int, ...] = setting((1024, 512, 256), "Layers of the head", minimum=1, maximum=8192)
+    head_norm: bool = setting(False, "Batch norm in the head")
+    head_dropout: float = setting(0.0, "Dropout before the last layer, in training", minimum=0.0, maximum=0.9)
+    ranges: TactileRanges = TactileRanges()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.outputs or len(set(self.outputs)) != len(self.outputs):
+            raise ConfigError(f"ModelConfig.outputs: {list(self.outputs)} must name at least one modality, each once")
+        if not self.trunk_widths or len(self.tnet_widths) != 5:
+            raise ConfigError(
+                f"ModelConfig.trunk_widths, tnet_widths: {list(self.trunk_widths)}, {list(self.tnet_widths)} "
+                "must hold at least one and exactly five layers"
+            )
+        if self.metric_inputs and not self.use_grasp:
+            raise ConfigError("ModelConfig.metric_inputs: true needs use_grasp, for the width is the grasp's")
+
+    @property
+    def channel_count(self) -> int:
+        """3 or 6."""
+        return _CHANNELS[self.channels]
+
+    @property
+    def feature_size(self) -> int:
+        """Width of the feature vector of a cloud: 1024 in the papers."""
+        return self.trunk_widths[-1]
+
+    @property
+    def grasp_size(self) -> int:
+        """Numbers of a grasp that the head is fed: 0, 15 or 17."""
+        if not self.use_grasp:
+            return 0
+        return GRASP_SIZE + (METRIC_SIZE if self.metric_inputs else 0)
+
+    @property
+    def head_size(self) -> int:
+        """Input width of the head: 1039 in P2, 1024 in P1."""
+        return self.feature_size + self.grasp_size
+
+    @property
+    def output_size(self) -> int:
+        """Number of values predicted: 1, 24 or up to 50."""
+        return sum(modality_size(name) for name in self.outputs)
