@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Print every predicted touch: stamp, frame, grasp, and what the fingertips would read.
+
+    python examples/listen_touch.py [--topic /foretouch/touch] [--count N]
+
+Needs rclpy and the messages, and nothing else of foretouch: what a program on another robot would do.
+Each cloud gets one array, empty with a reason where there is nothing to say; both are printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+# Where rclpy comes from PyPI, nobody has sourced a setup file.
+os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from foretouch_msgs.msg import TouchPredictionArray
+
+
+class TouchListener(Node):
+    """Prints the arrays of one topic.
+
+    Args:
+        topic: Of `foretouch_msgs/TouchPredictionArray`.
+    """
+
+    def __init__(self, topic: str) -> None:
+        super().__init__("touch_listener")
+        self.received = 0
+        self.create_subscription(
+            TouchPredictionArray, topic, self._print, QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+        )
+
+    def _print(self, message: TouchPredictionArray) -> None:
+        self.received += 1
+        stamp = message.header.stamp
+        start = f"{stamp.sec}.{stamp.nanosec:09d} {message.header.frame_id}"
+        if not message.predictions:
+            print(f"{start}: nothing: {message.reason}", flush=True)
+        for prediction in message.predictions:
+            print(f"{start}: grasp {prediction.grasp.id}: {describe(prediction)}", flush=True)
+
+
+def describe(prediction: object) -> str:
+    """One line [counts]: pressures, and mean and range of the electrodes."""
+    if prediction.reason:
+        return prediction.reason
+    words = []
+    for finger, pressure, electrodes in (
+        ("thumb", prediction.pdc_th, prediction.e_th),
+        ("middle", prediction.pdc_mf, prediction.e_mf),
+    ):
+        values = [electrode.value for electrode in electrodes]
+        mean = sum(values) / len(values)
+        words.append(f"{finger} PDC {pressure.value:.0f}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})")
+    return "; ".join([*words, *prediction.flags])
+
+
+def main() -> int:
+    """Listen until Ctrl-C, or until `--count` arrays have come."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--topic", default="/foretouch/touch")
+    parser.add_argument("--count", type=int, default=0, help="end after so many arrays; 0 never ends")
+    arguments, others = parser.parse_known_args()
+    rclpy.init(args=others)
+    listener = TouchListener(arguments.topic)
+    try:
+        while not arguments.count or listener.received < arguments.count:
+            rclpy.spin_once(listener)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        listener.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
