@@ -1,22 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The objects on the table, and which of them is meant."""
+"""The objects on the table, from their clusters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
-from foretouch.types import Cloud, Float64
+from foretouch.cloud.clusters import ClusterConfig, Clusters
+from foretouch.types import Cloud, Float64, Plane
 
-__all__ = ["ObjectSegment", "TargetConfig", "TargetMode", "choose_targets"]
+__all__ = ["GatheredObjects", "ObjectSegment", "gather_objects"]
 
-TargetMode = Literal["nearest", "largest", "point", "all"]
+Int32 = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,78 +46,89 @@ class ObjectSegment:
         return float(np.linalg.norm(self.centroid))
 
 
-@dataclass(frozen=True, kw_only=True)
-class TargetConfig(Settings):
-    """Which objects get grasps."""
+class GatheredObjects(NamedTuple):
+    """Objects, nearest first, and the points by what became of them: objects, rejected, n_rejected, flying."""
 
-    mode: TargetMode = setting(
-        "nearest",
-        "nearest to the camera, largest in points, the one at a point, or all",
-        choices=get_args(TargetMode),
-    )
-    point: tuple[float, ...] = setting((), "x, y, z that mode point asks for, in the cloud's frame", unit="m")
-    tolerance_m: float = setting(
-        0.03, "How far from the point the object's nearest point may lie", minimum=0.0, maximum=1.0, unit="m"
-    )
-    margin_m: float = setting(
-        0.005, "Two objects this close to being chosen are ambiguous", minimum=0.0, maximum=1.0, unit="m"
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.point) not in (0, 3):
-            raise ConfigError(f"TargetConfig.point: {len(self.point)} numbers are not x, y, z")
-        if self.mode == "point" and not self.point:
-            raise ConfigError("TargetConfig.point: is empty, mode point needs x, y, z")
+    objects: tuple[ObjectSegment, ...]
+    counts: dict[str, int]
 
 
-def choose_targets(objects: Sequence[ObjectSegment], config: TargetConfig) -> tuple[list[ObjectSegment], str]:
-    """The objects that are meant.
+def gather_objects(
+    cloud: Cloud, clusters: Clusters, plane: Plane, config: ClusterConfig, labels: Int32
+) -> GatheredObjects:
+    """Clusters of a sensible size as objects.
 
     Args:
-        objects: In order of id.
-        config: The rule.
+        cloud: The whole cloud.
+        clusters: Of it.
+        plane: The table.
+        config: What is too small or too large.
+        labels: (H, W) or (N,) int32, zeros; the ids are written into it.
 
     Returns:
-        The chosen objects and "", or none and the reason: there is no object, the point hits none, or two are
-        within `margin_m` (mode `largest`: within 5 % of the points) of each other, so that noise would decide.
+        Objects in order of the distance of their centroid from the camera, ties by place in the image, and counts.
     """
-    if not objects:
-        return [], "there is no object"
-    if config.mode == "all":
-        return list(objects), ""
-    if config.mode == "largest":
-        return _largest(objects)
-    if config.mode == "nearest":
-        distances = [obj.distance_m for obj in objects]
-        return _least(objects, distances, config.margin_m, "the camera")
-    point = np.asarray(config.point)
-    distances = [_distance_to(obj, point) for obj in objects]
-    at = f"({', '.join(f'{p:g}' for p in config.point)})"
-    nearest = min(distances)
-    if nearest > config.tolerance_m:
-        return [], f"no object within {config.tolerance_m:g} m of the point {at}: the nearest is {nearest:.3f} m away"
-    return _least(objects, distances, config.margin_m, f"the point {at}")
+    pixels, ends = _members(clusters, labels.shape)
+    points = cloud.take(pixels)
+    starts = np.append(0, ends[:-1])
+    found: list[tuple[float, int, ObjectSegment]] = []
+    rejected = []
+    for cluster in np.flatnonzero(ends > starts).tolist():
+        candidate = _object(points, pixels, slice(int(starts[cluster]), int(ends[cluster])))
+        if _plausible(candidate, plane, config):
+            found.append((candidate.distance_m, cluster, candidate))
+        else:
+            rejected.append(candidate.n_points)
+    found.sort(key=lambda entry: entry[:2])
+    ids = np.zeros(len(ends), np.int32)
+    for number, (_, cluster, _) in enumerate(found, 1):
+        ids[cluster] = number
+    placed = _part(labels, clusters)
+    np.take(ids, clusters.labels, out=placed, mode="clip")
+    used = sum(candidate.n_points for _, _, candidate in found)
+    flying = int(np.count_nonzero(placed)) - used
+    counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": flying}
+    return GatheredObjects(tuple(replace(entry[2], id=number) for number, entry in enumerate(found, 1)), counts)
 
 
-def _least(
-    objects: Sequence[ObjectSegment], distances: Sequence[float], margin: float, where: str
-) -> tuple[list[ObjectSegment], str]:
-    first, *rest = sorted(range(len(objects)), key=lambda i: distances[i])
-    if rest and distances[rest[0]] - distances[first] < margin:
-        pair = f"objects {objects[first].id} and {objects[rest[0]].id}"
-        return [], f"{pair} are equally near to {where}, {distances[first]:.3f} and {distances[rest[0]]:.3f} m"
-    return [objects[first]], ""
+def _object(points: Cloud, pixels: npt.NDArray[np.int64], span: slice) -> ObjectSegment:
+    """The rows of one cluster, not yet numbered."""
+    xyz = points.xyz[span]
+    columns = xyz.T.astype(np.float64, order="C")  # reductions along rows of three are slow
+    bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
+    centroid = columns.mean(axis=1)
+    rgb = None if points.rgb is None else points.rgb[span]
+    return ObjectSegment(0, Cloud(xyz, rgb, points.frame_id, points.stamp_ns), pixels[span], centroid, bounds)
 
 
-def _largest(objects: Sequence[ObjectSegment]) -> tuple[list[ObjectSegment], str]:
-    first, *rest = sorted(objects, key=lambda obj: -obj.n_points)
-    if rest and rest[0].n_points > 0.95 * first.n_points:
-        return [], (
-            f"objects {first.id} and {rest[0].id} are equally large, {first.n_points} and {rest[0].n_points} points"
-        )
-    return [first], ""
+def _plausible(candidate: ObjectSegment, plane: Plane, config: ClusterConfig) -> bool:
+    """Neither speckle nor noise of the table, nor a wall."""
+    return bool(
+        candidate.n_points >= config.min_points
+        and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
+        and plane.height(candidate.cloud.xyz).max() >= config.min_top_m
+    )
 
 
-def _distance_to(obj: ObjectSegment, point: Float64) -> float:
-    return float(np.sqrt(((obj.cloud.xyz.astype(np.float64) - point) ** 2).sum(axis=1).min()))
+def _part(image: Int32, clusters: Clusters) -> Int32:
+    """The part of an image (or list) that the clusters cover, as a view."""
+    if image.ndim == 1:
+        return image
+    height, width = clusters.labels.shape
+    return image[clusters.rows : clusters.rows + height, clusters.columns : clusters.columns + width]
+
+
+def _members(clusters: Clusters, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The solid points of all clusters.
+
+    Returns:
+        (n,) int64 flat indices into the cloud, by cluster, ascending within; and for each label where its own end.
+    """
+    place = np.flatnonzero(clusters.solid)
+    owner = clusters.labels.reshape(-1)[place]
+    order = np.argsort(owner.astype(np.min_scalar_type(clusters.count)), kind="stable")  # 8 or 16 bits: a radix sort
+    flat = place[order].astype(np.int64, copy=False)
+    if len(shape) == 2:
+        rows, columns = np.divmod(flat, clusters.labels.shape[1])
+        flat = (rows + clusters.rows) * shape[1] + columns + clusters.columns
+    return flat, np.cumsum(np.bincount(owner, minlength=clusters.count + 1))

@@ -11,16 +11,19 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut, label_image, label_points
+from foretouch.cloud.clusters import ClusterConfig, HeightCut
 from foretouch.cloud.crop import CropConfig, in_range
-from foretouch.cloud.objects import ObjectSegment, TargetConfig, choose_targets
-from foretouch.cloud.plane import PlaneConfig, PlaneFit, fit_plane
+from foretouch.cloud.image_clusters import label_image
+from foretouch.cloud.objects import ObjectSegment, gather_objects
+from foretouch.cloud.plane import PlaneConfig, fit_plane
+from foretouch.cloud.targets import TargetConfig, choose_targets
+from foretouch.cloud.voxel_clusters import label_points
 from foretouch.config import Settings, setting
 from foretouch.types import Cloud, Float32, Plane
 
@@ -38,7 +41,7 @@ SegmentationStatus = Literal["ok", "empty_cloud", "too_few_points", "no_plane", 
 Int32 = npt.NDArray[np.int32]
 
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: 848x480 is then looked at every fourth pixel
-_PLANE_POINTS = 4096  # that decide on the plane
+_PLANE_POINTS = 3072  # that decide on the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel counts
 
 
@@ -92,6 +95,12 @@ class _Ledger:
         yield
         self.ms[name] = (time.perf_counter() - start) * 1e3
 
+    def count_range(self, z: Float32, kept: npt.NDArray[np.bool_]) -> int:
+        """Note what the crop dropped, judged by depth alone (a pixel without depth has no z); what is left."""
+        finite, left = int(np.count_nonzero(np.isfinite(z))), int(np.count_nonzero(kept))
+        self.counts |= {"not_finite": z.size - finite, "out_of_range": finite - left}
+        return left
+
 
 def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
     """Find the table and the objects on it.
@@ -120,35 +129,33 @@ _Outcome = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...
 def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outcome:
     labels = np.zeros(cloud.xyz.shape[:-1], np.int32)
     with ledger.stage("crop"):
-        kept = _crop(cloud.xyz, config.crop, ledger)
-    usable = int(np.count_nonzero(kept))
+        z = np.ascontiguousarray(cloud.xyz[..., 2])
+        kept = in_range(z, config.crop)
+        usable = ledger.count_range(z, kept)
     if usable == 0:
-        return "empty_cloud", _why_empty(cloud, config.crop, ledger), None, (), labels
+        return "empty_cloud", _why_empty(z, config.crop), None, (), labels
     if usable < config.min_points:
         return "too_few_points", f"{usable} points in range, fewer than {config.min_points}", None, (), labels
     with ledger.stage("plane"):
         stride = _stride(kept) if cloud.organised else 1
-        grid = (slice(None, None, stride),) * (cloud.xyz.ndim - 1)
+        grid = (slice(None, None, stride),) * z.ndim
         fit = fit_plane(_sample(cloud.xyz[grid], kept[grid], _PLANE_POINTS), config.plane)
     if fit.plane is None:
         return "no_plane", fit.reason, None, (), labels
     with ledger.stage("clusters"):
-        clusters = _label(cloud.xyz, kept, fit, config.clusters, stride)
+        cut = _height_cut(fit.plane, fit.noise_per_m, config.clusters)
+        if cloud.organised:
+            clusters = label_image(cloud.xyz, z, kept, cut, config.clusters, stride)
+        else:
+            clusters = label_points(cloud.xyz, z, kept, cut, config.clusters)
+    if clusters is None:
+        return "no_object", _why_no_object(0, config.clusters), fit.plane, (), labels
     with ledger.stage("objects"):
-        objects = () if clusters is None else _objects(cloud, clusters, fit.plane, config.clusters, labels, ledger)
-    if not objects:
-        return "no_object", _why_no_object(ledger, config.clusters), fit.plane, (), labels
-    return "ok", "", fit.plane, objects, labels
-
-
-def _crop(xyz: Float32, config: CropConfig, ledger: _Ledger) -> npt.NDArray[np.bool_]:
-    """Points in range, by depth alone: a pixel without depth has no z, and testing one number costs a third."""
-    z = np.ascontiguousarray(xyz[..., 2])
-    kept = in_range(z, config)
-    finite = int(np.count_nonzero(np.isfinite(z)))
-    ledger.counts["not_finite"] = z.size - finite
-    ledger.counts["out_of_range"] = finite - int(np.count_nonzero(kept))
-    return kept
+        gathered = gather_objects(cloud, clusters, fit.plane, config.clusters, labels)
+        ledger.counts |= gathered.counts
+    if not gathered.objects:
+        return "no_object", _why_no_object(ledger.counts["n_rejected"], config.clusters), fit.plane, (), labels
+    return "ok", "", fit.plane, gathered.objects, labels
 
 
 def _sample(xyz: Float32, kept: npt.NDArray[np.bool_], count: int) -> Float32:
@@ -156,113 +163,34 @@ def _sample(xyz: Float32, kept: npt.NDArray[np.bool_], count: int) -> Float32:
     index = np.flatnonzero(kept)
     if len(index) > count:
         index = index[np.linspace(0.0, len(index) - 1.0, count).astype(np.intp)]
-    points = xyz.reshape(-1, 3)[index] if xyz.ndim == 2 else xyz[np.divmod(index, xyz.shape[1])]
+    points = xyz[index] if xyz.ndim == 2 else xyz[np.divmod(index, xyz.shape[1])]
     good = np.isfinite(points).all(axis=1)
     return points if good.all() else points[good]
 
 
 def _stride(kept: npt.NDArray[np.bool_]) -> int:
     """Of the coarse grid: an image of 480 rows or more is looked at every fourth pixel."""
-    stride = int(np.clip(min(kept.shape) // _GRID_ROWS, 1, 4))
+    stride = int(np.clip(min(kept.shape) // _GRID_ROWS, 1, 8))
     return stride if np.count_nonzero(kept[::stride, ::stride]) >= _SPARSE else 1
 
 
-def _label(
-    xyz: Float32, kept: npt.NDArray[np.bool_], fit: PlaneFit, config: ClusterConfig, stride: int
-) -> Clusters | None:
-    if fit.plane is None:
-        return None
-    cut = HeightCut(fit.plane, config.min_height_m, config.noise_factor * fit.noise_per_m, config.max_height_m)
-    if xyz.ndim == 3:
-        return label_image(xyz, kept, cut, config, stride)
-    return label_points(xyz, kept, cut, config)
+def _height_cut(plane: Plane, noise_per_m: float, config: ClusterConfig) -> HeightCut:
+    return HeightCut(plane, config.min_height_m, config.noise_factor * noise_per_m, config.max_height_m)
 
 
-def _objects(
-    cloud: Cloud, clusters: Clusters, plane: Plane, config: ClusterConfig, labels: Int32, ledger: _Ledger
-) -> tuple[ObjectSegment, ...]:
-    """Clusters of a sensible size as objects, nearest first; writes their ids into `labels`."""
-    pixels, ends = _members(clusters, labels.shape)
-    points = cloud.take(pixels)
-    sizes = np.diff(ends, prepend=0)
-    rejected = 0
-    found = []
-    for cluster in np.flatnonzero(sizes):
-        span = slice(int(ends[cluster]) - int(sizes[cluster]), int(ends[cluster]))
-        candidate = _object(points, pixels, span)
-        if _plausible(candidate, plane, config):
-            found.append((candidate.distance_m, int(cluster), candidate))
-        else:
-            rejected += candidate.n_points
-            ledger.counts["n_rejected"] = ledger.counts.get("n_rejected", 0) + 1
-    found.sort(key=lambda entry: entry[:2])
-    ids = np.zeros(len(ends), np.int32)
-    ids[[cluster for _, cluster, _ in found]] = np.arange(1, len(found) + 1)
-    placed = _part(labels, clusters)
-    np.take(ids, clusters.labels, out=placed, mode="clip")
-    used = sum(candidate.n_points for _, _, candidate in found)
-    ledger.counts |= {"objects": used, "rejected": rejected, "flying": int(np.count_nonzero(placed)) - used}
-    return tuple(replace(candidate, id=number) for number, (_, _, candidate) in enumerate(found, 1))
-
-
-def _object(points: Cloud, pixels: npt.NDArray[np.int64], span: slice) -> ObjectSegment:
-    """The rows of one cluster, not yet numbered."""
-    xyz = points.xyz[span]
-    columns = np.ascontiguousarray(xyz.T)  # reductions along rows of three are slow
-    bounds = np.stack([columns.min(axis=1), columns.max(axis=1)]).astype(np.float64)
-    centroid = columns.mean(axis=1, dtype=np.float64)
-    rgb = None if points.rgb is None else points.rgb[span]
-    return ObjectSegment(0, Cloud(xyz, rgb, points.frame_id, points.stamp_ns), pixels[span], centroid, bounds)
-
-
-def _plausible(candidate: ObjectSegment, plane: Plane, config: ClusterConfig) -> bool:
-    """Neither speckle nor noise of the table, nor a wall."""
-    return bool(
-        candidate.n_points >= config.min_points
-        and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
-        and plane.height(candidate.cloud.xyz).max() >= config.min_top_m
-    )
-
-
-def _part(image: Int32, clusters: Clusters) -> Int32:
-    """The part of an image (or list) that the clusters cover, as a view."""
-    if image.ndim == 1:
-        return image
-    height, width = clusters.labels.shape
-    return image[clusters.rows : clusters.rows + height, clusters.columns : clusters.columns + width]
-
-
-def _members(clusters: Clusters, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The solid points of all clusters.
-
-    Returns:
-        (n,) int64 flat indices into the cloud, by cluster, ascending within; and for each label where its own end.
-    """
-    place = np.flatnonzero(clusters.solid)
-    owner = clusters.labels.reshape(-1)[place]
-    order = np.argsort(owner.astype(np.min_scalar_type(clusters.count)), kind="stable")  # 8 or 16 bits: a radix sort
-    flat = place[order].astype(np.int64, copy=False)
-    if len(shape) == 2:
-        rows, columns = np.divmod(flat, clusters.labels.shape[1])
-        flat = (rows + clusters.rows) * shape[1] + columns + clusters.columns
-    return flat, np.cumsum(np.bincount(owner, minlength=clusters.count + 1))
-
-
-def _why_empty(cloud: Cloud, config: CropConfig, ledger: _Ledger) -> str:
-    if cloud.size == 0:
+def _why_empty(z: Float32, config: CropConfig) -> str:
+    if z.size == 0:
         return "the cloud holds no point"
-    if ledger.counts["out_of_range"] == 0:
-        return f"none of {cloud.size} points is finite"
-    z = cloud.xyz[..., 2]
-    z = z[np.isfinite(z)]
+    finite = z[np.isfinite(z)]
+    if finite.size == 0:
+        return f"none of {z.size} points is finite"
     return (
         f"no point between {config.min_range_m:g} and {config.max_range_m:g} m: "
-        f"depths are {z.min():g} to {z.max():g}; is the cloud in metres and in the optical frame?"
+        f"depths are {finite.min():g} to {finite.max():g}; is the cloud in metres and in the optical frame?"
     )
 
 
-def _why_no_object(ledger: _Ledger, config: ClusterConfig) -> str:
-    rejected = ledger.counts.get("n_rejected", 0)
+def _why_no_object(rejected: int, config: ClusterConfig) -> str:
     if rejected == 0:
         return f"nothing stands more than {config.min_height_m * 1e3:g} mm above the table"
     return (
