@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact of a fingertip's pad with an object: pressure and displacement at three levels of fidelity.
+
+Hertz, Winkler and the elastic layer share one problem and one solution; `grip` closes two fingers.
+"""
+
+from foretouch.simulation.contact.grip import BALANCE_TOLERANCE, GripSolution, solve_grip
+from foretouch.simulation.contact.hertz import solve_hertz
+from foretouch.simulation.contact.layer import solve_layer
+from foretouch.simulation.contact.level import LEVELS, Level, choose_level, solve_contact
+from foretouch.simulation.contact.pad import (
+    ContactFrame,
+    PadConfig,
+    cell_centres,
+    contact_frame,
+    gap_field,
+    pad_depth,
+    pad_direction,
+)
+from foretouch.simulation.contact.problem import Command, ContactConfig, ContactProblem, ContactSolution, Layer
+from foretouch.simulation.contact.statics import HeldWeight, weigh
+from foretouch.simulation.contact.winkler import bed_stiffness, solve_winkler
+
+__all__ = [
+    "BALANCE_TOLERANCE",
+    "LEVELS",
+    "Command",
+    "ContactConfig",
+    "ContactFrame",
+    "ContactProblem",
+    "ContactSolution",
+    "GripSolution",
+    "HeldWeight",
+    "Layer",
+    "Level",
+    "PadConfig",
+    "bed_stiffness",
+    "cell_centres",
+    "choose_level",
+    "contact_frame",
+    "gap_field",
+    "pad_depth",
+    "pad_direction",
+    "solve_contact",
+    "solve_grip",
+    "solve_hertz",
+    "solve_layer",
+    "solve_winkler",
+    "weigh",
+]

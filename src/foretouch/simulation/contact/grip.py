@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two fingers on opposite sides of one object.
+
+Each finger has its own contact and its own command. In a balanced grip the object hangs freely between
+them: it moves along the line of the contacts until the pushes cancel, up to the share of its weight
+that lies along that line. Commanded by depth, the sum of both depths is the hand's closing, and the common
+force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from foretouch.errors import ContactError
+from foretouch.simulation.contact.level import Level, solve_contact
+from foretouch.simulation.contact.problem import Command, ContactConfig, ContactProblem, ContactSolution
+
+__all__ = ["BALANCE_TOLERANCE", "GripSolution", "solve_grip"]
+
+BALANCE_TOLERANCE = 1e-3
+"""Largest |F1 - F2 - load| over the larger force that counts as balanced."""
+
+_CLOSING_TOLERANCE = 1e-5
+_MAX_STEPS = 40
+_STEEPEST = 64.0  # largest factor on the force in one step
+
+
+@dataclass(frozen=True, eq=False)
+class GripSolution:
+    """Both contacts.
+
+    Attributes:
+        first, second: Of the finger at g1 and of the one at g2.
+        steps: Tries of the force that the closing took; 0 where none was needed.
+    """
+
+    first: ContactSolution
+    second: ContactSolution
+    steps: int = 0
+
+    @property
+    def imbalance(self) -> float:
+        """|F1 - F2| over the larger force; 0 without contact."""
+        larger = max(self.first.force_n, self.second.force_n)
+        return abs(self.first.force_n - self.second.force_n) / larger if larger > 0.0 else 0.0
+
+
+def solve_grip(
+    problems: Sequence[ContactProblem],
+    commands: Sequence[Command],
+    *,
+    balanced: bool,
+    axial_load_n: float = 0.0,
+    level: Level = "auto",
+    config: ContactConfig | None = None,
+) -> GripSolution:
+    """Close both fingers on the object.
+
+    Args:
+        problems: Of the finger at g1 and of the one at g2.
+        commands: For each; in a balanced grip both forces or both depths.
+        balanced: Whether the object is free to move along the line of the contacts.
+        axial_load_n: Balanced only: how much of the object's weight the second finger carries more than
+            the first (`statics.weigh`). Half is taken from the first, half added to the second.
+        level: Of the contact.
+        config: Tolerance and limits.
+
+    Raises:
+        ContactError: If there are not two of each; a balanced grip has commands that contradict each other,
+            or its load opens a finger; or a contact cannot be solved.
+    """
+    if len(problems) != 2 or len(commands) != 2:
+        raise ContactError(f"grip: {len(problems)} contacts and {len(commands)} commands, not two of each")
+    if not balanced:
+        if axial_load_n != 0.0:
+            raise ContactError("axial_load_n: given for a grip that holds the object in place")
+        first, second = (solve_contact(p, c, level, config) for p, c in zip(problems, commands, strict=True))
+        return GripSolution(first, second)
+    forces = [c.force_n for c in commands if c.force_n is not None]
+    depths = [c.depth_m for c in commands if c.depth_m is not None]
+    if len(forces) == 2:
+        return _at_force(problems, _common(forces), axial_load_n, level, config)
+    if len(depths) == 2:
+        return _at_closing(problems, sum(depths), axial_load_n, level, config)
+    raise ContactError("commands: a balanced grip needs two forces or two depths, not one of each")
+
+
+def _common(forces: Sequence[float]) -> float:
+    low, high = sorted(forces)
+    if high - low > BALANCE_TOLERANCE * high:
+        raise ContactError(f"force_n: {forces[0]:g} and {forces[1]:g} N cannot balance on one object")
+    return (low + high) / 2.0
+
+
+def _at_force(
+    problems: Sequence[ContactProblem], force: float, load: float, level: Level, config: ContactConfig | None
+) -> GripSolution:
+    pushes = (force - load / 2.0, force + load / 2.0)
+    if min(pushes) < 0.0:
+        raise ContactError(f"axial_load_n: {load:g} N opens a grip of {force:g} N")
+    first, second = (solve_contact(p, Command(force_n=f), level, config) for p, f in zip(problems, pushes, strict=True))
+    return GripSolution(first, second)
+
+
+def _at_closing(
+    problems: Sequence[ContactProblem], closing: float, load: float, level: Level, config: ContactConfig | None
+) -> GripSolution:
+    """Find the common force whose two depths add up to `closing`.
+
+    The depth grows as a power of the force, between F (flat) and √F, so that steps are taken on log F with
+    the power of the last two tries, inside a bracket that they tighten.
+    """
+    if closing <= 0.0:
+        first, second = (solve_contact(p, Command(depth_m=min(closing, 0.0)), level, config) for p in problems)
+        return GripSolution(first, second)
+    floor = abs(load) / 2.0
+    force = max(solve_contact(problems[0], Command(depth_m=closing / 2.0), level, config).force_n, floor * 1.01)
+    low, high, power, last = floor, math.inf, 0.6, None
+    for step in range(1, _MAX_STEPS + 1):
+        grip = _at_force(problems, force, load, level, config)
+        reached = grip.first.depth_m + grip.second.depth_m
+        error = math.log(reached / closing)
+        if abs(error) < _CLOSING_TOLERANCE:
+            return GripSolution(grip.first, grip.second, step)
+        low, high = (force, high) if error < 0.0 else (low, force)
+        if last is not None and force != last[0]:
+            slope = (error - last[1]) / math.log(force / last[0])
+            power = min(max(slope, 0.1), 2.0) if math.isfinite(slope) else power
+        last = (force, error)
+        force *= math.exp(min(max(-error / power, -math.log(_STEEPEST)), math.log(_STEEPEST)))
+        if not low < force < high:
+            force = (low + high) / 2.0 if math.isfinite(high) else 2.0 * low
+    raise ContactError(
+        f"grip: a closing of {closing:g} m is not met after {_MAX_STEPS} forces, the last {force:g} N at {reached:g} m"
+    )

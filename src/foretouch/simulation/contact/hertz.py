@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact of two smooth, thick bodies in closed form (Hertz; Johnson 1985, section 4.2).
+
+The gap about first touch is A x² + B y² in its principal axes, A <= B. The footprint is an ellipse with
+semi-axes a >= b, e² = 1 - b²/a², and with K, E the complete elliptic integrals of e (eqs. 4.26 to 4.28):
+
+    B / A = ((a/b)² E - K) / (K - E),       a³ = 3 F D / (2π E* A),  D = (K - E) / e²,
+    p = p0 √(1 - x²/a² - y²/b²),            p0 = 3 F / (2π a b),     depth = a² A K / D.
+
+Layer thicknesses are left aside. Displacement is that of the circle of equal area, stretched to the ellipse
+(eqs. 3.41a and 3.42a): exact for round footprints, an approximation for long ones.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from foretouch.errors import ContactError
+from foretouch.simulation.contact.problem import (
+    Command,
+    ContactConfig,
+    ContactProblem,
+    ContactSolution,
+    no_contact,
+    refuse_overload,
+)
+from foretouch.types import Float64
+
+__all__ = ["solve_hertz"]
+
+_REACH = 3  # cells on each side of first touch that its curvature is fitted on
+_MIN_RATIO = 0.01  # shortest b / a told
+
+
+@dataclass(frozen=True)
+class _Paraboloid:
+    """Gap A u² + B v² about (x0, y0); `axis` is the angle from x to u."""
+
+    a: float
+    b: float
+    axis: float
+    x0: float
+    y0: float
+
+
+def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig | None = None) -> ContactSolution:
+    """Press two bodies together as half-spaces that touch on a paraboloid.
+
+    Args:
+        problem: Surfaces and layers; the gap must be smooth and convex about first touch.
+        command: A force or a depth.
+        config: Limits.
+
+    Raises:
+        ContactError: If the gap about first touch is cut, flat or hollow, or too long for an ellipse; or if a
+            layer is compressed beyond `max_strain`.
+    """
+    if command.idle:
+        return no_contact(problem, command.depth_m or 0.0)
+    shape = _fit(problem)
+    ratio, k, d = _ellipse(shape.b / shape.a)
+    modulus = problem.contact_modulus_pa
+    if command.depth_m is None:
+        force = float(command.force_n or 0.0)
+        a = float(np.cbrt(3.0 * force * d / (2.0 * math.pi * modulus * shape.a)))
+        depth = a**2 * shape.a * k / d
+    else:
+        depth = command.depth_m
+        a = math.sqrt(depth * d / (shape.a * k))
+        force = 2.0 * math.pi * modulus * shape.a * a**3 / (3.0 * d)
+    b = ratio * a
+    rho = _stretched_radius(problem, shape, a, b)
+    pressure = _pressure(rho, force / problem.cell_m2)
+    shares = np.array([modulus / layer.plane_modulus_pa for layer in problem.layers])
+    displacement = shares[:, None, None] * _displacement(rho, depth)
+    refuse_overload(problem, displacement, config or ContactConfig())
+    return ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
+
+
+def _fit(problem: ContactProblem) -> _Paraboloid:
+    """Least squares of a quadratic on the cells about the least gap."""
+    n = problem.gap.shape[0]
+    row, column = np.unravel_index(int(np.argmin(problem.gap)), problem.gap.shape)
+    if not (_REACH <= row < n - _REACH and _REACH <= column < n - _REACH):
+        raise ContactError(f"Hertz: first touch, cell ({row}, {column}) of {n}^2, is too close to the window's border")
+    patch = problem.gap[row - _REACH : row + _REACH + 1, column - _REACH : column + _REACH + 1]
+    if not np.isfinite(patch).all():
+        raise ContactError("Hertz: an edge cuts the surface about first touch")
+    _, gx, gy, gxx, gxy, gyy = _fit_matrix() @ patch.ravel() / problem.step_m ** np.array([0, 1, 1, 2, 2, 2])
+    hessian = np.array([[gxx, gxy / 2.0], [gxy / 2.0, gyy]])
+    (small, large), vectors = np.linalg.eigh(hessian)
+    if small <= 0.0:
+        raise ContactError(f"Hertz: the gap about first touch is flat or hollow, curvature {2.0 * small:.3g} 1/m")
+    x0, y0 = -np.linalg.solve(2.0 * hessian, np.array([gx, gy]))
+    middle = (n - 1) / 2.0
+    return _Paraboloid(
+        float(small),
+        float(large),
+        math.atan2(vectors[1, 0], vectors[0, 0]),
+        (float(column) - middle) * problem.step_m + float(x0),
+        (float(row) - middle) * problem.step_m + float(y0),
+    )
+
+
+@lru_cache(maxsize=1)
+def _fit_matrix() -> Float64:
+    """(6, cells): coefficients of 1, x, y, x², xy, y² in cells from the values of the patch."""
+    offset = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+    x, y = (v.ravel() for v in np.meshgrid(offset, offset))
+    return np.asarray(np.linalg.pinv(np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])), np.float64)
+
+
+def _ellipse(curvature_ratio: float) -> tuple[float, float, float]:
+    """b/a, K and D for B/A."""
+    log_ratios, ratios, ks, ds = _ellipse_table()
+    wanted = math.log(curvature_ratio)
+    if wanted > log_ratios[-1]:
+        raise ContactError(f"Hertz: curvatures differ by {curvature_ratio:.3g}, a line rather than an ellipse")
+    ratio, k, d = (float(np.interp(wanted, log_ratios, column)) for column in (ratios, ks, ds))
+    return ratio, k, d
+
+
+@lru_cache(maxsize=1)
+def _ellipse_table() -> tuple[Float64, Float64, Float64, Float64]:
+    from scipy.special import ellipe, ellipkm1
+
+    ratio = np.exp(np.linspace(-1e-4, math.log(_MIN_RATIO), 2000))  # b / a
+    m = 1.0 - ratio**2  # e²
+    k, e = ellipkm1(ratio**2), ellipe(m)
+    log_b_over_a = np.log((e / ratio**2 - k) / (k - e))
+    first = (0.0, 1.0, math.pi / 2.0, math.pi / 4.0)  # the circle, where the formulas are 0 / 0
+    columns = (log_b_over_a, ratio, k, (k - e) / m)
+    circle, ratios, ks, ds = (np.concatenate([[f], c]) for f, c in zip(first, columns, strict=True))
+    return circle, ratios, ks, ds
+
+
+def _stretched_radius(problem: ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:
+    """(N, N): √(u²/a² + v²/b²), 1 at the rim of the footprint."""
+    offset = (np.arange(problem.gap.shape[0]) - (problem.gap.shape[0] - 1) / 2.0) * problem.step_m
+    x, y = offset[None, :] - shape.x0, offset[:, None] - shape.y0
+    u = math.cos(shape.axis) * x + math.sin(shape.axis) * y
+    v = math.cos(shape.axis) * y - math.sin(shape.axis) * x
+    return np.asarray(np.sqrt((u / a) ** 2 + (v / b) ** 2))
+
+
+def _pressure(rho: Float64, total: float) -> Float64:
+    """The half ellipsoid, its sum over the cells made `total`; a footprint between cells presses the nearest."""
+    profile = np.sqrt(np.maximum(1.0 - rho**2, 0.0))
+    weight = float(profile.sum())
+    if weight == 0.0:
+        profile = (rho == rho.min()).astype(np.float64)
+        weight = float(profile.sum())
+    return profile * (total / weight)
+
+
+def _displacement(rho: Float64, depth: float) -> Float64:
+    """Depth · (1 - ρ²/2) under pressure, eq. 3.42a beside it."""
+    outer = np.maximum(rho, 1.0)
+    beside = ((2.0 - outer**2) * np.arcsin(1.0 / outer) + np.sqrt(outer**2 - 1.0)) / math.pi
+    return np.asarray(depth * np.where(rho <= 1.0, 1.0 - rho**2 / 2.0, beside))

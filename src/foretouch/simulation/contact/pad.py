@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pad of a BioTac SP: a rigid core under a compliant layer of skin and liquid.
+
+Frame of the fingertip, as `foretouch.tactile.layout`: x along the finger towards its tip, -z towards the
+pad. The electrodes of the core lie on an ellipsoid of revolution about x; the skin is taken as the
+ellipsoid whose semi-axes are longer by the layer's thickness. The contact has a frame of its own: its
+origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ContactError
+from foretouch.simulation.contact.problem import Layer
+from foretouch.types import Float64
+
+__all__ = ["ContactFrame", "PadConfig", "cell_centres", "contact_frame", "gap_field", "pad_depth", "pad_direction"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PadConfig(Settings):
+    """Shape and stuff of the fingertip's pad.
+
+    The semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat
+    up to 0.4 mm inside). Modulus and Poisson's ratio are those of published finite-element models of the skin.
+    """
+
+    core_half_length_m: float = setting(0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4)
+    core_radius_m: float = setting(0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4)
+    layer_m: float = setting(0.002, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
+    modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0)
+    poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
+    friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0)
+    window_m: float = setting(0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4)
+    cells: int = setting(24, "Cells a side of that square", minimum=3, maximum=512)
+
+    @property
+    def step_m(self) -> float:
+        """Side of a cell [m]."""
+        return self.window_m / self.cells
+
+    @property
+    def layer(self) -> Layer:
+        """Skin and liquid as one elastic layer."""
+        return Layer(modulus_pa=self.modulus_pa, poisson=self.poisson, thickness_m=self.layer_m)
+
+    @property
+    def skin_axes(self) -> Float64:
+        """(3,) float64: semi-axes of the skin [m]."""
+        across = self.core_radius_m + self.layer_m
+        return np.array([self.core_half_length_m + self.layer_m, across, across])
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFrame:
+    """Where the pad is touched.
+
+    Attributes:
+        origin: (3,) float64 [m], on the skin, fingertip frame.
+        rotation: (3, 3) float64: columns are tangent x, tangent y and outward normal in the fingertip frame.
+    """
+
+    origin: Float64
+    rotation: Float64
+
+    def points(self, x: Float64, y: Float64, depth: Float64) -> Float64:
+        """(..., 3) float64 [m], fingertip frame, of points at (x, y) and `depth` below the tangent plane."""
+        return self.origin + np.stack([x, y, -depth], axis=-1) @ self.rotation.T
+
+
+def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:
+    """(3,) unit vector, fingertip frame: from the middle of the pad, `pitch` towards the tip, `roll` towards +y."""
+    across = math.cos(pitch_rad)
+    return np.array([math.sin(pitch_rad), across * math.sin(roll_rad), -across * math.cos(roll_rad)])
+
+
+def contact_frame(config: PadConfig, direction: Float64) -> ContactFrame:
+    """The place where the skin's outward normal is `direction`: where a plane from there touches first.
+
+    On the ellipsoid Σ (p_i / a_i)² = 1 it is p = A² n / |A n|, A the diagonal of the semi-axes.
+
+    Args:
+        config: The pad.
+        direction: (3,) of any length, fingertip frame.
+
+    Raises:
+        ContactError: If the direction is zero or not finite, or points away from the pad (z not below 0).
+    """
+    length = float(np.linalg.norm(direction))
+    if not (math.isfinite(length) and length > 0.0):
+        raise ContactError(f"direction: {direction.tolist()} has no finite length above 0")
+    normal = np.asarray(direction, np.float64) / length
+    if normal[2] >= 0.0:
+        raise ContactError(
+            f"direction: {normal.round(3).tolist()} points to the nail, not the pad (its z is not below 0)"
+        )
+    axes = config.skin_axes
+    origin = axes**2 * normal / np.linalg.norm(axes * normal)
+    tangent_x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal  # not 0, as z is below 0
+    tangent_x /= np.linalg.norm(tangent_x)
+    return ContactFrame(origin, np.column_stack([tangent_x, np.cross(normal, tangent_x), normal]))
+
+
+def cell_centres(config: PadConfig) -> tuple[Float64, Float64]:
+    """X and y, (N, N) float64 each [m], of the window's cells in the contact frame; x changes along a row."""
+    offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
+    x, y = np.meshgrid(offset, offset)
+    return x, y
+
+
+def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) -> Float64:
+    """Depth of the undeformed skin below its tangent plane [m], shape of x; infinite beside the pad.
+
+    The first meeting of the line o + x t_x + y t_y - s n with the ellipsoid, a quadratic in s.
+    """
+    inverse = 1.0 / config.skin_axes
+    o = frame.points(x, y, np.zeros_like(x)) * inverse
+    n = frame.rotation[:, 2] * inverse
+    nn = float(n @ n)
+    half_b = o @ n
+    c = np.einsum("...i,...i->...", o, o) - 1.0  # at least 0: the tangent plane is outside
+    discriminant = half_b**2 - nn * c
+    root = np.sqrt(np.maximum(discriminant, 0.0))
+    # (b - root) / nn, written without the difference of near-equal numbers at the origin.
+    depth = np.maximum(c, 0.0) / (half_b + root)
+    return np.asarray(np.where(discriminant >= 0.0, depth, np.inf))
+
+
+def gap_field(depth: Float64, object_height: Float64) -> Float64:
+    """Distance of skin and object along the normal, at first touch [m].
+
+    Args:
+        depth: (N, N) of `pad_depth` [m].
+        object_height: (N, N) [m], the object's surface above the tangent plane, measured away from the pad's
+            normal, that is towards the pad; -inf where there is none. A constant added to it changes nothing.
+
+    Returns:
+        (N, N) float64, least value 0, infinite where one of the surfaces is absent.
+
+    Raises:
+        ContactError: If the shapes differ, a height is NaN or +inf, or the two share no cell.
+    """
+    if depth.shape != object_height.shape:
+        raise ContactError(f"object_height: shape {object_height.shape} is not that of the pad, {depth.shape}")
+    if np.isnan(object_height).any() or np.isposinf(object_height).any():
+        raise ContactError("object_height: holds NaN or +inf; -inf says that there is no surface")
+    gap = depth - object_height
+    least = float(gap.min())
+    if math.isinf(least):
+        raise ContactError("object_height: no cell of the window holds both pad and object")
+    return gap - least

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every level of contact takes and gives: one problem, one solution.
+
+Two bodies meet across a gap. Each is a stack-free elastic layer bonded to a rigid base: the skin on the
+core of the fingertip and, if it is soft, the object. Only normal, frictionless contact is solved; strains
+are taken as small.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ContactError
+from foretouch.types import Float64
+
+__all__ = ["Command", "ContactConfig", "ContactProblem", "ContactSolution", "Layer", "no_contact", "refuse_overload"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConfig(Settings):
+    """Limits of the contact solvers."""
+
+    tolerance: float = setting(
+        1e-4, "Elastic layer: change of pressure in a step over the force", minimum=1e-12, maximum=1e-2
+    )
+    max_iterations: int = setting(300, "Elastic layer: steps before it is refused", minimum=1)
+    max_strain: float = setting(0.95, "Deepest compression of a layer over its thickness", minimum=0.01, maximum=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layer:
+    """An isotropic elastic layer, bonded to a rigid base.
+
+    Attributes:
+        modulus_pa: Young's modulus E [Pa].
+        poisson: Poisson's ratio ν, 0 to 0.5.
+        thickness_m: h [m]; infinite for a half-space.
+
+    Raises:
+        ContactError: If a value has no physical meaning.
+    """
+
+    modulus_pa: float
+    poisson: float
+    thickness_m: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.modulus_pa) and self.modulus_pa > 0.0):
+            raise ContactError(f"modulus_pa: {self.modulus_pa} is not positive and finite")
+        if not 0.0 <= self.poisson <= 0.5:
+            raise ContactError(f"poisson: {self.poisson} is not between 0 and 0.5")
+        if not self.thickness_m > 0.0:
+            raise ContactError(f"thickness_m: {self.thickness_m} is not positive")
+
+    @property
+    def plane_modulus_pa(self) -> float:
+        """E / (1 - ν²) [Pa], the modulus of a half-space in contact (Johnson 1985, eq. 4.5)."""
+        return self.modulus_pa / (1.0 - self.poisson**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What the finger is told: a force or a depth, one of them.
+
+    Attributes:
+        force_n: Normal force, at least 0 [N].
+        depth_m: Approach of the bodies beyond first touch [m]; none or negative is no contact.
+
+    Raises:
+        ContactError: If neither or both are given, one is not finite, or the force is negative.
+    """
+
+    force_n: float | None = None
+    depth_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force_n is None) == (self.depth_m is None):
+            raise ContactError("command: give force_n or depth_m, one of them")
+        name, value = ("force_n", self.force_n) if self.force_n is not None else ("depth_m", self.depth_m)
+        if not math.isfinite(float(value or 0.0)):
+            raise ContactError(f"{name}: {value} is not finite")
+        if self.force_n is not None and self.force_n < 0.0:
+            raise ContactError(f"force_n: {self.force_n} is negative")
+
+    @property
+    def idle(self) -> bool:
+        """Whether it asks for no contact at all."""
+        return self.force_n == 0.0 if self.depth_m is None else self.depth_m <= 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ContactProblem:
+    """Two surfaces on a square grid, at first touch.
+
+    Attributes:
+        gap: (N, N) float64 [m], distance of the undeformed surfaces, its least value 0; infinite where one of
+            them is absent. Row i runs along the tangent y, column j along the tangent x.
+        step_m: Side of a cell [m].
+        layers: The compliant bodies, the pad's first.
+
+    Raises:
+        ContactError: If a shape or value is another, or nowhere do both surfaces exist.
+    """
+
+    gap: Float64
+    step_m: float
+    layers: tuple[Layer, ...]
+
+    def __post_init__(self) -> None:
+        if self.gap.ndim != 2 or self.gap.shape[0] != self.gap.shape[1] or self.gap.size == 0:
+            raise ContactError(f"gap: shape {self.gap.shape} is not (N, N)")
+        if not (math.isfinite(self.step_m) and self.step_m > 0.0):
+            raise ContactError(f"step_m: {self.step_m} is not positive and finite")
+        if not self.layers:
+            raise ContactError("layers: none is compliant, and two rigid bodies have no pressure field")
+        least = float(self.gap.min())
+        if math.isnan(least):
+            raise ContactError("gap: holds NaN")
+        if math.isinf(least):
+            raise ContactError("gap: nowhere in the window do both surfaces exist")
+        if abs(least) > 1e-12:
+            raise ContactError(f"gap: its least value is {least:g} m, not 0")
+
+    @property
+    def cell_m2(self) -> float:
+        """Area of a cell [m²]."""
+        return self.step_m**2
+
+    @property
+    def contact_modulus_pa(self) -> float:
+        """E* with 1/E* = Σ (1 - ν²)/E (Johnson 1985, eq. 4.5) [Pa]."""
+        return 1.0 / sum(1.0 / layer.plane_modulus_pa for layer in self.layers)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSolution:
+    """What one contact is.
+
+    Attributes:
+        pressure: (N, N) float64, at least 0 [Pa].
+        displacement: (L, N, N) float64 [m], how far each layer's surface is pushed in.
+        force_n: Σ pressure · cell [N].
+        area_m2: Area under pressure [m²].
+        depth_m: Approach of the bodies beyond first touch [m].
+        iterations: Steps that the solver took; 0 for a closed form.
+        residual: Its last relative change; 0 for a closed form.
+        converged: True: a solver that does not converge raises instead.
+    """
+
+    pressure: Float64
+    displacement: Float64
+    force_n: float
+    area_m2: float
+    depth_m: float
+    iterations: int = 0
+    residual: float = 0.0
+    converged: bool = True
+
+    @property
+    def touches_edge(self) -> bool:
+        """Whether pressure reaches the border of the window, which may then cut the contact short."""
+        p = self.pressure
+        return bool(p[0].any() or p[-1].any() or p[:, 0].any() or p[:, -1].any())
+
+
+def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution:
+    """The solution where nothing presses."""
+    shape = problem.gap.shape
+    return ContactSolution(np.zeros(shape), np.zeros((len(problem.layers), *shape)), 0.0, 0.0, min(depth_m, 0.0))
+
+
+def refuse_overload(problem: ContactProblem, displacement: Float64, config: ContactConfig) -> None:
+    """Refuse a solution in which a layer is pressed through its base.
+
+    Raises:
+        ContactError: Names the layer, its strain and the limit.
+    """
+    for k, layer in enumerate(problem.layers):
+        strain = float(displacement[k].max()) / layer.thickness_m
+        if strain > config.max_strain:
+            raise ContactError(
+                f"layers[{k}]: compressed by {strain:.3g} of its {layer.thickness_m * 1e3:.3g} mm, "
+                f"more than max_strain {config.max_strain:g}: press less or make it stiffer"
+            )
