@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -144,7 +144,7 @@ class Pipeline:
             slide_m: Moves the grasp plane along the object's axis [m].
             rng: Draws the slide instead, where given.
         """
-        return plan_grasps(
+        plan = plan_grasps(
             target.cloud,
             target.plane,
             self.config.grasp,
@@ -152,8 +152,8 @@ class Pipeline:
             rng=rng,
             pixels=target.pixels,
             image_shape=target.image_shape,
-            object_id=target.id,
         )
+        return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 
     def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
         """The grasp with given contacts, posed as GeoGrasp would.

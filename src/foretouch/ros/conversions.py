@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -32,6 +32,7 @@ __all__ = [
     "plane_to_msg",
     "point_to_msg",
     "pose_stamped",
+    "prediction_from_msg",
     "prediction_to_msg",
     "refusal_to_msg",
     "rotation_from_quaternion",
@@ -42,7 +43,7 @@ __all__ = [
 _SECOND_NS = 1_000_000_000
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT = 1e-3  # between a grasp's matrix and its quaternion, per element
-_REFERENCES = {
+_REFERENCES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
@@ -195,6 +196,28 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
         reference=_REFERENCES[prediction.reference],
         status=Status.OK,
         flags=list(prediction.flags),
+    )
+
+
+def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
+    """What a subscriber received, as the core knows it; values are float32, and NaN bounds become None.
+
+    Raises:
+        GraspError: As `grasp_from_msg`.
+    """
+    rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
+    value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
+    names = {code: name for name, code in _REFERENCES.items()}
+    refused = bool(np.isnan(value).any())
+    return TouchPrediction(
+        grasp=grasp_from_msg(message.grasp),
+        value=None if refused else Touch.from_vector(value),
+        lower=None if np.isnan(lower).any() else Touch.from_vector(lower),
+        upper=None if np.isnan(upper).any() else Touch.from_vector(upper),
+        reference=names[message.reference],
+        flags=tuple(message.flags),
+        status="refused" if refused else "ok",
+        reason=message.reason,
     )
 
 

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch run`: a source, the whole graph and a live table in one terminal."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch.cli.output import print_json, warn
+from foretouch.errors import ForetouchError
+
+if TYPE_CHECKING:
+    from foretouch.ros.graph import Graph
+
+__all__ = ["add_arguments", "run"]
+
+_REFRESH_S = 0.2
+_STARTED_S = 10.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the clouds come from, and what is made of the answers."""
+    parser.add_argument(
+        "--source", required=True, metavar="DIR|FILE|camera", help="clouds or samples, a recording, or the RealSense"
+    )
+    parser.add_argument("--topic", help="which topic of a recording holds the clouds")
+    parser.add_argument("--serial", help="serial number of the camera")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="clouds a second (default: recorded times; files one by one)"
+    )
+    parser.add_argument("--plane", metavar="a,b,c,d", help="table of clouds that hold one object each")
+    parser.add_argument("--model", help="name of a shipped model, or path of a checkpoint")
+    parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
+    parser.add_argument("--namespace", help="of the graph (default: /foretouch)")
+    parser.add_argument("--picture", metavar="PNG", help="draw the last prediction at the end")
+    parser.add_argument("--json", action="store_true", help="one JSON object a cloud, and a last line with the counts")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if a node did not start, a cloud went unanswered, or none gave a prediction."""
+    from foretouch.ros.graph import Graph
+
+    monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None}
+    if arguments.json:
+        monitor["on_touch"] = _print_answer
+    graph = Graph(_nodes(arguments), namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
+    with graph:
+        if not graph.started:
+            raise ForetouchError("; ".join(_refusals(graph)) or "a node did not start; its log tells why")
+        complete = _watch(graph, arguments)
+        return _finish(graph, arguments, complete=complete)
+
+
+def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Node names with the parameters that the options stand for; the source last, when all others listen."""
+    from foretouch.ros.executables import PERCEPTION
+
+    nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
+    if arguments.model:
+        nodes["touch_predictor"]["model"] = str(arguments.model)
+    if arguments.source == "camera":
+        nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
+        return nodes
+    nodes["replay"] = replay_parameters(arguments, arguments.source)
+    return nodes
+
+
+def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
+    """Parameters of the replay: files are played one by one, as fast as they are answered, unless a rate is given."""
+    from foretouch.cli.inputs import four_numbers
+    from foretouch.dataset.source import open_source
+
+    parameters: dict[str, Any] = {"path": str(Path(path).resolve())}
+    one_by_one = arguments.rate is None and open_source(path, arguments.topic).kind != "recording"
+    if one_by_one:
+        parameters |= {"lockstep": True, "rate_hz": 1000.0}
+    if arguments.rate is not None:
+        parameters["rate_hz"] = arguments.rate
+    if arguments.topic:
+        parameters["topic"] = arguments.topic
+    if arguments.plane:
+        parameters["table"] = four_numbers(arguments.plane)
+    return parameters
+
+
+def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
+    """Draw until the source has ended and is answered, or Ctrl-C; False if answers are missing."""
+    ended = threading.Event() if graph.replay is None else graph.replay.ended
+    title = f"foretouch run: {arguments.source} (Ctrl-C ends it)"
+    try:
+        if arguments.json or not sys.stdout.isatty():
+            while not ended.wait(_REFRESH_S):
+                pass
+        else:
+            _draw_until(ended, graph, title)
+    except KeyboardInterrupt:
+        return True
+    return graph.wait_for_answers(graph.played())
+
+
+def _draw_until(ended: threading.Event, graph: Graph, title: str) -> None:
+    from rich.live import Live
+
+    from foretouch.cli.live import live_panel
+
+    with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
+        while not ended.wait(_REFRESH_S):
+            live.update(live_panel(graph.monitor.view(), title))
+
+
+def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
+    """The last words: a table or a line of counts, and the picture."""
+    time.sleep(_REFRESH_S)  # the last diagnostics are on their way
+    view = graph.monitor.view()
+    answered, played = sum(view.answers.values()), graph.played()
+    if arguments.json:
+        print_json(
+            {"played": played, "answered": answered, "answers": dict(view.answers), "reasons": dict(view.reasons)}
+        )
+    else:
+        from rich.console import Console
+
+        from foretouch.cli.live import live_panel
+
+        Console().print(
+            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
+        )
+    if arguments.picture:
+        _draw(graph, arguments.picture)
+    if not complete:
+        warn(f"{played - answered} of {played} clouds were not answered")
+    predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
+    return 0 if complete and (predicted or not answered) else 1
+
+
+def _draw(graph: Graph, path: str) -> None:
+    from foretouch.report.touch_figure import save_touch_picture
+    from foretouch.ros.conversions import prediction_from_msg
+
+    found = graph.monitor.last_drawable()
+    if found is None:
+        warn(f"{path}: not drawn, for there was no prediction")
+        return
+    scene, target, answer = found
+    prediction = prediction_from_msg(answer.predictions[0])
+    save_touch_picture(
+        path, scene, target, prediction, title=f"object {target.id}, predicted by {answer.predictions[0].model}"
+    )
+    warn(f"wrote {path}")
+
+
+def _refusals(graph: Graph) -> list[str]:
+    return [f"{name}: {node.state_name}" for name, node in graph.nodes.items() if node.state_name != "active"]
+
+
+def _print_answer(message: Any) -> None:
+    from foretouch.cli.predict import prediction_record
+    from foretouch.ros.conversions import prediction_from_msg, stamp_ns
+    from foretouch.ros.status import status_name
+
+    print_json(
+        {
+            "stamp_ns": stamp_ns(message.header.stamp),
+            "frame_id": message.header.frame_id,
+            "status": status_name(message.status),
+            "reason": message.reason,
+            "predictions": [prediction_record(prediction_from_msg(one)) for one in message.predictions],
+        }
+    )

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole graph in one process, with somebody watching: what `foretouch run` and `foretouch replay` stand on.
+
+Threads: the executor spins in the background, so that the caller's thread is free to draw and to take Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from foretouch.ros.environment import prepare_environment
+from foretouch.ros.executables import make_nodes
+
+if TYPE_CHECKING:
+    from foretouch.ros.monitor_node import MonitorNode
+    from foretouch.ros.node_base import ForetouchNode
+    from foretouch.ros.replay_node import ReplayNode
+
+__all__ = ["Graph"]
+
+_THREADS = 6  # one for each node that may be called at the same time, and the monitor's
+_IDLE_S = 5.0  # without another answer, the rest is not coming
+
+
+class Graph:
+    """Nodes, spun while the context is open.
+
+    Args:
+        nodes: Names of nodes (see `foretouch.ros.executables`), each with its parameters.
+        namespace: Of the graph; None for the default.
+        params_file: ROS parameter file, or None.
+        monitor: Options of `MonitorNode`.
+
+    Attributes:
+        nodes: By name, while the context is open.
+        monitor: Likewise.
+
+    Raises:
+        ConfigError: On entering, if a parameter breaks a rule.
+    """
+
+    def __init__(
+        self,
+        nodes: Mapping[str, Mapping[str, Any]],
+        *,
+        namespace: str | None = None,
+        params_file: str | Path | None = None,
+        monitor: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._wanted = nodes
+        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": namespace}
+        self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
+        self._monitor_options = {} if monitor is None else monitor
+        self._thread: threading.Thread | None = None
+        self.nodes: dict[str, ForetouchNode[Any]] = {}
+        self.monitor: MonitorNode
+
+    def __enter__(self) -> Self:
+        prepare_environment()
+        import rclpy
+        from rclpy.executors import MultiThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        from foretouch.ros.monitor_node import MonitorNode
+
+        rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
+        self._executor = MultiThreadedExecutor(_THREADS)
+        try:
+            self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+            self._executor.add_node(self.monitor)
+            self._make_nodes()
+        except BaseException:
+            self.close()
+            raise
+        self._thread = threading.Thread(target=self._executor.spin, name="executor", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def started(self) -> bool:
+        """Whether every node that starts itself did."""
+        return all(node.state_name == "active" for node in self.nodes.values() if node.config.autostart)
+
+    @property
+    def replay(self) -> ReplayNode | None:
+        """The replay, where it is one of the nodes."""
+        from foretouch.ros.replay_node import ReplayNode
+
+        node = self.nodes.get("replay")
+        return node if isinstance(node, ReplayNode) else None
+
+    def played(self) -> int:
+        """Clouds published by the replay; 0 without one."""
+        replay = self.replay
+        return 0 if replay is None else replay.statistics.snapshot().used
+
+    def answered(self) -> int:
+        """Arrays of touch seen by the monitor."""
+        return sum(self.monitor.view().answers.values())
+
+    def wait_for_answers(self, count: int) -> bool:
+        """Wait until the monitor saw that many answers; False once none has come for five seconds."""
+        seen, last = self.answered(), time.monotonic()
+        while seen < count:
+            if time.monotonic() - last > _IDLE_S:
+                return False
+            time.sleep(0.02)
+            if self.answered() > seen:
+                seen, last = self.answered(), time.monotonic()
+        return True
+
+    def close(self) -> None:
+        """End the work of every node, the last of the road first, and leave the graph."""
+        import rclpy
+
+        self._executor.shutdown(timeout_sec=1.0)
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+        for node in self.nodes.values():
+            node.destroy_node()
+        if hasattr(self, "monitor"):
+            self.monitor.destroy_node()
+        rclpy.try_shutdown()
+
+    def _make_nodes(self) -> None:
+        for name, parameters in self._wanted.items():
+            (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
+            self.nodes[name] = node
+            self._executor.add_node(node)
+        for node in self.nodes.values():
+            node.autostart()
+
+
+def _parameters(values: Mapping[str, Any]) -> Sequence[Any]:
+    from rclpy.parameter import Parameter
+
+    return [Parameter(name, value=value) for name, value in values.items()]
