@@ -164,14 +164,11 @@ def _camera() -> Finding:
     from foretouch.errors import ForetouchError
 
     try:
-        from foretouch.camera import list_devices
+        from foretouch.camera.device import LiveSource, describe
 
-        devices = list_devices()
+        return Finding("RealSense", "ok", describe(LiveSource().find()))
     except (ForetouchError, ImportError) as err:
         return Finding("RealSense", "optional", str(err))
-    if not devices:
-        return Finding("RealSense", "optional", "no device plugged in")
-    return Finding("RealSense", "ok", ", ".join(devices))
 
 
 def _tried(name: str, code: str, mend: str) -> Finding:
