@@ -19,12 +19,14 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from foretouch.cloud.pointcloud2 import PointCloud2Layout, decode, encode
 from foretouch.cloud.pointcloud2 import PointField as LayoutField
+from foretouch.cloud.segmentation import ObjectSegment
 from foretouch.errors import CloudError
 from foretouch.pipeline import FoundObject
-from foretouch.ros.conversions import header_to_msg, stamp_ns
+from foretouch.ros.conversions import header_to_msg, point_to_msg, stamp_ns
 from foretouch.types import Cloud, Plane
+from foretouch_msgs.msg import Object
 
-__all__ = ["cloud_from_msg", "cloud_to_msg", "objects_from_msg", "objects_to_msg"]
+__all__ = ["cloud_from_msg", "cloud_to_msg", "object_to_msg", "objects_from_msg", "objects_to_msg"]
 
 
 def cloud_from_msg(message: PointCloud2) -> Cloud:
@@ -77,6 +79,27 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     data.frombytes(points.view(np.uint8).data)
     message.data = data  # an array.array is taken over as it is; NumPy's would be looked at byte by byte
     return message
+
+
+def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
+    """One object with the indices of its points.
+
+    Args:
+        segment: The object.
+        target: Whether it gets grasps.
+    """
+    indices = array.array("I")
+    indices.frombytes(segment.pixels.astype(np.uint32).data)
+    low, high = segment.bounds
+    return Object(
+        id=str(segment.id),
+        n_points=segment.n_points,
+        centroid=point_to_msg(segment.centroid),
+        minimum=point_to_msg(low),
+        maximum=point_to_msg(high),
+        target=target,
+        indices=indices,
+    )
 
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:

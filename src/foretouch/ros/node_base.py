@@ -59,8 +59,6 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         ConfigError: If a parameter given at the start breaks a rule.
     """
 
-    expects_input_every_s: float | None = None  # told in diagnostics; None: has no inputs
-
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
         self.settings = NodeSettings(self, config_class, self.config_changed)
@@ -96,6 +94,14 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     def config_changed(self, config: _C) -> None:
         """A parameter was changed while running."""
+
+    def has_ended(self) -> bool:
+        """Whether the node has nothing more to do; its process may then end."""
+        return False
+
+    def expects_input_every_s(self) -> float | None:
+        """Time without an input that is worth a warning [s]; None for a node without inputs."""
+        return None
 
     def errors(self) -> tuple[str, ...]:
         """What keeps the node from working, for /diagnostics."""
@@ -239,7 +245,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             errors=self.errors(),
             warnings=tuple(self._mismatches.values()),
             notes=self.notes(),
-            expects_input_every_s=self.expects_input_every_s,
+            expects_input_every_s=self.expects_input_every_s(),
         )
         status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, health)
         self._last = now

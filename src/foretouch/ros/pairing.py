@@ -8,56 +8,64 @@ needed. The number of clouds that wait for a message is bounded.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-__all__ = ["StampPairing"]
+__all__ = ["StampPairing", "StampedSet"]
+
+
+class StampedSet(NamedTuple):
+    """Messages by topic, all of one stamp, and when the first of them arrived [s]."""
+
+    messages: dict[str, Any]
+    arrived: float
 
 
 class StampPairing:
-    """Collects one message a topic for each stamp. Not thread-safe: feed it from one callback group.
+    """Collects one message a topic for each stamp. Not thread-safe.
 
     Args:
         topics: Names of those that make a set.
         depth: Sets that may be incomplete at a time.
+        on_open: Called for the first message of each set; what it gives is kept with the set.
         on_drop: Called with a reason for each set given up: `unpaired` (pushed out by newer ones) or
             `repeated_stamp` (a topic sent a stamp twice; the first is given up).
     """
 
-    def __init__(self, topics: Sequence[str], depth: int, on_drop: Callable[[str], None]) -> None:
+    def __init__(
+        self, topics: Sequence[str], depth: int, on_open: Callable[[], float], on_drop: Callable[[str], None]
+    ) -> None:
         self._topics = frozenset(topics)
         self._depth = depth
+        self._on_open = on_open
         self._on_drop = on_drop
-        self._waiting: dict[int, dict[str, Any]] = {}
+        self._waiting: dict[int, StampedSet] = {}
 
     def __len__(self) -> int:
         """Incomplete sets."""
         return len(self._waiting)
 
-    def add(self, topic: str, stamp_ns: int, message: Any) -> tuple[bool, dict[str, Any] | None]:
-        """Take one message.
+    def add(self, topic: str, stamp_ns: int, message: Any) -> StampedSet | None:
+        """Take one message; the set of its stamp, if that is now complete.
 
         Args:
             topic: Where it came from.
             stamp_ns: Its stamp [ns].
             message: Whatever is to be handed over.
-
-        Returns:
-            Whether it opened a new set, and the set by topic where it is now complete.
         """
         found = self._waiting.get(stamp_ns)
-        if found is not None and topic in found:
+        if found is not None and topic in found.messages:
             del self._waiting[stamp_ns]
             self._on_drop("repeated_stamp")
             found = None
-        opened = found is None
-        group = self._waiting.setdefault(stamp_ns, {})
-        group[topic] = message
-        if group.keys() == self._topics:
-            return opened, self._waiting.pop(stamp_ns)
-        while len(self._waiting) > self._depth:
+        if found is None:
+            found = self._waiting[stamp_ns] = StampedSet({}, self._on_open())
+        found.messages[topic] = message
+        if found.messages.keys() == self._topics:
+            return self._waiting.pop(stamp_ns)
+        if len(self._waiting) > self._depth:
             del self._waiting[next(iter(self._waiting))]
             self._on_drop("unpaired")
-        return opened, None
+        return None
 
     def clear(self, reason: str) -> None:
         """Give up all that waits."""

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One `main` a node, and `perception` for segmentation, grasp and touch predictor in one process.
+
+Threads: a multi-threaded executor delivers messages, and every node does its slow work in a thread of its
+own (see `processing_node`), so that a cloud in work delays neither the next one nor a service, a parameter
+or a lifecycle request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the
+three nodes of `perception` do work at the same time. `ros2 run` and the launch files start these.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from foretouch.errors import ForetouchError
+from foretouch.ros.environment import prepare_environment
+
+if TYPE_CHECKING:
+    from foretouch.ros.node_base import ForetouchNode
+
+__all__ = [
+    "PERCEPTION",
+    "camera",
+    "grasp",
+    "make_nodes",
+    "perception",
+    "replay",
+    "run",
+    "segmentation",
+    "spin",
+    "touch_predictor",
+]
+
+_CLASSES = {
+    "camera": ("foretouch.ros.camera_node", "CameraNode"),
+    "segmentation": ("foretouch.ros.segmentation_node", "SegmentationNode"),
+    "grasp": ("foretouch.ros.grasp_node", "GraspNode"),
+    "touch_predictor": ("foretouch.ros.touch_predictor_node", "TouchPredictorNode"),
+    "replay": ("foretouch.ros.replay_node", "ReplayNode"),
+}
+PERCEPTION = ("segmentation", "grasp", "touch_predictor")
+_POLL_S = 0.5  # between looks at whether the nodes have ended
+_EXECUTOR_THREADS = 4  # messages, one service, one action, and lifecycle or parameters
+
+
+def camera() -> int:
+    """`foretouch_camera`."""
+    return run("camera")
+
+
+def segmentation() -> int:
+    """`foretouch_segmentation`."""
+    return run("segmentation")
+
+
+def grasp() -> int:
+    """`foretouch_grasp`."""
+    return run("grasp")
+
+
+def touch_predictor() -> int:
+    """`foretouch_touch_predictor`."""
+    return run("touch_predictor")
+
+
+def replay() -> int:
+    """`foretouch_replay`; ends when there is nothing more to play."""
+    return run("replay")
+
+
+def perception() -> int:
+    """`foretouch_perception`."""
+    return run(*PERCEPTION)
+
+
+def run(*names: str, args: Sequence[str] | None = None) -> int:
+    """Start nodes in this process and serve until Ctrl-C or shutdown.
+
+    Args:
+        names: Of nodes.
+        args: Command line with ROS arguments; `sys.argv` if None.
+
+    Returns:
+        Exit status: 0, or 1 after a known error, which is told in one line on stderr.
+    """
+    prepare_environment()
+    import rclpy
+
+    rclpy.init(args=list(sys.argv if args is None else args))
+    try:
+        spin(make_nodes(*names))
+    except ForetouchError as err:
+        sys.stderr.write(f"foretouch: {err}\n")
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
+    """Nodes by name, not yet configured; `rclpy.init` has been called.
+
+    Args:
+        names: Of nodes.
+        options: For rclpy's `Node`, such as `parameter_overrides`.
+
+    Raises:
+        ConfigError: If a parameter given at the start breaks a rule.
+    """
+    nodes: list[ForetouchNode[Any]] = []
+    try:
+        for name in names:
+            module, class_name = _CLASSES[name]
+            make: Callable[..., ForetouchNode[Any]] = getattr(import_module(module), class_name)
+            nodes.append(make(**options))
+    except ForetouchError:
+        for node in nodes:
+            node.destroy_node()
+        raise
+    return nodes
+
+
+def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
+    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them."""
+    from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+
+    executor = MultiThreadedExecutor(_EXECUTOR_THREADS)
+    try:
+        for node in nodes:
+            executor.add_node(node)
+            node.autostart()
+        while not all(node.has_ended() for node in nodes):
+            executor.spin_once(timeout_sec=_POLL_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+        for node in nodes:
+            node.destroy_node()

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
+
+Service and action run in threads of the executor, beside the worker that answers the topics: the model
+is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
+then says so, and cleaning up and configuring again is the way to try once more.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.action.server import ActionServer, CancelResponse
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.service import Service
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from foretouch.config import setting
+from foretouch.grasp import GeoGraspConfig
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.conversions import stamp_ns
+from foretouch.ros.grasp_sampler import GraspSampler, Latest, failed
+from foretouch.ros.inputs import check_frames, read_plane, read_targets
+from foretouch.ros.markers import touch_markers
+from foretouch.ros.predictor import Predictor
+from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
+from foretouch.ros.status import RefusalError
+from foretouch.tactile import TactileRanges
+from foretouch_msgs.action import SampleGrasps
+from foretouch_msgs.msg import GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.srv import PredictTouch
+
+__all__ = ["TouchPredictorConfig", "TouchPredictorNode"]
+
+_TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchPredictorConfig(ProcessingConfig):
+    """Settings of the touch predictor."""
+
+    model: str = setting("default", "Name of a shipped model, or the path of a checkpoint", read_only=True)
+    fallback_model: str = setting("", "Model used, and flagged, where `model` cannot be; none if empty", read_only=True)
+    late_after_s: float = setting(
+        0.5,
+        "Age of a cloud beyond which its predictions are flagged late; 0 for never",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    thumb_takes_g1: bool = setting(True, "Which finger the markers put at g1: thumb, else middle finger")
+    grasp: GeoGraspConfig = GeoGraspConfig()
+    ranges: TactileRanges = TactileRanges()
+
+
+class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
+    """Predicts touch (`TouchModel.predict`)."""
+
+    _touch: LifecyclePublisher[Any]
+    _markers: LifecyclePublisher[Any]
+
+    def __init__(self, **options: Any) -> None:
+        inputs = [(PointCloud2, "object_cloud"), (GraspArray, "grasps")]
+        super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
+        self._predictor: Predictor | None = None
+        self._service: Service[Any, Any] | None = None
+        self._action: ActionServer[Any, Any, Any] | None = None
+        self._tables: dict[int, TablePlane] = {}
+        self._latest: Latest | None = None
+        self._latest_lock = threading.Lock()
+
+    # Hooks of the base.
+
+    def setup(self) -> None:
+        """Load the model, then offer the topic, the service and the action."""
+        self._predictor = Predictor(self.config.model, self.config.fallback_model)
+        if self._predictor.fault:
+            self.get_logger().error(self._predictor.fault)
+        self._touch = self.advertise(TouchPredictionArray, "touch")
+        self._markers = self.advertise(MarkerArray, "markers")
+        self._service = self.create_service(
+            PredictTouch, "predict_touch", self._predict_touch, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+        self._action = ActionServer(
+            self,
+            SampleGrasps,
+            "sample_grasps",
+            self._sample_grasps,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        self.subscribe(TablePlane, "table", self._remember_table)
+        super().setup()
+
+    def teardown(self) -> None:
+        """Withdraw service and action, forget the model."""
+        if self._service is not None:
+            self.destroy_service(self._service)
+        if self._action is not None:
+            self._action.destroy()
+        self._service = self._action = self._predictor = self._latest = None
+        self._tables.clear()
+
+    def errors(self) -> tuple[str, ...]:
+        """The model's fault, if it has one."""
+        return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
+
+    def notes(self) -> dict[str, str]:
+        """The model's name and hash besides."""
+        model = self._predictor.model if self._predictor else None
+        known = {"model": model.name, "model_sha256": model.sha256} if model else {}
+        return {**super().notes(), **known}
+
+    # The topic.
+
+    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+        """Predict the touch of all grasps on one cloud."""
+        grasps = messages["grasps"]
+        self._remember_cloud(messages["object_cloud"])
+        if not grasps.grasps:
+            raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
+        check_frames("grasps", grasps.header, header)
+        targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # prediction asks for no table
+        message = self._predict(targets, grasps.grasps, header, None)
+        self._touch.publish(message)
+        if self._markers.get_subscription_count():
+            for prediction in message.predictions[:1]:
+                self._markers.publish(
+                    touch_markers(prediction, self.config.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
+                )
+        return message.status, message.reason
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Nothing can be said of this cloud."""
+        self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
+
+    def _predict(
+        self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: Pipeline | None
+    ) -> TouchPredictionArray:
+        predictor = self._loaded()
+        message = predictor.array(targets, grasps, header, posing)
+        return predictor.finish(message, self.age_s(stamp_ns(header.stamp)), self.config.late_after_s)
+
+    def _loaded(self) -> Predictor:
+        if self._predictor is None:
+            raise RefusalError(Status.NO_MODEL, "the node is not configured")
+        return self._predictor
+
+    # The service.
+
+    def _predict_touch(self, request: Any, response: Any) -> Any:
+        header = request.cloud.header
+        try:
+            response.touch = self._answer_request(request, header)
+        except RefusalError as refusal:
+            response.touch = TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
+        return response
+
+    def _answer_request(self, request: Any, header: Header) -> TouchPredictionArray:
+        table = read_plane(request.table[0]) if request.table else None
+        targets = read_targets(request.cloud, table or ASSUMED_TABLE)
+        if not request.grasps:
+            raise RefusalError(Status.NO_GRASP, "grasps: is empty")
+        posing = Pipeline(PipelineConfig(grasp=self.config.grasp)) if table else None
+        return self._predict(targets, request.grasps, header, posing)
+
+    # The action.
+
+    def _sample_grasps(self, goal_handle: Any) -> Any:
+        with self._latest_lock:
+            latest = self._latest
+        try:
+            sampler = GraspSampler(self._loaded(), self.config.grasp, self.config.ranges)
+            result = sampler.sample(
+                goal_handle.request, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested
+            )
+        except RefusalError as refusal:
+            goal_handle.abort()
+            return failed(refusal)
+        if goal_handle.is_cancel_requested:
+            goal_handle.canceled()
+        else:
+            goal_handle.succeed()
+        return result
+
+    def _remember_table(self, message: TablePlane) -> None:
+        with self._latest_lock:
+            self._tables[stamp_ns(message.header.stamp)] = message
+            while len(self._tables) > _TABLES_KEPT:
+                del self._tables[next(iter(self._tables))]
+
+    def _remember_cloud(self, message: PointCloud2) -> None:
+        with self._latest_lock:
+            table = self._tables.get(stamp_ns(message.header.stamp))
+            if table is not None:
+                self._latest = Latest(message, table)
