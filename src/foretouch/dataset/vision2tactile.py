@@ -11,6 +11,7 @@ poses the hand, with the table seen from straight above and a fingertip of 25 mm
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import Final
@@ -24,7 +25,16 @@ from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import ELECTRODES, Cloud, Float64, Grasp, GraspSample, Plane, Touch
 
-__all__ = ["CLOUD_FILE", "GRASP_FILE", "TOUCH_FILE", "is_sample_folder", "read_folder", "read_sample", "sample_folders"]
+__all__ = [
+    "CLOUD_FILE",
+    "GRASP_FILE",
+    "TOUCH_FILE",
+    "folder_sha256",
+    "is_sample_folder",
+    "read_folder",
+    "read_sample",
+    "sample_folders",
+]
 
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
@@ -69,6 +79,24 @@ def sample_folders(path: str | Path) -> list[Path]:
     if not found:
         raise DatasetError(f"{root}: holds no sample: a folder with {CLOUD_FILE}, {GRASP_FILE} and {TOUCH_FILE}")
     return found
+
+
+def folder_sha256(path: str | Path) -> str:
+    """One hash over names and contents of all samples' files, wherever the folder lies.
+
+    Raises:
+        DatasetError: As of `sample_folders`.
+        FileError: If a file is missing.
+    """
+    digest = hashlib.sha256()
+    for folder in sample_folders(path):
+        for name in (CLOUD_FILE, GRASP_FILE, TOUCH_FILE):
+            try:
+                content = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+            except OSError as err:
+                raise FileError(folder / name, err.strerror or str(err)) from err
+            digest.update(f"{folder.absolute().parent.name}/{folder.name}/{name} {content}\n".encode())
+    return digest.hexdigest()
 
 
 def is_sample_folder(path: Path) -> bool:
