@@ -11,7 +11,10 @@ from foretouch.types import Float32, Float64
 
 __all__ = ["count_without_normal", "normals_and_curvature"]
 
-_BLOCK_PAIRS = 200_000  # pairs of query and neighbour at a time, so that a block stays in the cache
+_BLOCK_PAIRS = 60_000  # of query and neighbour at a time: they fit the cache, and OpenBLAS its small-matrix kernel
+_CUBE = 0.57  # radii: the edge of a cube whose diagonal is shorter than the radius
+_SAMPLE_STEP = 8
+_MARGIN = 1.001  # radii: far more than float32 rounds away
 _FEWEST = 3  # points that span a plane
 _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on a line but for float32 rounding
 
@@ -34,18 +37,10 @@ def normals_and_curvature(
         (Q, 3) float64 unit normals and (Q,) float64 curvature in 0 ... 1/3; NaN in both where the
         neighbours are fewer than three or on one line.
     """
-    normals = np.full((len(query), 3), np.nan)
-    curvature = np.full(len(query), np.nan)
     if len(query) == 0:
-        return normals, curvature
+        return np.zeros((0, 3)), np.zeros(0)
     near = xyz[_in_box(xyz, xyz[query], radius_m)]
-    moments = _moments(near, near[0])
-    block = max(1, _BLOCK_PAIRS // len(near))
-    for start in range(0, len(query), block):
-        part = slice(start, start + block)
-        sums = _neighbours(near, xyz[query[part]], radius_m) @ moments
-        normals[part], curvature[part] = _fit(sums, xyz[query[part]])
-    return normals, curvature
+    return _fit(_summed_moments(near, xyz[query], radius_m), xyz[query])
 
 
 def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
@@ -57,18 +52,22 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
     """
     if len(xyz) == 0:
         return 0
-    # A cube of half the radius is 0.87 radii across: all points in it are neighbours of each other, and
-    # if they span a plane, so do the neighbours of each.
-    grid = voxel_grid(xyz, radius_m / 2.0)
+    # All points of such a cube are neighbours of each other: if they span a plane, so do the neighbours of each.
+    grid = voxel_grid(xyz, radius_m * _CUBE)
     spans = _spans_plane(grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None])
     doubtful = np.flatnonzero(~spans[grid.cell])
-    normals, _ = normals_and_curvature(xyz, doubtful, radius_m)
-    return int(np.count_nonzero(np.isnan(normals[:, 0])))
+    # Some of the neighbours spanning one is enough, too; all are asked for the few points that remain.
+    for step in (_SAMPLE_STEP, 1):
+        if len(doubtful) == 0:
+            break
+        near = xyz[_in_box(xyz, xyz[doubtful], radius_m)][::step]
+        doubtful = doubtful[~_spans_plane(_summed_moments(near, xyz[doubtful], radius_m))]
+    return len(doubtful)
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
     """The points that can be neighbours of any of `around`."""
-    margin = np.float32(radius_m * 1.001)
+    margin = np.float32(radius_m * _MARGIN)
     inside: npt.NDArray[np.bool_] = np.ones(len(xyz), np.bool_)
     for axis in range(3):
         inside &= xyz[:, axis] >= around[:, axis].min() - margin
@@ -76,15 +75,28 @@ def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bo
     return inside
 
 
-def _neighbours(near: Float32, points: Float32, radius_m: float) -> Float64:
-    """(Q, M) float64: 1 for neighbours, else 0."""
-    squared = np.zeros((len(points), len(near)), np.float32)
-    for axis in range(3):
-        difference = near[None, :, axis] - points[:, axis, None]
-        difference *= difference
-        squared += difference
+def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
+    """(Q, 10) float64: the moments of each point's neighbours among `near`, summed."""
+    moments = _moments(near, near[0])
     limit = np.float32(radius_m) * np.float32(radius_m)
-    return (squared < limit).astype(np.float64)
+    columns = np.ascontiguousarray(near.T)
+    sums = np.empty((len(points), moments.shape[1]))
+    rows = max(1, _BLOCK_PAIRS // len(near))
+    for start in range(0, len(points), rows):
+        squared = _squared_distances(columns, points[start : start + rows])
+        sums[start : start + rows] = (squared < limit).astype(np.float64) @ moments
+    return sums
+
+
+def _squared_distances(columns: Float32, points: Float32) -> Float32:
+    """(Q, M) float32 [m²] from (3, M) and (Q, 3); x, y, z are summed in this order, as PCL does."""
+    total = columns[0] - points[:, 0, None]
+    total *= total
+    for axis in (1, 2):
+        square = columns[axis] - points[:, axis, None]
+        square *= square
+        total += square
+    return np.asarray(total, np.float32)
 
 
 def _moments(xyz: Float32, origin: Float32) -> Float64:
@@ -94,8 +106,8 @@ def _moments(xyz: Float32, origin: Float32) -> Float64:
 
 
 def _covariance(sums: Float64) -> Float64:
-    """(Q, 3, 3) float64 [m²] from summed moments with at least one point each."""
-    mean = sums / sums[:, :1]
+    """(Q, 3, 3) float64 [m²] from summed moments; zero where they sum nothing."""
+    mean = sums / np.maximum(sums[:, :1], 1.0)
     square = mean[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
     return np.asarray(square - mean[:, 1:4, None] * mean[:, None, 1:4], np.float64)
 

@@ -27,6 +27,7 @@ from foretouch.types import Float32, Float64
 
 __all__ = ["PixelGrid", "window_mean_distance"]
 
+_BLOCK_PAIRS = 30_000  # distances at a time: they fit the cache
 _ROUNDING = 1.0 - 1e-5  # float32 distances are good to 1e-6 of their size
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
@@ -119,26 +120,49 @@ def window_mean_distance(
         (Q,) float32 [m], and (Q,) bool: whether it is proven that all k lie in the window. The
         distance of a point without proof is meaningless and may be infinite.
     """
-    squared = _window_squared_distances(xyz, grid, query, half)
-    squared.partition(k, axis=1)  # the point itself, at distance 0, is among the k + 1 nearest
-    proven = squared[:, k] <= _squared_clearance(xyz, grid, half)[query]
-    # Sums of a few float32 are exact in float64: their order, which the tree's differs from, has no effect.
-    return (np.sqrt(squared[:, : k + 1]).sum(axis=1, dtype=np.float64) / k).astype(np.float32), proven
+    images = _images(xyz, grid, half)
+    clearance = _squared_clearance(xyz, grid, half)
+    mean = np.empty(len(query), np.float32)
+    proven = np.empty(len(query), np.bool_)
+    block = max(1, _BLOCK_PAIRS // (2 * half + 1) ** 2)
+    for start in range(0, len(query), block):
+        part = query[start : start + block]
+        squared = _squared_distances(xyz[part], images, grid.row[part], grid.column[part])
+        squared.partition(k, axis=1)  # the point itself, at distance 0, is among the k + 1 nearest
+        proven[start : start + block] = squared[:, k] <= clearance[part]
+        # Sums of a few float32 are exact in float64: their order, which the tree's differs from, has no effect.
+        mean[start : start + block] = np.sqrt(squared[:, : k + 1]).sum(axis=1, dtype=np.float64) / k
+    return mean, proven
 
 
-def _window_squared_distances(xyz: Float32, grid: PixelGrid, query: npt.NDArray[np.int64], half: int) -> Float32:
-    """(Q, (2 half + 1)²) float32 [m²]; infinite at pixels without a point."""
+def _images(xyz: Float32, grid: PixelGrid, half: int) -> list[npt.NDArray[np.float32]]:
+    """Windows of x, y and z: three views (height, width, size, size), infinite at pixels without a point."""
     size = 2 * half + 1
-    row, column, points = grid.row[query], grid.column[query], xyz[query]
-    squared = np.zeros((len(query), size * size), np.float32)
+    windows = []
     for axis in range(3):
         image = np.full((grid.height + 2 * half, grid.width + 2 * half), np.inf, np.float32)
         image[grid.row + half, grid.column + half] = xyz[:, axis]
-        difference = sliding_window_view(image, (size, size))[row, column].reshape(len(query), -1)
+        windows.append(sliding_window_view(image, (size, size)))
+    return windows
+
+
+def _squared_distances(
+    points: Float32,
+    images: list[npt.NDArray[np.float32]],
+    row: npt.NDArray[np.int64],
+    column: npt.NDArray[np.int64],
+) -> Float32:
+    """(Q, size²) float32 [m²]: from each point to those of its window, infinite at pixels without one."""
+    squares = []
+    for axis, windows in enumerate(images):
+        difference = windows[row, column].reshape(len(points), -1)
         difference -= points[:, axis, None]
         difference *= difference
-        squared += difference
-    return squared
+        squares.append(difference)
+    total, *others = squares
+    for square in others:
+        total += square
+    return total
 
 
 def _squared_clearance(xyz: Float32, grid: PixelGrid, half: int) -> Float64:

@@ -53,12 +53,13 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     """
     if len(xyz) == 0:
         return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    ijk = np.floor(xyz * (np.float32(1.0) / np.float32(leaf_m))).astype(np.float64)
-    ijk -= ijk.min(axis=0)
-    size = ijk.max(axis=0) + 1.0
+    per_m = np.float32(1.0) / np.float32(leaf_m)
+    ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
+    ijk -= ijk.min(axis=1, keepdims=True)
+    size = ijk.max(axis=1) + 1.0
     if not np.prod(size) < 2.0**62:
         raise CloudError(f"xyz: spans {size.tolist()} cells of {leaf_m} m, too many to number")
-    i, j, k = ijk.astype(np.int64).T
+    i, j, k = ijk.astype(np.int64)
     key = i + int(size[0]) * (j + int(size[1]) * k)
     _, cell, counts = np.unique(key, return_inverse=True, return_counts=True)
     return VoxelGrid(cell.reshape(-1), counts)

@@ -71,7 +71,7 @@ def usable_points(
         raise CloudError("pixels, image_shape: one is given without the other")
     if pixels is not None and pixels.shape != (len(xyz),):
         raise CloudError(f"pixels: shape {pixels.shape} does not go with {len(xyz)} points")
-    finite = np.isfinite(xyz).all(axis=1)
+    finite = np.isfinite(xyz[:, 0]) & np.isfinite(xyz[:, 1]) & np.isfinite(xyz[:, 2])
     n_dropped = len(xyz) - int(np.count_nonzero(finite))
     if n_dropped:
         xyz = xyz[finite]
