@@ -168,7 +168,8 @@ def readable(
             item = next(items, None)
             if item is None:
                 return
-            name, value = item.name, item.value
+            name = item.name
+            value = item.value
         except ForetouchError as err:
             refuse(name, err)
             continue

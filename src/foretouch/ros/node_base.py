@@ -61,7 +61,11 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
         super().__init__(name, **{"namespace": NAMESPACE, **options})
-        self.settings = NodeSettings(self, config_class, self.config_changed)
+        try:
+            self.settings = NodeSettings(self, config_class, self.config_changed)
+        except ForetouchError:
+            super().destroy_node()  # else the context would, through the hooks of a node that is half made
+            raise
         self.statistics = Statistics()
         self.state_name = "unconfigured"
         self._outputs: list[LifecyclePublisher[Any]] = []

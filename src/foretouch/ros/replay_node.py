@@ -153,6 +153,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._senders.clear()
         self._source = None
 
+    def has_ended(self) -> bool:
+        """Whether there is nothing more to play."""
+        return self.ended.is_set()
+
     def errors(self) -> tuple[str, ...]:
         """Why the replay broke off."""
         return (self._reason,) if self.outcome == "failed" else ()

@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from ament_index_python import has_resource
+
 from foretouch.dataset.bag import Topic
 
 __all__ = ["message_class", "playable"]
@@ -48,6 +50,9 @@ def message_class(topic: Topic) -> tuple[type | None, str]:
     if match is None:
         return None, f"type {topic.type or 'mixed'} is no message type"
     package, name = match.groups()
+    # A recording may name any module: only what is installed as ROS interfaces is imported.
+    if not has_resource("rosidl_interfaces", package):
+        return None, f"type {topic.type} is not installed"
     try:
         found: Any = getattr(importlib.import_module(f"{package}.msg"), name)
         fields = tuple(found.get_fields_and_field_types())

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sources as timed messages."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from foretouch.cloud.files import write_cloud
+from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
+from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.cdr import read_header
+from foretouch.dataset.playlist import CLOUDS, Pace, Step, cloud_is_object, other_topics, steps
+from foretouch.dataset.source import STAMP_STEP_NS, open_source
+from foretouch.types import Cloud
+
+STORE = get_typestore(Stores.ROS2_KILTED)
+STRING = "std_msgs/msg/String"
+
+
+def cloud_of(number: float, stamp_ns: int = 0, shape: tuple[int, ...] = (5,)) -> Cloud:
+    return Cloud(np.full((*shape, 3), number, np.float32), None, "camera", stamp_ns)
+
+
+def said(text: str) -> bytes:
+    return bytes(STORE.serialize_cdr(STORE.types[STRING](text), STRING))
+
+
+def step_at(at_ns: int, topic: str = CLOUDS) -> Step:
+    return Step("", topic, at_ns, b"")
+
+
+def test_files_become_stamped_messages(tmp_path):
+    for number in (1, 2):
+        write_cloud(tmp_path / f"{number}.npz", cloud_of(number))
+    first, second = steps(open_source(tmp_path, frame_id="lens"))
+    assert read_header(first.data) == (STAMP_STEP_NS, "lens")
+    content = STORE.deserialize_cdr(second.data, POINT_CLOUD_TYPE)
+    np.testing.assert_array_equal(content.data.view("<f4"), np.full(15, 2.0))
+
+
+def test_an_unreadable_file_is_a_refusal_in_its_place(tmp_path):
+    for number in (1, 2, 3):
+        write_cloud(tmp_path / f"{number}.npz", cloud_of(number))
+    (tmp_path / "2.npz").write_bytes(b"no archive")
+    assert [bool(step.refusal) for step in steps(open_source(tmp_path))] == [False, True, False]
+
+
+def test_a_recording_is_played_byte_for_byte(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/said", STRING, 5, said("before"))
+        writer.write_cloud(cloud_of(1, 10))
+        writer.write("/said", STRING, 15, said("between"))
+        writer.write("/unwanted", STRING, 16, said("nothing"))
+        writer.write_cloud(cloud_of(2, 20))
+    source = open_source(tmp_path / "bag")
+    played = list(steps(source, ["/said"]))
+    assert [(s.topic, s.at_ns, s.stamped) for s in played] == [
+        ("/said", 5, False), (CLOUDS, 10, True), ("/said", 15, False), (CLOUDS, 20, True),
+    ]  # fmt: skip
+    with Recording(tmp_path / "bag") as recording:
+        assert [s.data for s in played] == [m.data for m in recording.messages() if m.topic != "/unwanted"]
+    assert [t.name for t in other_topics(source)] == ["/said", "/unwanted"]
+
+
+def test_a_message_that_is_no_cdr_is_refused_and_the_rest_goes_on(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_cloud(cloud_of(1, 10))
+        writer.write("/foretouch/points", POINT_CLOUD_TYPE, 15, b"\0\1\0\0broken")
+        writer.write_cloud(cloud_of(2, 20))
+    refusals = [step.refusal for step in steps(open_source(tmp_path / "bag"))]
+    assert refusals[0] == refusals[2] == ""
+    assert "/foretouch/points[1]: truncated or damaged" in refusals[1]
+
+
+def test_a_cloud_whose_sizes_do_not_add_up_is_played_as_recorded(tmp_path):
+    with BagWriter(tmp_path / "good") as writer:
+        writer.write_cloud(cloud_of(1, 10))
+    with Recording(tmp_path / "good") as recording:
+        content = recording.content(next(recording.messages()))
+    content.width += 1
+    data = bytes(STORE.serialize_cdr(content, POINT_CLOUD_TYPE))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/points", POINT_CLOUD_TYPE, 0, data)
+    (step,) = steps(open_source(tmp_path / "bag"))
+    assert (step.refusal, step.data) == ("", data)
+
+
+@pytest.mark.parametrize(("shape", "alone"), [((4, 6), False), ((24,), True)])
+def test_files_that_are_no_image_hold_an_object(tmp_path, shape, alone):
+    (tmp_path / "0.npz").write_bytes(b"unreadable: the next one decides")
+    write_cloud(tmp_path / "1.npz", cloud_of(1, shape=shape))
+    assert cloud_is_object(open_source(tmp_path)) is alone
+
+
+def test_recordings_hold_what_a_camera_saw(tmp_path):
+    write_bag(tmp_path / "bag", [cloud_of(1)])
+    assert not cloud_is_object(open_source(tmp_path / "bag"))
+
+
+def test_recorded_times_are_kept():
+    pace = Pace()
+    assert [pace.due_s(step_at(t)) for t in (5_000_000_000, 5_500_000_000, 6_000_000_000)] == [0.0, 0.5, 1.0]
+    assert pace.length_ns == 1_500_000_000
+    assert pace.length_s == 1.5
+
+
+def test_a_rate_paces_the_clouds_and_the_others_follow_them():
+    pace = Pace(rate_hz=4.0)
+    times = [pace.due_s(step_at(t, topic)) for t, topic in ((0, "/a"), (1, CLOUDS), (2, "/a"), (9, CLOUDS), (9, "/a"))]
+    assert times == [0.0, 0.0, 0.0, 0.25, 0.25]
+    assert pace.length_s == 0.5
+
+
+def test_a_round_of_one_cloud_has_a_length():
+    pace = Pace()
+    pace.due_s(step_at(7))
+    assert pace.length_ns == STAMP_STEP_NS

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `open_source` takes a path for, and what comes out in which order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.files import write_cloud
+from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.source import STAMP_STEP_NS, open_source, readable
+from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
+from foretouch.errors import FileError
+from foretouch.types import Cloud
+
+
+def cloud_of(number: float, size: int = 5, **fields) -> Cloud:
+    return Cloud(np.full((size, 3), number, np.float32), **fields)
+
+
+def write_sample(folder, rng: np.random.Generator) -> None:
+    """A lying cylinder, 0.2 m long, seen from above, with a grasp across it."""
+    folder.mkdir(parents=True)
+    angle, along = rng.uniform(0.0, np.pi, 900), rng.uniform(-0.1, 0.1, 900)
+    xyz = np.stack([along, 0.04 * np.cos(angle), 1.2 - 0.04 * np.sin(angle)], axis=1).astype(np.float32)
+    write_cloud(folder / CLOUD_FILE, Cloud(xyz))
+    (folder / GRASP_FILE).write_text("0.0,-0.04,1.2,0.0,0.04,1.2\n")
+    finger = ",".join(["2000"] * 24 + ["1", "2", "1700", "3", "4"])
+    (folder / TOUCH_FILE).write_text(f",{finger},{finger}\n")
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz", ".npy"])
+def test_a_file_is_a_source_of_one(tmp_path, suffix):
+    path = tmp_path / f"one{suffix}"
+    write_cloud(path, cloud_of(3.0))
+    source = open_source(path)
+    (item,) = source
+    assert (source.kind, len(source), item.name, item.sample) == ("clouds", 1, str(path), None)
+    np.testing.assert_array_equal(item.cloud.xyz, cloud_of(3.0).xyz)
+
+
+def test_a_folder_is_played_in_natural_order_with_rising_stamps(tmp_path):
+    for number in (10, 9, 1, 2):
+        write_cloud(tmp_path / f"frame{number}.npz", cloud_of(number))
+    (tmp_path / "notes.txt").write_text("no cloud")
+    clouds = [item.cloud for item in open_source(tmp_path, frame_id="camera")]
+    assert [c.xyz[0, 0] for c in clouds] == [1, 2, 9, 10]
+    assert [c.stamp_ns for c in clouds] == [STAMP_STEP_NS * k for k in (1, 2, 3, 4)]
+    assert {c.frame_id for c in clouds} == {"camera"}
+
+
+def test_a_source_can_be_walked_again(tmp_path):
+    write_cloud(tmp_path / "1.npz", cloud_of(1))
+    source = open_source(tmp_path)
+    assert [i.name for i in source] == [i.name for i in source]
+
+
+def test_a_bad_file_costs_one_item(tmp_path):
+    for number in (1, 2, 3):
+        write_cloud(tmp_path / f"{number}.pcd", cloud_of(number))
+    (tmp_path / "2.pcd").write_bytes(b"VERSION .7\nFIELDS x y")
+    refused = []
+    read = list(readable(open_source(tmp_path), lambda name, err: refused.append((name, str(err)))))
+    assert [name for name, _ in read] == [str(tmp_path / "1.pcd"), str(tmp_path / "3.pcd")]
+    ((name, reason),) = refused
+    assert name == str(tmp_path / "2.pcd")
+    assert "2.pcd" in reason
+
+
+def test_samples_bring_their_grasp_and_a_stamp_of_their_own(tmp_path, rng):
+    for name in ("can/1562239100", "can/1562239078", "box/1562239090"):
+        write_sample(tmp_path / name, rng)
+    source = open_source(tmp_path)
+    samples = [item.sample for item in source]
+    assert source.kind == "samples"
+    assert [s.id for s in samples] == ["box/1562239090", "can/1562239078", "can/1562239100"]
+    assert [s.cloud.stamp_ns for s in samples] == [STAMP_STEP_NS * k for k in (1, 2, 3)]
+    assert samples[0].stamp_ns == 1562239090 * 10**9
+    np.testing.assert_array_equal(samples[0].grasp.g2, [0.0, 0.04, 1.2])
+
+
+@pytest.mark.parametrize("depth", ["", "can", "can/1562239078"])
+def test_samples_are_found_from_each_level(tmp_path, rng, depth):
+    write_sample(tmp_path / "can" / "1562239078", rng)
+    (item,) = open_source(tmp_path / depth)
+    assert item.sample.id == "can/1562239078"
+
+
+def test_a_bad_sample_costs_one_item(tmp_path, rng):
+    for name in ("can/1562239078", "can/1562239100"):
+        write_sample(tmp_path / name, rng)
+    (tmp_path / "can/1562239078" / GRASP_FILE).write_text("0,0,0\n")
+    refused = []
+    read = list(readable(open_source(tmp_path), lambda name, err: refused.append(str(err))))
+    assert len(read) == 1
+    (reason,) = refused
+    assert "1562239078/best-grasp.txt: holds 3 numbers, not 6" in reason
+
+
+def test_a_recording_keeps_frames_and_stamps(tmp_path):
+    clouds = [cloud_of(k, frame_id="lidar", stamp_ns=100 + k) for k in range(3)]
+    write_bag(tmp_path / "bag", clouds)
+    source = open_source(tmp_path / "bag", frame_id="unused")
+    assert (source.kind, source.topic, len(source)) == ("recording", "/foretouch/points", 3)
+    assert [(i.cloud.frame_id, i.cloud.stamp_ns) for i in source] == [("lidar", 100), ("lidar", 101), ("lidar", 102)]
+    assert [i.name for i in source][2] == f"{tmp_path / 'bag'}[2]"
+
+
+def test_a_recording_that_breaks_off_is_told(tmp_path):
+    write_bag(tmp_path / "bag", [cloud_of(k) for k in range(3)])
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 3", "message_count: 4"))
+    refused = []
+    read = list(readable(open_source(tmp_path / "bag"), lambda name, err: refused.append(str(err))))
+    assert len(read) == 3
+    (reason,) = refused
+    assert "declares 4 messages, holds 3" in reason
+
+
+def test_the_topic_is_checked_before_anything_is_read(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_cloud(cloud_of(1), "/left")
+        writer.write_cloud(cloud_of(2), "/right")
+    with pytest.raises(FileError, match="name one with --topic"):
+        open_source(tmp_path / "bag")
+    assert open_source(tmp_path / "bag", "/right").topic == "/right"
+
+
+def test_what_is_nothing_known(tmp_path):
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(FileError, match=r"notes.txt: suffix .txt is none of .pcd, .ply, .npz, .npy, .mcap, .db3, .bag"):
+        open_source(tmp_path / "notes.txt")
+    with pytest.raises(FileError, match="holds no clouds"):
+        open_source(tmp_path)
+    with pytest.raises(FileError, match="absent: does not exist"):
+        open_source(tmp_path / "absent")
+
+
+def test_a_topic_of_a_file_is_a_mistake(tmp_path):
+    write_cloud(tmp_path / "1.npz", cloud_of(1))
+    with pytest.raises(FileError, match="is no recording, so it has no topic /points"):
+        open_source(tmp_path, "/points")
+
+
+@pytest.mark.real_data
+def test_real_samples_are_all_read(real_data):
+    source = open_source(real_data / "vision2tactile" / "rugby")
+    refused = []
+    read = list(readable(source, lambda name, err: refused.append(name)))
+    assert len(read) == len(source) == 50
+    assert not refused
