@@ -155,7 +155,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def has_ended(self) -> bool:
         """Whether there is nothing more to play."""
-        return self.ended.is_set()
+        return self.ended.is_set() and self.outcome != "stopped"  # a stopped one may be activated again
 
     def errors(self) -> tuple[str, ...]:
         """Why the replay broke off."""
