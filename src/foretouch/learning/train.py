@@ -71,14 +71,20 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report
     """
     if len(index) < config.batch_size:
         raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
-    rng = np.random.default_rng(config.seed)
-    net = make_network(data.config, config.seed)
     place = columns(data.config.outputs)
-    set_target_scaling(net, data.labels[np.ix_(index, place)], config)
-    labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
+    with torch.random.fork_rng(devices=[]):  # weights and dropout draw from torch's global generator
+        torch.manual_seed(config.seed)
+        net = TouchNet(data.config)
+        set_target_scaling(net, data.labels[np.ix_(index, place)], config)
+        _fit(net, data, index, config, report)
+    return net.eval()
+
+
+def _fit(net: TouchNet, data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None) -> None:
+    rng = np.random.default_rng(config.seed)
+    labels = torch.from_numpy(data.labels[:, columns(data.config.outputs)].astype(np.float32))
     grasps = torch.from_numpy(data.grasps) if data.config.use_grasp else None
-    steps = config.epochs * (len(index) // config.batch_size)
-    optimiser, schedule = _make_optimiser(net, config, steps)
+    optimiser, schedule = _make_optimiser(net, config, config.epochs * (len(index) // config.batch_size))
     net.train()
     for epoch in range(config.epochs):
         losses = []
@@ -95,14 +101,6 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report
             raise DatasetError(f"training: the loss is not finite in epoch {epoch}; lower learning_rate")
         if report is not None:
             report(epoch, float(np.mean(losses)))
-    return net.eval()
-
-
-def make_network(config: ModelConfig, seed: int) -> TouchNet:
-    """An untrained network whose weights depend on the seed alone; the global generator is left as it was."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return TouchNet(config)
 
 
 def set_target_scaling(net: TouchNet, labels: Float64, config: TrainConfig) -> None:

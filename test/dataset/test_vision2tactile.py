@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reader of the public recordings: on a made-up folder for its rules, on the real one for its contents."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from foretouch.cloud.files import write_cloud
+from foretouch.dataset.vision2tactile import folder_sha256, read_folder, read_sample, sample_folders
+from foretouch.errors import DatasetError, FileError
+from foretouch.types import Cloud
+
+MF = [*range(3000, 3024), 2048, 2052, 1894, 2257, 2636]
+TH = [*range(2000, 2024), 2060, 2055, 2876, 2058, 2459]
+
+
+def write_sample(folder: Path, rng: np.random.Generator) -> Path:
+    folder.mkdir(parents=True)
+    angle, along = rng.uniform(0, np.pi, 800), rng.uniform(-0.06, 0.06, 800)
+    xyz = np.column_stack([0.03 * np.cos(angle), along, 1.2 - 0.03 * np.sin(angle)]).astype(np.float32)
+    write_cloud(folder / "cloud-object.pcd", Cloud(xyz, np.zeros((800, 3), np.uint8)))
+    (folder / "best-grasp.txt").write_text("0.03,0,1.2,-0.03,0,1.2")
+    (folder / "tactile.tac").write_text("," + ",".join(map(str, MF + TH)))
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng) -> Path:
+    for name in ("mug/1562000060", "mug/1562000000", "box/1563000000"):
+        write_sample(tmp_path / name, rng)
+    return tmp_path
+
+
+def test_fields_are_where_the_recordings_hold_them(folder: Path) -> None:
+    sample = read_sample(folder / "mug" / "1562000000")
+    assert (sample.id, sample.object) == ("mug/1562000000", "mug")
+    assert sample.stamp_ns == sample.cloud.stamp_ns == 1_562_000_000_000_000_000
+    assert (sample.touch.pdc_mf, sample.touch.pdc_th) == (1894.0, 2876.0)
+    assert_allclose(sample.touch.e_mf, np.arange(3000, 3024))
+    assert_allclose(sample.touch.e_th, np.arange(2000, 2024))
+    assert sample.extra == {
+        "PAC0_MF": 2048,
+        "PAC1_MF": 2052,
+        "TAC_MF": 2257,
+        "TDC_MF": 2636,
+        "PAC0_TH": 2060,
+        "PAC1_TH": 2055,
+        "TAC_TH": 2058,
+        "TDC_TH": 2459,
+    }
+
+
+def test_hand_stands_across_the_axis_of_the_object(folder: Path) -> None:
+    rotation = read_sample(folder / "mug" / "1562000000").grasp.rotation
+    assert_allclose(rotation[:, 2], [1, 0, 0])  # Z along g1 - g2
+    assert abs(rotation[1, 0]) < 0.05  # X stands on Z and on the axis, here y
+    assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+
+
+def test_one_sample_one_object_or_everything(folder: Path) -> None:
+    assert [s.id for s in read_folder(folder)] == ["box/1563000000", "mug/1562000000", "mug/1562000060"]
+    assert [s.id for s in read_folder(folder / "mug")] == ["mug/1562000000", "mug/1562000060"]
+    assert [s.id for s in read_folder(folder / "mug" / "1562000060")] == ["mug/1562000060"]
+
+
+def test_hash_tells_contents_and_not_place(folder: Path, tmp_path: Path) -> None:
+    before = folder_sha256(folder)
+    moved = folder.with_name(folder.name + "-moved")
+    folder.rename(moved)
+    assert folder_sha256(moved) == before
+    (moved / "box" / "1563000000" / "best-grasp.txt").write_text("0.03,0,1.2,-0.03,0,1.201")
+    assert folder_sha256(moved) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("tactile.tac", ",1,2,3", r"tactile.tac: holds 3 numbers, not 58"),
+        ("tactile.tac", ",".join(["x", *map(str, MF[1:] + TH)]), "tactile.tac: number 1: 'x' is not a number"),
+        ("tactile.tac", ",".join(["nan", *map(str, MF[1:] + TH)]), r"tactile.tac: MF\[0\]: nan is not finite"),
+        ("best-grasp.txt", "1,2,3", "best-grasp.txt: holds 3 numbers, not 6"),
+        ("best-grasp.txt", "1,2,3,inf,5,6", r"best-grasp.txt: g2: \[inf, 5.0, 6.0\] is not finite"),
+        ("best-grasp.txt", "1,2,3,1,2,3", "best-grasp.txt: g1 - g2"),
+        ("best-grasp.txt", None, "best-grasp.txt: is missing"),
+        ("tactile.tac", None, "tactile.tac: is missing"),
+        ("cloud-object.pcd", None, "cloud-object.pcd"),
+        ("cloud-object.pcd", "nonsense", "cloud-object.pcd"),
+    ],
+)
+def test_bad_files_are_named(folder: Path, name: str, text: str | None, message: str) -> None:
+    path = folder / "mug" / "1562000000" / name
+    path.unlink() if text is None else path.write_text(text)
+    with pytest.raises(FileError, match=message):
+        read_folder(folder)
+
+
+def test_bad_folders_are_named(folder: Path) -> None:
+    with pytest.raises(DatasetError, match="absent: no such folder"):
+        read_folder(folder / "absent")
+    (folder / "empty").mkdir()
+    with pytest.raises(DatasetError, match="empty: holds no sample"):
+        read_folder(folder / "empty")
+    (folder / "box" / "1563000000").rename(folder / "box" / "yesterday")
+    with pytest.raises(FileError, match="'yesterday' is not a unix time"):
+        read_folder(folder)
+
+
+@pytest.mark.real_data
+def test_all_real_samples_are_found(real_data: Path) -> None:
+    folders = sample_folders(real_data / "vision2tactile")
+    assert len(folders) == 400
+    assert len({folder.parent.name for folder in folders}) == 8
+
+
+@pytest.mark.real_data
+def test_a_real_object_lies_in_the_measured_bounds(real_data: Path) -> None:
+    samples = read_folder(real_data / "vision2tactile" / "rugby")
+    assert len(samples) == 50
+    for sample in samples:
+        assert 1637 <= sample.touch.pdc_mf <= 2246
+        assert 2546 <= sample.touch.pdc_th <= 3360
+        assert sample.touch.e_mf.min() >= 569
+        assert 0.026 <= sample.grasp.width_m <= 0.121
+        gap = np.linalg.norm(sample.cloud.xyz - sample.grasp.g1, axis=1).min()
+        assert gap < 1e-4  # contacts are points of the cloud

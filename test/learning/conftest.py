@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small made-up collection whose labels follow from what a network sees."""
+
+import numpy as np
+import pytest
+
+from foretouch.models.settings import ModelConfig
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
+
+SMALL = ModelConfig(
+    n_points=48, tnet=False, trunk_widths=(16, 32), head_widths=(32, 16), metric_inputs=True, sampler_seed=3
+)
+
+
+def make_sample(rng: np.random.Generator, name: str, number: int) -> GraspSample:
+    """A box whose height sets PDC_TH, grasped at a place that sets the electrodes."""
+    size = rng.uniform(0.03, 0.09, 3)
+    xyz = rng.uniform(-0.5, 0.5, (120, 3)) * size + [0.0, 0.0, 1.2]
+    along = rng.uniform(-0.4, 0.4) * size[1]
+    grasp = Grasp(np.array([size[0] / 2, along, 1.2]), np.array([-size[0] / 2, along, 1.2]), np.eye(3))
+    touch = Touch(
+        pdc_th=2800.0 + 4000.0 * (size[2] - 0.06) + rng.normal(0.0, 1.0),
+        pdc_mf=1800.0 + 2000.0 * along + rng.normal(0.0, 1.0),
+        e_th=3000.0 + np.linspace(1000, 5000, 24) * along + rng.normal(0.0, 4.0, 24),
+        e_mf=3200.0 - np.linspace(1000, 5000, 24) * (size[0] - 0.06) + rng.normal(0.0, 4.0, 24),
+    )
+    stamp = (1_562_000_000 + 60 * number) * 1_000_000_000
+    return GraspSample(f"{name}/{number}", name, Cloud(xyz.astype(np.float32)), grasp, touch, stamp_ns=stamp)
+
+
+@pytest.fixture(scope="session")
+def samples() -> list[GraspSample]:
+    """60 samples of 4 objects, in no order of time."""
+    rng = np.random.default_rng(7)
+    made = [make_sample(rng, f"box{k % 4}", k) for k in range(60)]
+    return [made[i] for i in rng.permutation(60)]
+
+
+@pytest.fixture
+def small() -> ModelConfig:
+    """A network that trains within a second."""
+    return SMALL
