@@ -12,7 +12,7 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.types import Float32, Plane
 
-__all__ = ["ClusterConfig", "Clusters", "HeightCut"]
+__all__ = ["ClusterConfig", "Clusters", "HeightCut", "Heights"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
@@ -23,10 +23,10 @@ class ClusterConfig(Settings):
     """What stands out from the table, and what is one object."""
 
     min_height_m: float = setting(
-        0.006, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1, unit="m"
+        0.004, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1, unit="m"
     )
     noise_factor: float = setting(
-        3.0,
+        2.5,
         "Points also belong to the table within so many standard deviations of the depth noise measured on it",
         minimum=0.0,
         maximum=10.0,
@@ -38,10 +38,16 @@ class ClusterConfig(Settings):
         0.008, "Neighbouring pixels that differ less in depth are connected", minimum=0.001, maximum=0.1, unit="m"
     )
     max_slope: float = setting(
-        6.0,
-        "Depth per lateral distance of a steep surface that is still connected, tan(80 degrees)",
+        20.0,
+        "Depth per lateral distance up to which neighbouring pixels are connected: a face seen at 87 degrees",
         minimum=1.0,
-        maximum=50.0,
+        maximum=100.0,
+    )
+    flying_slope: float = setting(
+        4.0,
+        "Depth per lateral distance beyond which a neighbour does not support a pixel: without support it is flying",
+        minimum=1.0,
+        maximum=100.0,
     )
     voxel_m: float = setting(
         0.008, "Cells by which unorganised points are connected", minimum=0.001, maximum=0.1, unit="m"
@@ -92,11 +98,11 @@ class HeightCut(NamedTuple):
     noise_per_m: float
     high_m: float
 
-    def split(self, xyz: Float32, z: Float32) -> tuple[Bool, Bool]:
-        """Points that stand out, and those that belong to the table or lie below it.
+    def split(self, xyz: Float32, z: Float32) -> Heights:
+        """Sort points by their height; those without depth are in no class.
 
         Args:
-            xyz: (..., 3) float32 [m]; points without depth are in neither.
+            xyz: (..., 3) float32 [m].
             z: (...), its depths; contiguous, they are read faster than from `xyz`.
         """
         with np.errstate(invalid="ignore", over="ignore"):
@@ -106,4 +112,20 @@ class HeightCut(NamedTuple):
             np.maximum(cut, np.float32(self.low_m), out=cut)
             above = height > cut
             above &= height < np.float32(self.high_m)
-            return above, height <= cut
+            return Heights(height, above, height <= cut, cut)
+
+
+class Heights(NamedTuple):
+    """Points by their height above the table; all of the same shape (...).
+
+    Attributes:
+        height: float32 [m], not finite without depth.
+        above: bool, what stands out.
+        below: bool, the table and what lies under it.
+        cut: float32 [m], the border between both at each point.
+    """
+
+    height: Float32
+    above: Bool
+    below: Bool
+    cut: Float32

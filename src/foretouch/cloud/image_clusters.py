@@ -18,29 +18,55 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut
+from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut, Heights
 from foretouch.types import Float32
 
 __all__ = ["label_image"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
+Index = npt.NDArray[np.intp]
 
+_FOOT = 1 / 3  # of the cut: from this height a pixel beside an object may be its foot
 _SUPPORT = 4  # of eight neighbours at a pixel's own depth: a straight edge has 5, a flying pixel about 2
+_STRAIGHT = 3  # of four directions in which a steep face goes on as it came
 
 
 class _Window(NamedTuple):
-    """A part of the image, its upper left corner on the coarse grid."""
+    """A part of the image, its upper left corner on the coarse grid.
 
-    z: Float32  # (h, w)
+    Attributes:
+        z: (h, w) float32 [m].
+        heights: (h, w) each.
+        above: (h, w), in range and above the table.
+        stride: Of the coarse grid [px].
+        pitch: Lateral distance of neighbouring pixels per depth.
+        config: What is one object.
+    """
+
+    z: Float32
+    heights: Heights
     above: Bool
-    below: Bool
-    reach: Float32  # (h, w), depth that neighbouring pixels may differ by [m]
     stride: int
+    pitch: float
+    config: ClusterConfig
 
     @property
-    def coarse(self) -> tuple[slice, slice]:
+    def grid(self) -> tuple[slice, slice]:
+        """The pixels of the coarse grid."""
         return (slice(None, None, self.stride), slice(None, None, self.stride))
+
+    def reach(self, z: Float32) -> Float32:
+        """Depth by which connected neighbours of a pixel may differ [m]."""
+        return self._step(z, self.config.max_slope)
+
+    def near(self, z: Float32) -> Float32:
+        """Depth by which neighbours that support a pixel may differ [m]."""
+        return self._step(z, self.config.flying_slope)
+
+    def _step(self, z: Float32, slope: float) -> Float32:
+        step = z * np.float32(slope * self.pitch)
+        return np.maximum(step, np.float32(self.config.gap_m), out=step)
 
 
 def label_image(
@@ -60,21 +86,34 @@ def label_image(
         The labelled part of the image, None where nothing stands out. The labels still hold small clusters.
     """
     grid = (slice(None, None, stride), slice(None, None, stride))
-    above = cut.split(xyz[grid], z[grid])[0] & in_range[grid]
-    if not above.any():
+    min_nodes = max(1, config.min_points // (2 * stride * stride))
+    coarse = cut.split(xyz[grid], z[grid])
+    candidates = _candidates(coarse.above & in_range[grid], coarse.height > config.min_top_m, min_nodes)
+    if not candidates.any():
         return None
-    part = _around(above, stride)
-    high, low = cut.split(xyz[part], z[part])
-    slope = np.float32(config.max_slope * _pixel_pitch(xyz[grid]) / stride)
-    depth = np.ascontiguousarray(z[part])
+    part = _around(candidates, stride)
+    fine = cut.split(xyz[part], z[part])
+    pitch = _pixel_pitch(xyz[grid]) / stride
+    window = _Window(np.ascontiguousarray(z[part]), fine, fine.above & in_range[part], stride, pitch, config)
     with np.errstate(invalid="ignore"):
-        reach = np.maximum(depth * slope, np.float32(config.gap_m))
-    window = _Window(depth, high & in_range[part], low, reach, stride)
-    jumps = _jump(window, 0), _jump(window, 1)
-    nodes = _label_grid(window, jumps, max(1, config.min_points // (4 * stride * stride)))
-    labels = _grow(nodes, window)
-    solid = _reject_flying(labels, window, jumps)
+        nodes = _label_grid(window, min_nodes)
+        labels = _grow(nodes, window)
+        solid = _trim(labels, window)
     return Clusters(labels, solid, int(nodes.max(initial=0)), part[0].start, part[1].start)
+
+
+def _candidates(above: Bool, tall: Bool, min_nodes: int) -> Bool:
+    """Without the speckle that noise lifts out of the table: patches too small, or nowhere tall."""
+    from scipy.ndimage import label
+
+    labels = label(above)[0]
+    keep = np.bincount(labels.ravel()) >= min_nodes
+    tops = np.zeros(len(keep), np.bool_)
+    tops[labels[tall]] = True
+    keep &= tops
+    keep[0] = False
+    result: Bool = keep[labels]
+    return result
 
 
 def _around(above: Bool, stride: int) -> tuple[slice, slice]:
@@ -96,16 +135,7 @@ def _pixel_pitch(xyz: Float32) -> float:
     return float(np.median(steps)) if steps.size else 0.0
 
 
-def _jump(window: _Window, axis: int) -> Bool:
-    """Where the step to the next pixel along an axis is a jump in depth; no jump where one of both has none."""
-    first, second = (window.z[:-1], window.z[1:]) if axis == 0 else (window.z[:, :-1], window.z[:, 1:])
-    reach = window.reach[:-1] if axis == 0 else window.reach[:, :-1]
-    with np.errstate(invalid="ignore"):
-        result: Bool = np.abs(second - first) > reach
-    return result
-
-
-def _label_grid(window: _Window, jumps: tuple[Bool, Bool], min_nodes: int) -> Int32:
+def _label_grid(window: _Window, min_nodes: int) -> Int32:
     """Components of the coarse grid, small ones dropped.
 
     Nodes and the links between them are drawn into an image of twice the size, whose 4-connected
@@ -113,12 +143,11 @@ def _label_grid(window: _Window, jumps: tuple[Bool, Bool], min_nodes: int) -> In
     """
     from scipy.ndimage import label
 
-    nodes = window.above[window.coarse]
+    nodes = window.above[window.grid]
     picture = np.zeros((2 * nodes.shape[0] - 1, 2 * nodes.shape[1] - 1), np.bool_)
     picture[::2, ::2] = nodes
-    picture[1::2, ::2] = nodes[:-1] & nodes[1:] & _linked(window.stride, window.z, window.below, window.reach, jumps[0])
-    transposed = (window.z.T, window.below.T, window.reach.T, jumps[1].T)
-    picture[::2, 1::2] = nodes[:, :-1] & nodes[:, 1:] & _linked(window.stride, *transposed).T
+    picture[1::2, ::2] = nodes[:-1] & nodes[1:] & _linked(window, axis=0)
+    picture[::2, 1::2] = nodes[:, :-1] & nodes[:, 1:] & _linked(window, axis=1).T
     labels: Int32 = label(picture)[0][::2, ::2]
     sizes = np.bincount(labels.ravel())
     keep = sizes >= min_nodes
@@ -127,21 +156,28 @@ def _label_grid(window: _Window, jumps: tuple[Bool, Bool], min_nodes: int) -> In
     return renumbered[labels]
 
 
-def _linked(stride: int, z: Float32, below: Bool, reach: Float32, jump: Bool) -> Bool:
-    """Whether grid neighbours along the first axis are joined by a path of pixels without jump or table.
+def _linked(window: _Window, axis: int) -> Bool:
+    """Whether grid neighbours along an axis are joined by a path of pixels without jump or table.
 
     Pixels without depth on the path say nothing; the ends may then differ by a single step only.
+
+    Returns:
+        The axis first: (rows - 1, columns) of the grid, or (columns - 1, rows).
     """
+    stride = window.stride
+    lines = (slice(None), slice(None, None, stride))
+    z, height, cut = (
+        (part if axis == 0 else part.T)[lines] for part in (window.z, window.heights.height, window.heights.cut)
+    )
     span = (len(z) - 1) // stride * stride
-    across = slice(None, None, stride)
-    z, below = z[: span + 1, across], below[: span + 1, across]
-    broken = jump[:span, across] | below[:-1] | below[1:]
-    holes = ~np.isfinite(z[:-1])
+    z, below = z[: span + 1], (height <= cut)[: span + 1]
+    reach = window.reach(z[:-1])
+    broken = np.abs(z[1:] - z[:-1]) > reach
+    broken |= below[:-1]
+    broken |= below[1:]
+    allowed = np.where(_any(np.isnan(z[:-1]), stride), np.float32(1), np.float32(stride)) * reach[::stride]
     ends = z[::stride]
-    step = reach[: span + 1 : stride, across][:-1]
-    with np.errstate(invalid="ignore"):
-        near = np.abs(ends[1:] - ends[:-1]) <= step * np.where(_any(holes, stride), np.float32(1), np.float32(stride))
-    result: Bool = near & ~_any(broken, stride)
+    result: Bool = (np.abs(ends[1:] - ends[:-1]) <= allowed) & ~_any(broken, stride)
     return result
 
 
@@ -169,11 +205,10 @@ def _grow(nodes: Int32, window: _Window) -> Int32:
     rows, columns = np.divmod(undecided, width)
     cell = rows // stride * nodes.shape[1] + columns // stride
     choices = corners.reshape(4, -1).take(cell, axis=1)
-    apart = _corners(window.z[window.coarse]).reshape(4, -1).take(cell, axis=1)
+    apart = _corners(window.z[window.grid]).reshape(4, -1).take(cell, axis=1)
     apart -= window.z.take(undecided)
     np.abs(apart, out=apart)
-    with np.errstate(invalid="ignore"):
-        possible = (choices > 0) & (apart <= stride * window.reach.take(undecided))
+    possible = (choices > 0) & (apart <= stride * window.reach(window.z.take(undecided)))
     apart[~possible] = np.inf
     nearest = apart.argmin(axis=0) * len(undecided) + np.arange(len(undecided))
     labels.reshape(-1)[undecided] = np.where(possible.take(nearest), choices.take(nearest), 0)
@@ -186,34 +221,76 @@ def _corners(grid: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
 
 
-def _reject_flying(labels: Int32, window: _Window, jumps: tuple[Bool, Bool]) -> Bool:
-    """Take labels from pixels in the air, in place, and tell which labelled pixels are solid."""
+def _trim(labels: Int32, window: _Window) -> Bool:
+    """Take flying pixels from the labels and give them their feet, in place; tell which pixels are solid."""
+    z = np.pad(window.z, 1, constant_values=np.nan)
+    flying = _flying(labels, window, z)
     solid = labels > 0
-    suspect = np.zeros(labels.shape, np.bool_)
-    for side in (np.s_[:-1], np.s_[1:]):
-        suspect[side] |= jumps[0]
-        suspect[:, side] |= jumps[1]
-    pixels = np.flatnonzero(suspect & solid)
-    z, reach = window.z.take(pixels), window.reach.take(pixels)
-    with np.errstate(invalid="ignore"):
-        support = sum(np.abs(near - z) <= reach for near in _neighbours(window.z, np.float32(np.nan), pixels))
-    pixels = pixels[support < _SUPPORT]
-    solid.reshape(-1)[pixels] = False
-    own = labels.take(pixels)
-    outline = np.zeros(len(pixels), np.bool_)
-    for near in _neighbours(labels * solid, np.int32(0), pixels):
-        outline |= near == own
-    labels.reshape(-1)[pixels[~outline]] = 0
+    solid.reshape(-1)[flying] = False
+    trusted = np.pad(labels * solid, 1)
+    own = labels.take(flying)
+    outline = np.zeros(len(flying), np.bool_)
+    for neighbour in _neighbours(trusted, flying):
+        outline |= neighbour == own
+    labels.reshape(-1)[flying[~outline]] = 0
+    feet, claimed = _feet(solid, window, z, trusted)
+    labels.reshape(-1)[feet] = claimed
+    solid.reshape(-1)[feet] = True
     return solid
 
 
-def _neighbours(
-    image: npt.NDArray[Any], border: np.generic, pixels: npt.NDArray[np.intp]
-) -> Iterator[npt.NDArray[Any]]:
-    """The eight neighbours of some pixels (n,), given as flat indices; (n,) at a time."""
-    width = image.shape[1] + 2
-    padded = np.pad(image, 1, constant_values=border)
-    rows, columns = np.divmod(pixels, image.shape[1])
-    centre = (rows + 1) * width + columns + 1
+def _flying(labels: Int32, window: _Window, z: Float32) -> Index:
+    """Labelled pixels, as flat indices, that lie in the air between two surfaces; `z` has a border of NaN."""
+    # A cheap superset first: pixels beside any step that could be too much at the least depth.
+    limit = window.near(np.fmin.reduce(window.z, axis=None, keepdims=True)).item()
+    suspect = np.zeros(labels.shape, np.bool_)
+    down, right = np.abs(window.z[1:] - window.z[:-1]) > limit, np.abs(window.z[:, 1:] - window.z[:, :-1]) > limit
+    for side in (np.s_[:-1], np.s_[1:]):
+        suspect[side] |= down
+        suspect[:, side] |= right
+    suspect &= labels > 0
+    pixels = np.flatnonzero(suspect)
+    own = window.z.take(pixels)
+    near = window.near(own)
+    steps = np.stack(list(_neighbours(z, pixels)))
+    steps -= own
+    support = np.count_nonzero(np.abs(steps) <= near, axis=0)
+    # A steep face goes on as it came: opposite neighbours differ by the same step.
+    straight = np.count_nonzero(np.abs(steps[:4] + steps[:3:-1]) <= near, axis=0)
+    return pixels[(support < _SUPPORT) & (straight < _STRAIGHT)]
+
+
+def _feet(solid: Bool, window: _Window, z: Float32, trusted: Int32) -> tuple[Index, Int32]:
+    """Low pixels that touch an object and lie at its depth: its foot is below the cut.
+
+    Returns:
+        Flat indices and the labels that claim them; `z` and `trusted` have a border of one pixel.
+    """
+    beside = solid.copy()
+    beside[1:] |= solid[:-1]
+    beside[:-1] |= solid[1:]
+    wide = beside.copy()
+    wide[:, 1:] |= beside[:, :-1]
+    wide[:, :-1] |= beside[:, 1:]
+    pixels = np.flatnonzero(wide & window.heights.below)
+    pixels = pixels[window.heights.height.take(pixels) > window.heights.cut.take(pixels) * np.float32(_FOOT)]
+    own = window.z.take(pixels)
+    near = window.near(own)
+    claimed = np.zeros(len(pixels), np.int32)
+    for owner, depth in zip(_neighbours(trusted, pixels), _neighbours(z, pixels), strict=True):
+        claimed = np.where((owner > 0) & (np.abs(depth - own) <= near), owner, claimed)
+    good = claimed > 0
+    return pixels[good], claimed[good]
+
+
+def _neighbours(padded: npt.NDArray[Any], pixels: Index) -> Iterator[npt.NDArray[Any]]:
+    """The eight neighbours of some pixels (n,), row by row; (n,) at a time.
+
+    Args:
+        padded: (h + 2, w + 2), the image with a border.
+        pixels: Flat indices into the image without the border.
+    """
+    width = padded.shape[1]
+    centre = pixels + 2 * (pixels // (width - 2)) + width + 1
     for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
         yield padded.take(centre + step)

@@ -32,7 +32,7 @@ def label_points(xyz: Float32, z: Float32, in_range: Bool, cut: HeightCut, confi
     Returns:
         One label a point, None where nothing stands out. The labels still hold small clusters.
     """
-    above = np.flatnonzero(cut.split(xyz, z)[0] & in_range)
+    above = np.flatnonzero(cut.split(xyz, z).above & in_range)
     if not len(above):
         return None
     cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
