@@ -111,6 +111,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         )
         self._status = self.create_publisher(DiagnosticStatus, "replay_status", latched)
 
+    @property
+    def clouds_topic(self) -> str:
+        """Full name of the topic that the clouds go to; "" before it is known."""
+        return str(self._senders[CLOUDS].topic_name) if CLOUDS in self._senders else ""
+
     # Hooks of the base.
 
     def setup(self) -> None:
@@ -248,9 +253,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             plane = plane_to_msg(Plane.from_coefficients(self.config.table))
             stamped = header_to_msg(header.frame_id, header.stamp_ns)
             self._table.publish(TablePlane(header=stamped, plane=plane, status=Status.OK))
-        publisher = self._senders[CLOUDS]
-        publisher.publish(data)
-        self.played[publisher.topic_name] += 1
+        self._senders[CLOUDS].publish(data)
+        self.played[self.clouds_topic] += 1
         if self.config.lockstep and not self._wait_for_answer(header.stamp_ns):
             self.unanswered += 1
 
