@@ -69,7 +69,7 @@ def layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
     Raises:
         ContactError: If the layer is thinner than half a cell, where the smooth part cannot be averaged.
     """
-    offset = np.arange(n) * step_m
+    offset = step_m * np.arange(n, dtype=np.float64)
     x, y = offset[None, :], offset[:, None]
     half_space = love_influence(x, y, step_m, layer.plane_modulus_pa)
     if math.isinf(layer.thickness_m):

@@ -32,17 +32,23 @@ class PadConfig(Settings):
 
     core_half_length_m: float = setting(0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4)
     core_radius_m: float = setting(0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4)
-    layer_m: float = setting(0.002, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
+    layer_m: float = setting(0.0015, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
     modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0)
     poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
     friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0)
     window_m: float = setting(0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4)
+    soft_window_m: float = setting(0.02, "The same for an object that gives way", unit="m", minimum=1e-4)
     cells: int = setting(24, "Cells a side of that square", minimum=3, maximum=512)
 
     @property
     def step_m(self) -> float:
         """Side of a cell [m]."""
         return self.window_m / self.cells
+
+    @property
+    def soft(self) -> PadConfig:
+        """The same pad, its window wide enough for what sinks into a soft object."""
+        return self.replace(window_m=self.soft_window_m)
 
     @property
     def layer(self) -> Layer:

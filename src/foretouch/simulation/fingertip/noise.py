@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What time adds to steady counts: white noise, slow wander, and a scan slower than the messages.
+
+The defaults are fitted to recordings of a BioTac SP in steady touch at 100 Hz (see `statistics`). The
+electrodes are sampled one after the other in a ring; each message takes what has been sampled since
+the last one, about 17 of 24, and repeats the rest: a block of about eight that moves on from row to row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, setting
+from foretouch.errors import TactileError
+from foretouch.types import Float64
+
+__all__ = ["NoiseConfig", "ScanConfig", "fresh_samples", "hold", "wander", "white_noise"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseConfig(Settings):
+    """Noise of the channels."""
+
+    electrode_counts: float = setting(4.2, "White noise of an electrode (std)", unit="counts", minimum=0.0)
+    pdc_counts: float = setting(0.3, "White noise of PDC (std)", unit="counts", minimum=0.0)
+    wander_counts: float = setting(1.9, "Slow wander of an electrode (std)", unit="counts", minimum=0.0)
+    wander_s: float = setting(0.4, "Time over which the wander forgets itself", unit="s", minimum=1e-3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanConfig(Settings):
+    """The ring of electrodes."""
+
+    fresh_per_row: float = setting(16.8, "Electrodes sampled between two messages", minimum=1.0, maximum=24.0)
+    jitter: float = setting(1.0, "Standard deviation of where a message cuts the ring", unit="electrodes", minimum=0.0)
+
+
+def white_noise(shape: tuple[int, ...], counts: float, rng: np.random.Generator) -> Float64:
+    """Independent normal noise of the given shape and standard deviation [counts]."""
+    return counts * rng.standard_normal(shape)
+
+
+def wander(
+    rows: int, channels: int, counts: float, memory_s: float, rate_hz: float, rng: np.random.Generator
+) -> Float64:
+    """(rows, channels) first-order autoregressive noise, stationary from its first row.
+
+    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)).
+
+    Args:
+        rows: Messages.
+        channels: Of each.
+        counts: Standard deviation [counts].
+        memory_s: Time in which the autocorrelation falls to 1/e [s].
+        rate_hz: Of the messages [Hz].
+        rng: Of the noise.
+    """
+    a = float(np.exp(-1.0 / (rate_hz * memory_s)))
+    steps = counts * rng.standard_normal((rows, channels))
+    steps[1:] *= np.sqrt(1.0 - a * a)
+    for t in range(1, rows):
+        steps[t] += a * steps[t - 1]
+    return steps
+
+
+def fresh_samples(config: ScanConfig, rows: int, channels: int, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """(rows, channels) bool: which values of each message are new; all of the first.
+
+    Args:
+        config: The ring.
+        rows: Messages.
+        channels: Electrodes in the ring.
+        rng: Of where the ring starts and of the jitter.
+    """
+    cuts = rng.uniform(0.0, channels) + config.fresh_per_row * np.arange(rows + 1)
+    cuts += config.jitter * rng.standard_normal(rows + 1)
+    cursor = np.maximum.accumulate(np.floor(cuts).astype(np.int64))
+    since_cut = (np.arange(channels) - cursor[:-1, None]) % channels
+    fresh = since_cut < np.diff(cursor)[:, None]
+    fresh[:1] = True
+    return np.asarray(fresh, np.bool_)
+
+
+def hold(series: Float64, fresh: npt.NDArray[np.bool_]) -> Float64:
+    """Repeat the last fresh value of each channel.
+
+    Args:
+        series: (T, C).
+        fresh: (T, C) bool, true throughout the first row.
+
+    Raises:
+        TactileError: If the shapes differ or a channel has no first value.
+    """
+    if series.shape != fresh.shape:
+        raise TactileError(f"fresh: shape {fresh.shape} is not that of the series, {series.shape}")
+    if len(fresh) and not fresh[0].all():
+        raise TactileError(f"fresh: {np.count_nonzero(~fresh[0])} channels have no first value")
+    rows = np.where(fresh, np.arange(len(series))[:, None], 0)
+    return np.asarray(np.take_along_axis(series, np.maximum.accumulate(rows, axis=0), axis=0))
