@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The training store: samples in memory-mapped Arrow IPC shards, read at random without parsing.
+
+Layout of a store, schema version 1::
+
+    store/
+      manifest.json       format, schema version, counts, hashes, and whatever its maker knows
+      shard-00000.arrow   Arrow IPC files, uncompressed, so that a cloud is a view of the file
+
+One row is one sample; see `SCHEMA`. A store is written beside its place and moved there when it is whole, so what
+exists is complete. Its content hash is over the samples in order, not over the files: it does not depend on how
+they are cut into shards or on the version of Arrow.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from foretouch.errors import FileError
+from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
+
+__all__ = ["FORMAT", "MANIFEST", "SCHEMA", "SCHEMA_VERSION", "Store", "is_store", "sample_digest"]
+
+FORMAT: Final = "foretouch-store"
+SCHEMA_VERSION: Final = 1
+MANIFEST: Final = "manifest.json"
+
+SCHEMA: Final = pa.schema(
+    [
+        ("id", pa.string()),
+        ("object", pa.string()),
+        ("stamp_ns", pa.int64()),
+        ("frame_id", pa.string()),
+        ("xyz", pa.list_(pa.float32())),  # n points, row by row [m]
+        ("rgb", pa.list_(pa.uint8())),  # the same, or null
+        ("g1", pa.list_(pa.float64(), 3)),  # [m]
+        ("g2", pa.list_(pa.float64(), 3)),  # [m]
+        ("rotation", pa.list_(pa.float64(), 9)),  # row-major
+        ("score", pa.float64()),
+        ("touch", pa.list_(pa.float64(), TOUCH_SIZE)),  # [counts], null for an unlabelled sample
+        ("tare", pa.list_(pa.float64(), TOUCH_SIZE)),  # [counts], or null
+        ("extra", pa.string()),  # JSON object of numbers
+    ],
+    metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)},
+)
+
+
+def is_store(path: str | Path) -> bool:
+    """Whether a training store lies at the path."""
+    return (Path(path) / MANIFEST).is_file()
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """The columns of one record batch as arrays that look into the file."""
+
+    text: dict[str, Sequence[str]]
+    offsets: dict[str, Any]
+    values: dict[str, Any]
+    valid: dict[str, Any]
+    stamps: Any
+    scores: Any
+
+
+class Store(Sequence[GraspSample]):
+    """A store that lies on disk; `store[k]` reads one sample.
+
+    Clouds look into the memory-mapped file and cannot be written to.
+
+    Args:
+        path: Of the store.
+
+    Raises:
+        FileError: If there is none, it is of another version, or files and manifest disagree.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.manifest = _read_manifest(self.path)
+        self._batches: list[_Batch] = []
+        starts = [0]
+        for shard in self.manifest["shards"]:
+            for batch in _read_shard(self.path / shard["file"], shard["samples"]):
+                self._batches.append(_columns(batch))
+                starts.append(starts[-1] + batch.num_rows)
+        self._starts = np.asarray(starts, np.int64)
+        if starts[-1] != self.manifest["samples"]:
+            raise FileError(self.path, f"holds {starts[-1]} samples, not {self.manifest['samples']}", field="samples")
+
+    @property
+    def sha256(self) -> str:
+        """Content hash as the writer computed it; `verify` computes it anew."""
+        return str(self.manifest["sha256"])
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        k = index + len(self) if index < 0 else index
+        if not 0 <= k < len(self):
+            raise IndexError(f"{self.path}: sample {index} of {len(self)}")
+        b = int(np.searchsorted(self._starts, k, side="right")) - 1
+        return _sample(self._batches[b], k - int(self._starts[b]))
+
+    def __iter__(self) -> Iterator[GraspSample]:
+        for k in range(len(self)):
+            yield self[k]
+
+    def verify(self) -> None:
+        """Read everything and compare it with the manifest.
+
+        Raises:
+            FileError: Names the shard whose bytes, or says that the content, are not those that were written.
+        """
+        for shard in self.manifest["shards"]:
+            found = hashlib.sha256((self.path / shard["file"]).read_bytes()).hexdigest()
+            if found != shard["sha256"]:
+                raise FileError(self.path / shard["file"], f"sha256 is {found}, not {shard['sha256']}")
+        content = hashlib.sha256()
+        for sample in self:
+            content.update(sample_digest(sample))
+        if content.hexdigest() != self.sha256:
+            raise FileError(self.path, f"content is {content.hexdigest()}, not {self.sha256}", field="sha256")
+
+
+def sample_digest(sample: GraspSample) -> bytes:
+    """32 bytes that change with any value of the sample."""
+    digest = hashlib.sha256()
+    cloud, grasp = sample.cloud, sample.grasp
+    head = [sample.id, sample.object, sample.stamp_ns, cloud.frame_id, cloud.size, dict(sorted(sample.extra.items()))]
+    digest.update(json.dumps(head, separators=(",", ":")).encode())
+    digest.update(np.ascontiguousarray(cloud.xyz).data)
+    digest.update(b"" if cloud.rgb is None else np.ascontiguousarray(cloud.rgb).data)
+    pose = np.concatenate([grasp.g1, grasp.g2, grasp.rotation.ravel(), [grasp.score]])
+    digest.update(pose.astype(np.float64).data)
+    for touch in (sample.touch, sample.tare):
+        digest.update(b"-" if touch is None else touch.vector().data)
+    return digest.digest()
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / MANIFEST
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise FileError(file, err.strerror or "cannot be read") from err
+    except ValueError as err:
+        raise FileError(file, f"is not JSON: {err}") from err
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise FileError(file, f"is not of {FORMAT}", field="format")
+    if manifest.get("schema_version") != SCHEMA_VERSION:
+        raise FileError(file, f"{manifest.get('schema_version')} is not {SCHEMA_VERSION}", field="schema_version")
+    missing = [name for name in ("samples", "sha256", "shards") if name not in manifest]
+    if missing:
+        raise FileError(file, "is absent", field=missing[0])
+    return manifest
+
+
+def _read_shard(path: Path, samples: int) -> list[Any]:
+    try:
+        reader = pa.ipc.open_file(pa.memory_map(str(path)))
+        batches = [reader.get_batch(k) for k in range(reader.num_record_batches)]
+    except (OSError, pa.ArrowInvalid) as err:
+        raise FileError(path, f"cannot be read: {' '.join(str(err).split())}") from err
+    if not reader.schema.equals(SCHEMA):
+        raise FileError(path, "has other columns than the schema", field="schema")
+    rows = sum(batch.num_rows for batch in batches)
+    if rows != samples:
+        raise FileError(path, f"holds {rows} samples, the manifest says {samples}")
+    return batches
+
+
+def _columns(batch: Any) -> _Batch:
+    column = {name: batch.column(name) for name in SCHEMA.names}
+    vectors = ("g1", "g2", "rotation", "touch", "tare")
+    return _Batch(
+        text={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra")},
+        offsets={name: column[name].offsets.to_numpy() for name in ("xyz", "rgb")},
+        values={name: column[name].values.to_numpy(zero_copy_only=True) for name in ("xyz", "rgb", *vectors)},
+        valid={name: column[name].is_valid().to_numpy(zero_copy_only=False) for name in ("rgb", "touch", "tare")},
+        stamps=column["stamp_ns"].to_numpy(),
+        scores=column["score"].to_numpy(),
+    )
+
+
+def _sample(batch: _Batch, row: int) -> GraspSample:
+    cloud = Cloud(
+        _ragged(batch, "xyz", row).reshape(-1, 3),
+        _ragged(batch, "rgb", row).reshape(-1, 3) if batch.valid["rgb"][row] else None,
+        batch.text["frame_id"][row],
+        int(batch.stamps[row]),
+    )
+    grasp = Grasp(
+        _vector(batch, "g1", row, 3),
+        _vector(batch, "g2", row, 3),
+        _vector(batch, "rotation", row, 9).reshape(3, 3),
+        float(batch.scores[row]),
+        object_id=batch.text["object"][row],
+    )
+    return GraspSample(
+        id=batch.text["id"][row],
+        object=batch.text["object"][row],
+        cloud=cloud,
+        grasp=grasp,
+        touch=_touch(batch, "touch", row),
+        tare=_touch(batch, "tare", row),
+        stamp_ns=int(batch.stamps[row]),
+        extra=json.loads(batch.text["extra"][row]),
+    )
+
+
+def _ragged(batch: _Batch, name: str, row: int) -> Any:
+    offsets = batch.offsets[name]
+    return batch.values[name][offsets[row] : offsets[row + 1]]
+
+
+def _vector(batch: _Batch, name: str, row: int, size: int) -> Float64:
+    values: Float64 = batch.values[name][row * size : (row + 1) * size]
+    return values
+
+
+def _touch(batch: _Batch, name: str, row: int) -> Touch | None:
+    if not batch.valid[name][row]:
+        return None
+    return Touch.from_vector(_vector(batch, name, row, TOUCH_SIZE))
