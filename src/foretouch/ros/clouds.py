@@ -89,7 +89,7 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
         target: Whether it gets grasps.
     """
     indices = array.array("I")
-    indices.frombytes(segment.pixels.astype(np.uint32).data)
+    indices.frombytes(segment.pixels.astype(np.uint32).view(np.uint8).data)
     low, high = segment.bounds
     return Object(
         id=str(segment.id),
