@@ -41,6 +41,7 @@ class Descent:
     ) -> None:
         self._gap = gap
         self._spectrum = spectrum
+        self._safe_length = 1.0 / float(np.abs(spectrum).max())  # below 2 / (largest eigenvalue of K)
         self._given_depth = depth
         self._total = total
         self.pressure = start if total is None else start * (total / float(start.sum()))
@@ -67,7 +68,7 @@ class Descent:
         bend = float(np.vdot(t, q))
         if self._total is not None:  # the depth is free: only what departs from the mean counts
             bend -= float(t.sum()) * float(np.vdot(q, wet)) / max(int(np.count_nonzero(wet)), 1)
-        length = float(np.vdot(g, t)) / bend if bend > 0.0 else 0.0
+        length = float(np.vdot(g, t)) / bend if bend > 0.0 else self._safe_length
         self._direction, self._last_squares = t, squares if squares > 0.0 else math.inf
         self._apply(length, t, q, r, wet)
         return self.residual
@@ -83,8 +84,8 @@ class Descent:
         negative = new < 0.0
         overlap = (r < 0.0) & ~wet
         grown = bool(overlap.any())
-        if grown:  # cells that touch without pressure join, and the directions start anew
-            new[overlap] -= length * r[overlap]
+        if grown:  # cells that overlap join, by a step that cannot overshoot, and the directions start anew
+            new[overlap] -= min(length, self._safe_length) * r[overlap]
             self._last_squares = math.inf
         if negative.any():
             new[negative] = 0.0

@@ -77,7 +77,7 @@ def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig
     pressure = _pressure(rho, force / problem.cell_m2)
     shares = np.array([modulus / layer.plane_modulus_pa for layer in problem.layers])
     displacement = shares[:, None, None] * _displacement(rho, depth)
-    refuse_overload(problem, displacement, config or ContactConfig())
+    refuse_overload(problem, displacement, depth, config or ContactConfig())
     return ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
 
 

@@ -30,9 +30,9 @@ from foretouch.types import Float64
 
 __all__ = ["solve_layer"]
 
-_ABSENT_M = 1.0  # stands for an infinite gap: finite, so that 0 pressure times it is 0, and out of reach
+_ABSENT_M = 1e9  # stands for an infinite gap: finite, so that 0 pressure times it is 0, and out of reach
 _MARGIN = 2  # cells around the expected footprint
-_OVERLAP = 1e-3  # of the depth: how far surfaces outside the box may overlap before it is solved again
+_OVERLAP = 2e-2  # of the depth: how far the surfaces may still overlap before it is solved again on the window
 
 
 def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig | None = None) -> ContactSolution:
@@ -49,36 +49,53 @@ def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig
     config = config or ContactConfig()
     if command.idle:
         return no_contact(problem, command.depth_m or 0.0)
-    n = problem.gap.shape[0]
     gap = np.minimum(problem.gap, _ABSENT_M)
-    guess = expected_pressure(problem, command)
-    box = Box.around(guess, _MARGIN)
-    inner = _descend(problem, command, config, gap[box.rows, box.columns], guess[box.rows, box.columns])
-    pressure = np.zeros_like(gap)
-    pressure[box.rows, box.columns] = inner.pressure
+    pressure, end = _solve_in_box(problem, command, config, gap)
     displacement = _displacements(problem, pressure)
-    depth = inner.depth
-    if box.size < n and _overlaps_outside(box, displacement.sum(axis=0) + gap - depth, depth):
-        inner = _descend(problem, command, config, gap, pressure)
-        pressure, depth = inner.pressure, inner.depth
-        displacement = _displacements(problem, pressure)
-    refuse_overload(problem, displacement, config)
+    if end.residual >= config.tolerance or _overlap(displacement, gap, end.depth) > _OVERLAP * abs(end.depth):
+        end = _solve_in_window(problem, command, config, gap, end.iterations)
+        pressure, displacement = end.pressure, _displacements(problem, end.pressure)
+    refuse_overload(problem, displacement, end.depth, config)
     force = float(pressure.sum()) * problem.cell_m2
     area = np.count_nonzero(pressure) * problem.cell_m2
-    return ContactSolution(pressure, displacement, force, area, depth, inner.iterations, inner.residual)
+    return ContactSolution(pressure, displacement, force, area, end.depth, end.iterations, end.residual)
+
+
+def _solve_in_box(
+    problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64
+) -> tuple[Float64, Descent]:
+    """The pressure on the window, if only the expected footprint and its margin may carry any."""
+    guess = expected_pressure(problem, command)
+    box = Box.around(guess, _MARGIN)
+    end = _descend(problem, command, config, gap[box.rows, box.columns], guess[box.rows, box.columns])
+    pressure = np.zeros_like(gap)
+    pressure[box.rows, box.columns] = end.pressure
+    return pressure, end
+
+
+def _solve_in_window(
+    problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64, spent: int
+) -> Descent:
+    """From even pressure wherever both surfaces exist: slower, and sure where the guess misled."""
+    even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
+    end = _descend(problem, command, config, gap, even)
+    end.iterations += spent
+    if end.residual >= config.tolerance:
+        raise ContactError(
+            f"elastic layer: no convergence after {end.iterations} iterations on {gap.shape[0]}^2 cells, "
+            f"{np.count_nonzero(end.pressure)} of them in contact: "
+            f"residual {end.residual:.3g}, tolerance {config.tolerance:g}"
+        )
+    return end
 
 
 def _descend(problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64, start: Float64) -> Descent:
+    """Step until the tolerance is met or the iterations are spent."""
     total = None if command.force_n is None else command.force_n / problem.cell_m2
     descent = Descent(gap, _spectrum(problem, gap.shape[0]), start, depth=command.depth_m, total=total)
-    while descent.iterations < config.max_iterations:
-        if descent.step() < config.tolerance:
-            return descent
-    raise ContactError(
-        f"elastic layer: no convergence after {descent.iterations} iterations on {gap.shape[0]}^2 cells, "
-        f"{np.count_nonzero(descent.pressure)} of them in contact: "
-        f"residual {descent.residual:.3g}, tolerance {config.tolerance:g}"
-    )
+    while descent.iterations < config.max_iterations and descent.step() >= config.tolerance:
+        pass
+    return descent
 
 
 def _spectrum(problem: ContactProblem, n: int) -> Complex128:
@@ -91,6 +108,6 @@ def _displacements(problem: ContactProblem, pressure: Float64) -> Float64:
     return np.stack([convolve(pressure, influence_spectrum(layer, n, problem.step_m)) for layer in problem.layers])
 
 
-def _overlaps_outside(box: Box, distance: Float64, depth: float) -> bool:
-    distance[box.rows, box.columns] = 0.0
-    return float(distance.min()) < -_OVERLAP * depth
+def _overlap(displacement: Float64, gap: Float64, depth: float) -> float:
+    """How far the surfaces, displaced, still pass through each other anywhere [m]."""
+    return depth - float((displacement.sum(axis=0) + gap).min())

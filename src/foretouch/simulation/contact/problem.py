@@ -173,12 +173,15 @@ def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution
     return ContactSolution(np.zeros(shape), np.zeros((len(problem.layers), *shape)), 0.0, 0.0, min(depth_m, 0.0))
 
 
-def refuse_overload(problem: ContactProblem, displacement: Float64, config: ContactConfig) -> None:
-    """Refuse a solution in which a layer is pressed through its base.
+def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: float, config: ContactConfig) -> None:
+    """Refuse a solution that is deeper than the window is wide, or presses a layer through its base.
 
     Raises:
-        ContactError: Names the layer, its strain and the limit.
+        ContactError: Names the depth, or the layer and its strain, and the limit.
     """
+    side = problem.gap.shape[0] * problem.step_m
+    if not depth_m <= side:
+        raise ContactError(f"depth: {depth_m:.3g} m is more than the {side:.3g} m window is wide: press less")
     for k, layer in enumerate(problem.layers):
         strain = float(displacement[k].max()) / layer.thickness_m
         if strain > config.max_strain:

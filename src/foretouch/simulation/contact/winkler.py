@@ -68,7 +68,7 @@ def solve_winkler(
         depth = command.depth_m
     pressure = k * np.maximum(depth - problem.gap, 0.0)
     displacement = compliances[:, None, None] * pressure
-    refuse_overload(problem, displacement, config or ContactConfig())
+    refuse_overload(problem, displacement, depth, config or ContactConfig())
     area = np.count_nonzero(pressure) * problem.cell_m2
     return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
 
