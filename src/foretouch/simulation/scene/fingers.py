@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fingertips of a scene: pad, posture, and what each finger makes of its contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
+from foretouch.simulation.contact import ContactConfig, PadConfig
+from foretouch.simulation.fingertip import (
+    THUMB,
+    CreepConfig,
+    FingerConfig,
+    FingertipConfig,
+    NoiseConfig,
+    ScanConfig,
+    SlipConfig,
+    TemperatureConfig,
+)
+from foretouch.simulation.scene.ranges import require_range
+
+__all__ = ["DeadConfig", "DriftConfig", "FingersConfig", "PostureConfig", "ThumbConfig", "TimelineConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThumbConfig(FingerConfig):
+    """A thumb: other rests than the middle finger."""
+
+    pdc_rest: float = setting(THUMB.pdc_rest, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    electrode_rest: float = setting(
+        THUMB.electrode_rest, "Electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureConfig(Settings):
+    """Which place of its pad a finger aims with, drawn uniformly."""
+
+    pitch_deg: tuple[float, ...] = setting(
+        (0.0, 0.0), "From the middle of the pad towards the tip, low and high", unit="deg", minimum=-60.0, maximum=60.0
+    )
+    roll_deg: tuple[float, ...] = setting(
+        (0.0, 0.0), "The same towards +y of the fingertip", unit="deg", minimum=-60.0, maximum=60.0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range(self, "pitch_deg")
+        require_range(self, "roll_deg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimelineConfig(Settings):
+    """A grasp as the sensor sees it go by: rest, closing, hold, release. Tare and touch are read out of it."""
+
+    rate_hz: float = setting(100.0, "Messages a second", unit="Hz", minimum=1.0, maximum=1000.0)
+    rest_s: float = setting(0.2, "Before contact, and again after release", unit="s", minimum=0.02, maximum=600.0)
+    close_s: float = setting(0.2, "From first touch to the target, and back", unit="s", minimum=0.0, maximum=60.0)
+    hold_s: float = setting(0.5, "At the target; its last message is the touch", unit="s", minimum=0.02, maximum=600.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftConfig(Settings):
+    """Counts drift with the liquid's temperature, so a tare grows old."""
+
+    temperature: TemperatureConfig = TemperatureConfig()
+    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-up, low and high", unit="s", minimum=0.0)
+    tare_age_s: tuple[float, ...] = setting((2.0, 30.0), "Age of the tare at the touch", unit="s", minimum=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range(self, "session_s")
+        require_range(self, "tare_age_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeadConfig(Settings):
+    """Electrodes that have died; the numbers are those of the layout, 1 to 24."""
+
+    thumb: tuple[int, ...] = setting((), "Dead electrodes of the thumb", minimum=1, maximum=24)
+    middle: tuple[int, ...] = setting((), "Dead electrodes of the middle finger", minimum=1, maximum=24)
+    stuck_at: str = setting("low", "What they read", choices=("low", "high", "last"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingersConfig(Settings):
+    """Both fingers. What is absent is off.
+
+    Raises:
+        ConfigError: If an effect over time is asked for without a timeline.
+    """
+
+    pad: PadConfig = PadConfig()
+    contact: ContactConfig = ContactConfig()
+    fingertip: FingertipConfig = FingertipConfig()
+    thumb: ThumbConfig = ThumbConfig()
+    middle: FingerConfig = FingerConfig()
+    thumb_posture: PostureConfig = PostureConfig()
+    middle_posture: PostureConfig = PostureConfig()
+    timeline: TimelineConfig | None = None
+    creep: CreepConfig | None = None
+    slip: SlipConfig | None = None
+    drift: DriftConfig | None = None
+    noise: NoiseConfig | None = None
+    scan: ScanConfig | None = None
+    dead: DeadConfig | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("creep", "slip", "scan"):
+            if self.timeline is None and getattr(self, name) is not None:
+                raise ConfigError(f"FingersConfig.{name}: acts over time, but there is no timeline; give one")

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene: what is there, read from YAML. A group that is absent is an effect that is off."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from foretouch.config import Settings, load_yaml, setting
+from foretouch.errors import ConfigError
+from foretouch.simulation.scene.camera import CameraConfig
+from foretouch.simulation.scene.fingers import FingersConfig
+from foretouch.simulation.scene.grasps import GraspsConfig
+from foretouch.simulation.scene.things import ClutterConfig, ObjectConfig, TableConfig
+
+__all__ = ["FIDELITIES", "GravityConfig", "SceneConfig", "load_scene"]
+
+FIDELITIES = ("auto", "hertz", "winkler", "layer")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityConfig(Settings):
+    """The object is lifted, so the fingers bear its weight."""
+
+    m_s2: float = setting(9.81, "Acceleration", unit="m/s²", minimum=0.0, maximum=30.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig(Settings):
+    """Everything that decides the samples of a scene.
+
+    Raises:
+        ConfigError: At a contradiction between fields; the message names them.
+    """
+
+    objects: tuple[ObjectConfig, ...] = (ObjectConfig(),)
+    table: TableConfig = TableConfig()
+    clutter: ClutterConfig | None = None
+    camera: CameraConfig = CameraConfig()
+    grasps: GraspsConfig = GraspsConfig()
+    fingers: FingersConfig = FingersConfig()
+    gravity: GravityConfig | None = None
+    fidelity: str = setting(
+        "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=FIDELITIES
+    )
+    max_attempts: int = setting(20, "Tries for one sample before it is given up", minimum=1, maximum=1000)
+    seed: int = setting(0, "Decides all that is drawn", minimum=0, maximum=2**53)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.objects:
+            raise ConfigError("SceneConfig.objects: there is none")
+        names = [item.name for item in self.objects]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"SceneConfig.objects: two have the name {max(names, key=names.count)}")
+        for k, item in enumerate(self.objects):
+            _require_in_view(self, item, f"objects[{k}] {item.name}")
+            _require_in_reach(self, item, f"objects[{k}] {item.name}")
+            if self.gravity is not None and item.mass_kg is None:
+                raise ConfigError(f"objects[{k}] {item.name}.mass_kg: absent, but the scene has gravity")
+
+    def sha256(self) -> str:
+        """Hash of all settings, defaults included, so that a changed default is a changed scene."""
+        text = json.dumps(self.to_mapping(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_scene(path: str | Path) -> SceneConfig:
+    """Read a scene file.
+
+    Raises:
+        ConfigError: Names file, field and rule.
+    """
+    return SceneConfig.from_mapping(load_yaml(path), str(path))
+
+
+def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
+    """The ball around the object must be in the image and over the table wherever the object may lie."""
+    radius = float(np.linalg.norm(item.size_m)) / 2.0 * (1.0 + item.size_spread)
+    reach = (-radius, radius)
+    ends = itertools.product(item.pose.x_m, item.pose.y_m, reach, reach, (0.0, 2.0 * radius))
+    points = np.array([[x + dx, y + dy, z] for x, y, dx, dy, z in ends])
+    view = scene.camera.view()
+    low, high = view.bounds(points)
+    if (low < 0.0).any() or (high > np.array([view.width - 1, view.height - 1])).any():
+        raise ConfigError(
+            f"{name}.pose: may lie outside of the view, which is {view.width}x{view.height} pixels "
+            f"of {scene.camera.hfov_deg:g} degrees at {scene.camera.distance_m:g} m"
+        )
+    if (np.abs([*item.pose.x_m]) > scene.table.size_m[0] / 2.0).any() or (
+        np.abs([*item.pose.y_m]) > scene.table.size_m[1] / 2.0
+    ).any():
+        raise ConfigError(f"{name}.pose: may lie beside the table of {list(scene.table.size_m)} m")
+
+
+def _require_in_reach(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
+    narrowest = min(item.size_m) * (1.0 - item.size_spread)
+    if narrowest > scene.grasps.max_width_m:
+        raise ConfigError(
+            f"{name}.size_m: {narrowest:g} m at its narrowest, the hand opens {scene.grasps.max_width_m:g} m "
+            "(grasps.max_width_m)"
+        )

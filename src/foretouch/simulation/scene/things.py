@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands on the table: objects, how they lie, what they are made of, and the clutter around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
+from foretouch.simulation.objects import SHAPES
+from foretouch.simulation.scene.ranges import require_range
+
+__all__ = ["ClutterConfig", "ObjectConfig", "PoseConfig", "SurfaceConfig", "TableConfig"]
+
+RESTS = ("upright", "side", "any")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseConfig(Settings):
+    """How an object lies; each value is drawn uniformly from its range. The world's origin is on the table, z up."""
+
+    x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
+    y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
+    yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Turn about the vertical, low and high", unit="deg")
+    rest: str = setting("upright", "What it rests on: its foot, its side, or any point", choices=RESTS)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("x_m", "y_m", "yaw_deg"):
+            require_range(self, name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceConfig(Settings):
+    """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
+
+    relief_m: float = setting(2e-4, "Standard deviation of the height", unit="m", minimum=0.0, maximum=2e-3)
+    wavelength_m: float = setting(3e-3, "Distance between crests", unit="m", minimum=5e-4, maximum=0.05)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig(Settings):
+    """One kind of object. Without `young_pa` it is rigid."""
+
+    name: str = setting("object", "Label of its samples")
+    shape: str = setting("can", "Shape of its mesh", choices=SHAPES)
+    variants: int = setting(1, "Members of the family that are used, for the shape random", minimum=1, maximum=10_000)
+    size_m: tuple[float, ...] = setting((0.07, 0.07, 0.1), "Bounding box along its own x, y and z (up)", unit="m")
+    size_spread: float = setting(
+        0.0, "Largest relative change of its size from sample to sample", minimum=0.0, maximum=0.5
+    )
+    pose: PoseConfig = PoseConfig()
+    young_pa: float | None = setting(
+        None, "Young's modulus; absent for a rigid object", unit="Pa", minimum=1e3, maximum=1e9
+    )
+    poisson: float = setting(0.3, "Poisson's ratio of a soft object", minimum=0.0, maximum=0.5)
+    thickness_m: float | None = setting(
+        None, "Thickness of its soft layer on a rigid core", unit="m", minimum=1e-4, maximum=0.5
+    )
+    friction: float = setting(0.783, "Coefficient of friction against the skin", minimum=0.0, maximum=3.0)
+    mass_kg: float | None = setting(None, "Mass; needed where the scene has gravity", unit="kg", minimum=0.0)
+    surface: SurfaceConfig | None = None
+    colour: tuple[int, ...] | None = setting(
+        None, "Red, green and blue; absent for a cloud without colours", minimum=0, maximum=255
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
+            raise ConfigError(f"ObjectConfig.size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
+        if self.thickness_m is not None and self.young_pa is None:
+            raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
+        if self.young_pa is not None and self.thickness_m is None:
+            raise ConfigError(f"{self.name}.young_pa: {self.young_pa:g} Pa of no layer; give thickness_m too")
+        if self.variants > 1 and self.shape != "random":
+            raise ConfigError(f"{self.name}.variants: {self.variants}, but the shape {self.shape} has one")
+        if self.colour is not None and len(self.colour) != 3:
+            raise ConfigError(f"{self.name}.colour: {list(self.colour)} is not red, green and blue")
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it does not give way."""
+        return self.young_pa is None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableConfig(Settings):
+    """The table top about the world's origin."""
+
+    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.size_m) != 2 or min(self.size_m) <= 0.0:
+            raise ConfigError(f"TableConfig.size_m: {list(self.size_m)} is not two lengths above 0 m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClutterConfig(Settings):
+    """Other objects around the one that is grasped; they hide it in part but are not touched."""
+
+    count: int = setting(4, "How many", minimum=1, maximum=20)
+    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m")
+    distance_m: tuple[float, ...] = setting((0.1, 0.25), "Between the axes of object and clutter", unit="m")
+    variants: int = setting(16, "Members of the family of random shapes that are used", minimum=1, maximum=10_000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("size_m", "distance_m"):
+            require_range(self, name, lowest=0.005)

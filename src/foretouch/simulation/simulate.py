@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a scene, in order, on one process or several.
+
+A data set has slots; slot k shows object k modulo their number. A slot whose try fails (GeoGrasp finds no grasp, a
+finger closes beside the object...) is tried again with other random numbers, each failure counted by reason. What
+stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter, deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explain
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.state import SampleState
+from foretouch.simulation.steps import EFFECTS
+from foretouch.simulation.streams import SampleKey
+from foretouch.types import GraspSample
+
+__all__ = ["SAMPLE_KEYS", "Failure", "SimulatedSample", "Simulation", "explain_scene", "replay"]
+
+SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
+"""The keys of the state that a sample is made of."""
+
+_BLOCK = 16  # slots that a worker makes at a time
+_AHEAD = 3  # blocks a worker that may wait for the reader
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A try that came to nothing.
+
+    Attributes:
+        key: With the scene, makes it fail again: see `replay`.
+        reason: By which it is counted.
+        message: What happened.
+    """
+
+    key: SampleKey
+    reason: str
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSample:
+    """A sample and how to make it again.
+
+    Attributes:
+        sample: The sample; its id is `<object>/<slot>`, and `extra` holds targets and contacts of both fingers.
+        key: Which one it is.
+        failures: The tries before it.
+    """
+
+    sample: GraspSample
+    key: SampleKey
+    failures: tuple[Failure, ...] = ()
+
+
+@dataclass
+class Simulation:
+    """A run over a scene; iterate `samples` once.
+
+    Attributes:
+        scene: The scene.
+        timings: By effect, over all tries so far.
+        failures: Tries that came to nothing, so far.
+    """
+
+    scene: SceneConfig
+    timings: dict[str, EffectTiming] = field(default_factory=lambda: {e.name: EffectTiming() for e in EFFECTS})
+    failures: list[Failure] = field(default_factory=list)
+
+    @property
+    def failures_by_reason(self) -> dict[str, int]:
+        """How many tries came to nothing, by reason, the most frequent first."""
+        return dict(Counter(failure.reason for failure in self.failures).most_common())
+
+    def samples(self, count: int, workers: int = 1) -> Iterator[SimulatedSample]:
+        """The first `count` samples, in the order of their slots.
+
+        Args:
+            count: How many.
+            workers: Processes; 1 makes all in this one.
+
+        Raises:
+            SimulationError: If a slot fails `scene.max_attempts` times.
+        """
+        blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
+        if workers == 1:
+            maker = _Maker(self.scene)
+            results: Iterator[_Block] = (maker.block(slots) for slots in blocks)
+        else:
+            results = _spread(self.scene, blocks, workers)
+        for samples, timings, broken in results:
+            for name, timing in timings.items():
+                self.timings[name].add(timing)
+            for sample in samples:
+                self.failures.extend(sample.failures)
+                yield sample
+            if broken is not None:
+                self.failures.extend(broken)
+                raise _given_up(broken)
+
+
+def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
+    """Which effects will run and which will not, without running any."""
+    return explain(scene, EFFECTS, SAMPLE_KEYS)
+
+
+def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
+    """Make one try again, with all that was known along the way.
+
+    Raises:
+        SimulationError: As it did.
+    """
+    return Engine(scene, EFFECTS, SAMPLE_KEYS).run(key)
+
+
+_Block = tuple[list[SimulatedSample], dict[str, EffectTiming], "list[Failure] | None"]
+
+
+class _Maker:
+    """Makes blocks of slots; one in each process."""
+
+    def __init__(self, scene: SceneConfig) -> None:
+        self._scene = scene
+        self._engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
+
+    def block(self, slots: range) -> _Block:
+        """The samples of some slots, the time they took and, where one is given up, its failures."""
+        from threadpoolctl import threadpool_limits
+
+        self._engine.timings.update({effect.name: EffectTiming() for effect in EFFECTS})
+        samples: list[SimulatedSample] = []
+        with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
+            for slot in slots:
+                made = self._slot(slot)
+                if isinstance(made, list):
+                    return samples, self._ran(), made
+                samples.append(made)
+        return samples, self._ran(), None
+
+    def _slot(self, slot: int) -> SimulatedSample | list[Failure]:
+        failures: list[Failure] = []
+        for attempt in range(self._scene.max_attempts):
+            key = SampleKey(self._scene.seed, slot, attempt)
+            try:
+                state = self._engine.run(key)
+            except SimulationError as err:
+                if err.reason == "effect":
+                    raise  # a mistake in the program, not in the sample
+                failures.append(Failure(key, err.reason, str(err)))
+            else:
+                return SimulatedSample(_sample(self._scene, key, state), key, tuple(failures))
+        return failures
+
+    def _ran(self) -> dict[str, EffectTiming]:
+        return {name: timing for name, timing in self._engine.timings.items() if timing.calls}
+
+
+def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSample:
+    item = scene.objects[key.slot % len(scene.objects)]
+    extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
+    for finger, target, contact in zip(("th", "mf"), state.targets, state.contacts, strict=True):
+        extra[f"target_{finger}"] = float(target)
+        extra[f"force_{finger}_n"] = contact.force_n
+        extra[f"depth_{finger}_m"] = float(contact.depth_m)
+        extra[f"area_{finger}_m2"] = float(contact.area_m2)
+    return GraspSample(
+        id=f"{item.name}/{key.slot:06d}",
+        object=item.name,
+        cloud=state.cloud,
+        grasp=state.grasp,
+        touch=state.touch,
+        tare=state.tare,
+        extra=extra,
+    )
+
+
+def _given_up(failures: list[Failure]) -> SimulationError:
+    last = failures[-1]
+    told = ", ".join(f"{n} {reason}" for reason, n in Counter(f.reason for f in failures).items())
+    return SimulationError(
+        f"slot {last.key.slot}: given up after {len(failures)} attempts ({told}); the last: {last.message}", last.reason
+    )
+
+
+_maker: _Maker | None = None  # of a worker process
+
+
+def _start_worker(scene: SceneConfig) -> None:
+    global _maker  # noqa: PLW0603  # a worker process has one scene all its life
+    _maker = _Maker(scene)
+
+
+def _work(slots: range) -> _Block:
+    if _maker is None:
+        raise SimulationError("worker: has no scene", "effect")
+    return _maker.block(slots)
+
+
+def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
+    """Blocks in order from several processes, a few made ahead of the reader."""
+    with _one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
+        pending: deque[Future[_Block]] = deque()
+        try:
+            for slots in blocks:
+                pending.append(pool.submit(_work, slots))
+                if len(pending) >= workers * _AHEAD:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+class _one_thread_each:  # noqa: N801  # used as a statement
+    """Workers inherit the environment: their BLAS must not take the cores from each other."""
+
+    _NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+    def __enter__(self) -> None:
+        self._before = {name: os.environ.get(name) for name in self._NAMES}
+        os.environ.update(dict.fromkeys(self._NAMES, "1"))
+
+    def __exit__(self, *_: object) -> None:
+        for name, value in self._before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The effects themselves, in the order in which those that change one key are applied."""
+
+from foretouch.simulation.steps import contact, grasp, meeting, place, points, reading, view
+
+__all__ = ["EFFECTS"]
+
+EFFECTS = (
+    *place.EFFECTS,
+    *view.EFFECTS,
+    *points.EFFECTS,
+    *grasp.EFFECTS,
+    *meeting.EFFECTS,
+    *contact.EFFECTS,
+    *reading.EFFECTS,
+)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the fingers as they really go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from foretouch.errors import GraspError, SimulationError
+from foretouch.grasp import hand_rotation, plan_grasps
+from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.hand import FingerFrame, finger_frames
+from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.state import SampleState
+from foretouch.types import Float64, Grasp
+
+__all__ = ["EFFECTS"]
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def _plan(job: Job, state: SampleState) -> None:
+    grasps, view = job.scene.grasps, job.world.view
+    plan = plan_grasps(
+        state.cloud,
+        job.world.plane,
+        grasps.geograsp,
+        rng=job.rng() if grasps.slide else None,
+        pixels=state.pixels,
+        image_shape=(view.height, view.width),
+    )
+    if plan.status == "no_grasp":
+        raise SimulationError(f"{job.item.name}: {plan.reason}", "no_grasp")
+    grasp = plan.grasps[0]
+    if grasps.initial_points and plan.initial_points is not None and plan.axis is not None:
+        grasp = _initial(plan.initial_points, plan.axis, job.item.name)
+    if grasp.width_m > grasps.max_width_m:
+        raise SimulationError(
+            f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {grasps.max_width_m:g} m", "too_wide"
+        )
+    state.plan, state.grasp = plan, replace(grasp, object_id=job.item.name)
+
+
+def _initial(points: Float64, axis: Float64, name: str) -> Grasp:
+    try:
+        return Grasp(points[0], points[1], hand_rotation(points[0], points[1], axis))
+    except GraspError as err:
+        raise SimulationError(f"{name}: {err}", "no_grasp") from err
+
+
+def _fingers(job: Job, state: SampleState) -> None:
+    grasp, world = state.grasp, job.world
+    lower = job.scene.grasps.insertion_m * _UP
+    g1, g2 = world.to_world(grasp.g1) - lower, world.to_world(grasp.g2) - lower
+    state.fingers = finger_frames(g1, g2, world.view.R_world_camera @ grasp.rotation, _UP)
+
+
+def _execution_error(job: Job, state: SampleState) -> None:
+    """Both fingers are on one hand, so they are shifted and turned about their middle as one."""
+    error = job.scene.grasps.error
+    if error is None:
+        return
+    rng = job.rng()
+    thumb, middle = state.fingers
+    shift = thumb.rotation @ (rng.normal(0.0, error.position_m, 3) * (1.0, 1.0, 0.0))
+    turn = _small_rotation(np.radians(rng.normal(0.0, error.angle_deg, 3)))
+    centre = (thumb.origin + middle.origin) / 2.0
+    state.fingers = tuple(  # type: ignore[assignment]  # two in, two out
+        FingerFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
+        for finger in (thumb, middle)
+    )
+
+
+def _small_rotation(vector: Float64) -> Float64:
+    """Rotation about a vector by its length [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross), np.float64)
+
+
+def _targets(job: Job, state: SampleState) -> None:
+    """In a balanced grip both fingers aim at one number, since the object passes the force on."""
+    grasps, rng = job.scene.grasps, job.rng()
+    name = "force_n" if grasps.control == "force" else "depth_m"
+    fingers = [grasps.thumb] if grasps.middle is None else [grasps.thumb, grasps.middle]
+    drawn = [draw(rng, getattr(finger, name)) for finger in fingers]
+    state.targets = np.array([drawn[0], drawn[-1]])
+    state.axial_load_n = 0.0
+
+
+EFFECTS = (
+    Effect("grasp", _plan, always("grasps"), reads=keys("cloud", "pixels"), writes=keys("plan", "grasp")),
+    Effect("fingers", _fingers, always("grasps"), reads=keys("grasp"), writes=keys("fingers")),
+    Effect(
+        "execution_error",
+        _execution_error,
+        lambda scene, _item: "grasps.error" if scene.grasps.error is not None else None,
+        off="grasps.error",
+        modifies=keys("fingers"),
+    ),
+    Effect("targets", _targets, always("grasps"), writes=keys("targets", "axial_load_n")),
+)

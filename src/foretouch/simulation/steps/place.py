@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Put the object on the table, and clutter around it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.body import Body
+from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.scene import ObjectConfig
+from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.state import SampleState
+from foretouch.types import Float64
+
+__all__ = ["EFFECTS"]
+
+_PLACES = 100  # tried for one piece of clutter
+_GAP_M = 0.01  # free table between two bodies
+
+
+def _object(job: Job, state: SampleState) -> None:
+    rng = job.rng()
+    item = job.item
+    turn = job.key.slot // len(job.scene.objects)
+    size = np.asarray(item.size_m) * (1.0 + item.size_spread * rng.uniform(-1.0, 1.0))
+    rotation = _resting(item, rng)
+    place = np.array([draw(rng, item.pose.x_m), draw(rng, item.pose.y_m), 0.0])
+    state.bodies = [_stood(Body(item.shape, turn % item.variants, size, place, rotation))]
+
+
+def _clutter(job: Job, state: SampleState) -> None:
+    clutter = job.scene.clutter
+    if clutter is None:
+        return
+    rng = job.rng()
+    bodies = list(state.bodies)
+    for _ in range(clutter.count):
+        size = np.full(3, draw(rng, clutter.size_m))
+        variant = int(rng.integers(clutter.variants))
+        yaw = _about_z(rng.uniform(0.0, 2.0 * np.pi))
+        body = Body("random", variant, size, np.zeros(3), yaw)
+        bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
+    state.bodies = bodies
+
+
+def _resting(item: ObjectConfig, rng: np.random.Generator) -> Float64:
+    yaw = _about_z(np.radians(draw(rng, item.pose.yaw_deg)))
+    if item.pose.rest == "upright":
+        return yaw
+    if item.pose.rest == "side":
+        lying = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # its z along the table
+        return np.asarray(yaw @ lying @ _about_z(rng.integers(4) * np.pi / 2.0), np.float64)
+    q = rng.standard_normal(4)
+    w, x, y, z = q / np.linalg.norm(q)  # a uniform rotation (Shoemake 1992)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _stood(body: Body) -> Body:
+    """The body, its lowest point on the table."""
+    return replace(body, position=body.position - (0.0, 0.0, body.lowest()))
+
+
+def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: np.random.Generator) -> Body:
+    """The body at a random place around the object, apart from all others.
+
+    Raises:
+        SimulationError: If it finds no place ("no_place").
+    """
+    for _ in range(_PLACES):
+        angle, distance = rng.uniform(0.0, 2.0 * np.pi), draw(rng, distance_m)
+        place = bodies[0].position * (1.0, 1.0, 0.0) + distance * np.array([np.cos(angle), np.sin(angle), 0.0])
+        apart = [np.linalg.norm((other.position - place)[:2]) - _footprint(other) for other in bodies]
+        if min(apart) > _footprint(body) + _GAP_M:
+            return replace(body, position=place)
+    raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m finds no place in {_PLACES} tries", "no_place")
+
+
+def _footprint(body: Body) -> float:
+    """Radius of a vertical cylinder about its middle that holds it [m]."""
+    return float(np.linalg.norm((body.corners() - body.position)[:, :2], axis=1).max())
+
+
+def _about_z(angle: float) -> Float64:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+EFFECTS = (
+    Effect("object", _object, always("objects"), writes=keys("bodies")),
+    Effect(
+        "clutter",
+        _clutter,
+        lambda scene, _item: "clutter" if scene.clutter is not None else None,
+        off="clutter",
+        modifies=keys("bodies"),
+    ),
+)

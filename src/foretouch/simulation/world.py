@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all samples of a scene share: the camera's rays and the table in its frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from foretouch.simulation.fingertip import Finger, draw_finger
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.view import CameraView
+from foretouch.types import Float64, Plane
+
+__all__ = ["CAMERA_FRAME", "World"]
+
+CAMERA_FRAME = "camera_depth_optical_frame"
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The parts of a scene that never move.
+
+    Attributes:
+        view: The camera.
+        rays: (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis.
+        plane: The table top in the camera frame, its normal towards the camera.
+        fingers: Thumb and middle finger: one pair a scene, drawn from its seed.
+        table_size: (2,) float64, edges of the table top about the world's origin [m].
+    """
+
+    view: CameraView
+    rays: Float64
+    plane: Plane
+    table_size: Float64
+    fingers: tuple[Finger, Finger]
+
+    @classmethod
+    def of(cls, scene: SceneConfig) -> Self:
+        """From a scene."""
+        view = scene.camera.view()
+        plane = Plane.from_coefficients(view.table_plane())
+        hand = SampleKey(scene.seed, 0).stream("fingers of the scene")
+        fingers = draw_finger(scene.fingers.thumb, hand), draw_finger(scene.fingers.middle, hand)
+        return cls(view, view.directions(), plane, np.asarray(scene.table.size_m, np.float64), fingers)
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length [px]."""
+        return float(self.view.matrix[0, 0])
+
+    def to_camera(self, points: Float64) -> Float64:
+        """Points (..., 3) of the world in the camera frame [m]."""
+        return np.asarray((points - self.view.eye) @ self.view.R_world_camera, np.float64)
+
+    def to_world(self, points: Float64) -> Float64:
+        """Points (..., 3) of the camera frame in the world [m]."""
+        return np.asarray(points @ self.view.R_world_camera.T + self.view.eye, np.float64)
