@@ -33,7 +33,7 @@ def step_at(at_ns: int, topic: str = CLOUDS) -> Step:
 
 def test_files_become_stamped_messages(tmp_path):
     for number in (1, 2):
-        write_cloud(tmp_path / f"{number}.npz", cloud_of(number))
+        write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
     first, second = steps(open_source(tmp_path, frame_id="lens"))
     assert read_header(first.data) == (STAMP_STEP_NS, "lens")
     content = STORE.deserialize_cdr(second.data, POINT_CLOUD_TYPE)

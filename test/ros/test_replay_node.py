@@ -156,8 +156,8 @@ def test_restamped_clouds_carry_the_time_of_now_and_the_same_points(graph, tmp_p
 
 def test_folders_of_objects_go_behind_the_segmentation(graph, tmp_path, rng):
     for k, cloud in enumerate(make_clouds(rng, count=3, shape=(50,))):
-        write_cloud(tmp_path / f"{k}.npz", cloud)
-    (tmp_path / "1.npz").write_bytes(b"no archive")
+        write_cloud(tmp_path / f"{k}.pcd", cloud)
+    (tmp_path / "1.pcd").write_bytes(b"no cloud")
     topics = {"object_cloud": PointCloud2, "table": TablePlane, "points": PointCloud2}
     node, received = play(graph, tmp_path, topics, table=[0.0, 0.0, -1.0, 1.0], rate_hz=20.0)
     assert not received["points"]

@@ -15,17 +15,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from foretouch.cloud.files import read_cloud
+from foretouch.cloud.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.vision2tactile import is_sample_folder, read_sample, sample_folders
 from foretouch.errors import FileError, ForetouchError
 from foretouch.types import Cloud, GraspSample
 
-__all__ = ["CLOUD_SUFFIXES", "STAMP_STEP_NS", "Source", "SourceItem", "SourceKind", "open_source", "readable"]
+__all__ = ["STAMP_STEP_NS", "Source", "SourceItem", "SourceKind", "open_source", "readable"]
 
-CLOUD_SUFFIXES = (".pcd", ".ply", ".npz", ".npy")
 STAMP_STEP_NS = 100_000_000
-"""Files carry no stamps: the k-th cloud of a folder, from 1, gets k times this [ns]."""
+"""The k-th cloud of a folder, from 1, gets k times this [ns]: most files carry no stamp, and stamps must rise."""
 
 SourceKind = Literal["clouds", "samples", "recording"]
 
@@ -146,7 +145,7 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
         raise FileError(path, f"is no recording, so it has no topic {topic}")
     if path.is_dir():
         return _open_folder(path, frame_id)
-    if path.suffix not in CLOUD_SUFFIXES:
+    if path.suffix.lower() not in CLOUD_SUFFIXES:
         known = ", ".join(CLOUD_SUFFIXES + RECORDING_SUFFIXES)
         raise FileError(path, f"suffix {path.suffix or 'absent'} is none of {known}")
     return Source(path, "clouds", None, frame_id, (path,), 1)
@@ -188,7 +187,7 @@ def _open_folder(path: Path, frame_id: str) -> Source:
     if is_sample_folder(path) or any(is_sample_folder(folder) for folder in nested):
         entries = tuple(sorted(sample_folders(path), key=_natural))
         return Source(path, "samples", None, frame_id, entries, len(entries))
-    entries = tuple(sorted((p for p in path.iterdir() if p.suffix in CLOUD_SUFFIXES), key=_natural))
+    entries = tuple(sorted((p for p in path.iterdir() if p.suffix.lower() in CLOUD_SUFFIXES), key=_natural))
     if not entries:
         known = ", ".join(CLOUD_SUFFIXES)
         raise FileError(path, f"holds no clouds ({known}), no grasp samples (cloud-object.pcd) and no recording")
