@@ -12,6 +12,7 @@ from foretouch.errors import DatasetError
 from foretouch.learning.evaluation import evaluate
 from foretouch.learning.train import TrainConfig, predict_set, train_network, training_loss
 from foretouch.learning.training_set import TrainingSet, duplicate_labels
+from foretouch.models.familiarity import Familiarity
 from foretouch.models.folding import fold
 from foretouch.models.touch_model import Member, TouchModel
 from foretouch.types import Touch
@@ -70,6 +71,14 @@ def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
     model = TouchModel([Member(small, fold(net))], {"name": "toy", "sha256": ""})
     (prediction,) = model.predict(samples[50].cloud, [samples[50].grasp])
     assert_allclose(prediction.value.vector(), predict_set(net, data, np.array([50]))[0], atol=0.05)
+
+
+def test_what_was_trained_on_is_familiar(samples, small) -> None:
+    data = TrainingSet.build(samples, small)
+    net = train_network(data, np.arange(40), QUICK.replace(epochs=1))
+    model = TouchModel([Member(small, fold(net), Familiarity.fit(data.lengths))], {"name": "toy", "sha256": ""})
+    predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
+    assert not any("unfamiliar" in prediction.flags for prediction in predictions)
 
 
 def test_the_papers_recipe_runs(samples, small) -> None:

@@ -13,7 +13,7 @@ from foretouch.cloud.frame import UnitSphereFrame
 from foretouch.cloud.sampling import sample_indices
 from foretouch.errors import DatasetError
 from foretouch.models.familiarity import describe
-from foretouch.models.preparation import PreparedCloud, finite_points, prepare_grasps, sample_channels
+from foretouch.models.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
 from foretouch.models.settings import ModelConfig
 from foretouch.tactile.validity import check_touch
 from foretouch.types import Float32, Float64, GraspSample
@@ -57,7 +57,8 @@ class TrainingSet:
             points = sample_channels(usable, np.arange(usable.size), frame, config)
             clouds.append(points)
             grasps.append(prepare_grasps([sample.grasp], frame, config)[0])
-            lengths.append(describe(PreparedCloud(points, frame), [sample.grasp])[0])
+            # On the points that prediction will choose, for the gap to the nearest depends on their number.
+            lengths.append(describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0])
         return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config)
 
     def __len__(self) -> int:
