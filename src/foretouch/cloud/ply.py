@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PLY files (Stanford polygon format): the vertices, as a cloud.
+
+Read here, since Open3D fills a file that is cut off with zeros and only warns. The order of an image is kept
+in the two `obj_info` lines, `num_cols` and `num_rows`, that Stanford's range scans introduced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import FileError
+from foretouch.types import Cloud, UInt8
+
+__all__ = ["read_ply", "write_ply"]
+
+_HEADER_LIMIT = 65536  # bytes within which end_header must stand
+_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_COLOURS = ("red", "green", "blue")
+
+
+@dataclass
+class _Header:
+    """What the text says before the data.
+
+    Attributes:
+        encoding: Key of `_ORDERS`.
+        points: Number of vertices.
+        properties: Of a vertex, name and NumPy type.
+        image: `num_cols` and `num_rows`, where given.
+    """
+
+    encoding: str = ""
+    points: int = -1
+    properties: list[tuple[str, str]] = field(default_factory=list)
+    image: dict[str, int] = field(default_factory=dict)
+
+
+def read_ply(path: Path) -> Cloud:
+    """Read the vertices of a PLY file, which must be its first element.
+
+    Args:
+        path: The file, ascii or binary.
+
+    Returns:
+        (H, W, 3) where `obj_info` says so, else (N, 3), with colours where it has red, green, blue of uchar.
+
+    Raises:
+        FileError: If the header is incomplete, there is no x, y, z, or the data is cut off.
+        OSError: If the file cannot be read.
+    """
+    content = path.read_bytes()
+    header, size = _parse_header(path, content)
+    columns, rows = header.image.get("num_cols", header.points), header.image.get("num_rows", 1)
+    if columns * rows != header.points:
+        raise FileError(path, f"{columns} x {rows} is not the number of vertices, {header.points}", field="obj_info")
+    vertices = _vertices(path, header, content[size:])
+    shape = (rows, columns, 3) if rows > 1 else (header.points, 3)
+    with np.errstate(over="ignore"):
+        xyz = np.stack([vertices[name].astype(np.float32) for name in "xyz"], axis=-1)
+    rgb = _colours(vertices)
+    return Cloud(xyz.reshape(shape), None if rgb is None else rgb.reshape(shape))
+
+
+def write_ply(path: Path, cloud: Cloud) -> None:
+    """Write a binary PLY file: x, y, z as float, and red, green, blue as uchar."""
+    parts: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
+    if cloud.rgb is not None:
+        parts += [(name, "u1") for name in _COLOURS]
+    records: npt.NDArray[Any] = np.empty(cloud.size, parts)
+    for i, name in enumerate("xyz"):
+        records[name] = cloud.xyz[..., i].reshape(-1)
+    if cloud.rgb is not None:
+        for i, name in enumerate(_COLOURS):
+            records[name] = cloud.rgb[..., i].reshape(-1)
+    lines = ["ply", "format binary_little_endian 1.0"]
+    if cloud.organised:
+        lines += [f"obj_info num_cols {cloud.xyz.shape[1]}", f"obj_info num_rows {cloud.xyz.shape[0]}"]
+    lines.append(f"element vertex {cloud.size}")
+    lines += [f"property {'float' if kind == '<f4' else 'uchar'} {name}" for name, kind in parts]
+    path.write_bytes("\n".join([*lines, "end_header", ""]).encode("ascii") + records.tobytes())
+
+
+def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
+    """The header, and its size [bytes]."""
+    if not content.startswith(b"ply"):
+        raise FileError(path, "does not start with ply", field="header")
+    end = content.find(b"end_header", 0, _HEADER_LIMIT)
+    newline = content.find(b"\n", end)
+    if end < 0 or newline < 0:
+        raise FileError(path, "no line end_header: cut off", field="header")
+    header = _Header()
+    element = ""
+    for line in content[:end].decode("ascii", errors="replace").splitlines():
+        element = _parse_line(path, header, line.split(), element)
+    if header.encoding not in _ORDERS:
+        raise FileError(path, f"{header.encoding or 'nothing'} is none of {', '.join(_ORDERS)}", field="format")
+    if header.points < 0:
+        raise FileError(path, "element vertex is missing", field="header")
+    names = [name for name, _ in header.properties]
+    if len(set(names)) != len(names):
+        raise FileError(path, f"{' '.join(names)}: a name stands twice", field="property")
+    for axis in "xyz":
+        if axis not in names:
+            raise FileError(path, f"is no property of the vertices; there are: {' '.join(names)}", field=axis)
+    return header, newline + 1
+
+
+def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> str:
+    """Note one line of the header; the element that the next one belongs to."""
+    match words:
+        case ["format", encoding, *_]:
+            header.encoding = encoding
+        case ["obj_info", ("num_cols" | "num_rows") as name, count] if count.isdecimal():
+            header.image[name] = int(count)
+        case ["element", name, count]:
+            if element == "" and name != "vertex":
+                raise FileError(path, f"{name} comes before the vertices", field="element")
+            if not count.isdecimal():
+                raise FileError(path, f"{count!r} is not a whole number", field=f"element {name}")
+            if name == "vertex":
+                header.points = int(count)
+            return name
+        case ["property", kind, *rest] if element == "vertex":
+            if kind not in _TYPES or len(rest) != 1:
+                raise FileError(path, f"{' '.join([kind, *rest])}: is no plain number", field="property")
+            header.properties.append((rest[0], _TYPES[kind]))
+    return element
+
+
+def _vertices(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
+    if header.encoding == "ascii":
+        return _ascii_vertices(path, header.points, header.properties, body)
+    dtype = np.dtype([(name, _ORDERS[header.encoding] + kind) for name, kind in header.properties])
+    expected = header.points * dtype.itemsize
+    if len(body) < expected:
+        raise FileError(
+            path, f"{len(body)} bytes are fewer than {header.points} of {dtype.itemsize} = {expected}", field="vertex"
+        )
+    return np.frombuffer(body, dtype, header.points)
+
+
+def _ascii_vertices(path: Path, points: int, properties: list[tuple[str, str]], body: bytes) -> npt.NDArray[Any]:
+    expected = points * len(properties)
+    words = body.split(None, expected)[:expected]
+    if len(words) < expected:
+        raise FileError(
+            path, f"{len(words)} numbers are fewer than {points} x {len(properties)} = {expected}", field="vertex"
+        )
+    try:
+        table = np.array(words, np.float64).reshape(points, len(properties))
+    except ValueError as err:
+        raise FileError(path, f"not a number: {err}", field="vertex") from err
+    vertices = np.zeros(points, properties)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for column, (name, _) in enumerate(properties):
+            vertices[name] = table[:, column]
+    return vertices
+
+
+def _colours(vertices: npt.NDArray[Any]) -> UInt8 | None:
+    names = vertices.dtype.names or ()
+    if not all(name in names and vertices.dtype[name] == np.uint8 for name in _COLOURS):
+        return None
+    return np.stack([vertices[name] for name in _COLOURS], axis=-1)
