@@ -15,10 +15,6 @@ from foretouch.types import Float32
 
 __all__ = ["mean_neighbour_distance"]
 
-# Half widths of the windows, tried in turn on the points that are not proven yet. On a surface seen
-# head-on 50 neighbours reach 4 pixels far; slants, rims and holes need more.
-_HALF_WIDTHS = (5, 8)
-
 
 def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None) -> Float32:
     """Mean distance from each point to its k nearest neighbours, the point itself excluded.
@@ -34,13 +30,10 @@ def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None)
     k = min(k, len(xyz) - 1)
     if k < 1:
         return np.zeros(len(xyz), np.float32)
-    result = np.zeros(len(xyz), np.float32)
-    pending = np.arange(len(xyz), dtype=np.int64)
-    if grid is not None:
-        for half in (h for h in _HALF_WIDTHS if (2 * h + 1) ** 2 > k):
-            distance, proven = window_mean_distance(xyz, grid, pending, k, half)
-            result[pending[proven]] = distance[proven]
-            pending = pending[~proven]
+    if grid is None:
+        return _tree_mean_distance(xyz, np.arange(len(xyz)), k)
+    result, proven = window_mean_distance(xyz, grid, k)
+    pending = np.flatnonzero(~proven)
     if len(pending):
         result[pending] = _tree_mean_distance(xyz, pending, k)
     return result
