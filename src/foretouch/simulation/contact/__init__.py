@@ -17,12 +17,20 @@ from foretouch.simulation.contact.pad import (
     pad_depth,
     pad_direction,
 )
-from foretouch.simulation.contact.problem import Command, ContactConfig, ContactProblem, ContactSolution, Layer
+from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
+    Command,
+    ContactConfig,
+    ContactProblem,
+    ContactSolution,
+    Layer,
+)
 from foretouch.simulation.contact.statics import HeldWeight, weigh
 from foretouch.simulation.contact.winkler import bed_stiffness, solve_winkler
 
 __all__ = [
     "BALANCE_TOLERANCE",
+    "DEFAULT_CONFIG",
     "LEVELS",
     "Command",
     "ContactConfig",

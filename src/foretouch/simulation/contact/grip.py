@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.level import Level, solve_contact
-from foretouch.simulation.contact.problem import Command, ContactConfig, ContactProblem, ContactSolution
+from foretouch.simulation.contact.problem import DEFAULT_CONFIG, Command, ContactConfig, ContactProblem, ContactSolution
 
 __all__ = ["BALANCE_TOLERANCE", "GripSolution", "solve_grip"]
 
@@ -54,7 +54,7 @@ def solve_grip(
     balanced: bool,
     axial_load_n: float = 0.0,
     level: Level = "auto",
-    config: ContactConfig | None = None,
+    config: ContactConfig = DEFAULT_CONFIG,
 ) -> GripSolution:
     """Close both fingers on the object.
 
@@ -95,7 +95,7 @@ def _common(forces: Sequence[float]) -> float:
 
 
 def _at_force(
-    problems: Sequence[ContactProblem], force: float, load: float, level: Level, config: ContactConfig | None
+    problems: Sequence[ContactProblem], force: float, load: float, level: Level, config: ContactConfig
 ) -> GripSolution:
     pushes = (force - load / 2.0, force + load / 2.0)
     if min(pushes) < 0.0:
@@ -105,7 +105,7 @@ def _at_force(
 
 
 def _at_closing(
-    problems: Sequence[ContactProblem], closing: float, load: float, level: Level, config: ContactConfig | None
+    problems: Sequence[ContactProblem], closing: float, load: float, level: Level, config: ContactConfig
 ) -> GripSolution:
     """Find the common force whose two depths add up to `closing`.
 

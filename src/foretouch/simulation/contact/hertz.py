@@ -21,6 +21,7 @@ import numpy as np
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
     Command,
     ContactConfig,
     ContactProblem,
@@ -47,7 +48,7 @@ class _Paraboloid:
     y0: float
 
 
-def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig | None = None) -> ContactSolution:
+def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
     """Press two bodies together as half-spaces that touch on a paraboloid.
 
     Args:
@@ -77,7 +78,7 @@ def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig
     pressure = _pressure(rho, force / problem.cell_m2)
     shares = np.array([modulus / layer.plane_modulus_pa for layer in problem.layers])
     displacement = shares[:, None, None] * _displacement(rho, depth)
-    refuse_overload(problem, displacement, depth, config or ContactConfig())
+    refuse_overload(problem, displacement, depth, config)
     return ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
 
 

@@ -104,14 +104,21 @@ def influence_spectrum(layer: Layer, n: int, step_m: float) -> Complex128:
 
 
 def convolve(pressure: Float64, spectrum: Complex128) -> Float64:
-    """Displacement (N, N) float64 [m] of a pressure (N, N) [Pa], by the spectrum of `influence_spectrum`.
+    """Displacement [m] of a pressure (N, N) [Pa], by the spectrum of `influence_spectrum`.
 
     By axis, so that rows of zeros are not transformed on the way in, nor unused ones on the way out.
+
+    Args:
+        pressure: (N, N) float64 [Pa].
+        spectrum: (2N, N + 1), or (L, 2N, N + 1) for one layer each.
+
+    Returns:
+        (N, N) or (L, N, N) float64 [m].
     """
     n = pressure.shape[0]
-    waves = np.fft.fft(np.fft.rfft(pressure, 2 * n, axis=1), 2 * n, axis=0)
-    waves *= spectrum
-    return np.asarray(np.fft.irfft(np.fft.ifft(waves, axis=0)[:n], 2 * n, axis=1)[:, :n])
+    waves = np.fft.fft(np.fft.rfft(pressure, 2 * n, axis=1), 2 * n, axis=0) * spectrum
+    columns = np.fft.ifft(waves, axis=-2)[..., :n, :]
+    return np.asarray(np.fft.irfft(columns, 2 * n, axis=-1)[..., :n])
 
 
 def _corner(x: Float64, y: Float64) -> Float64:

@@ -19,6 +19,7 @@ from foretouch.simulation.contact.descent import Descent
 from foretouch.simulation.contact.footprint import Box, expected_pressure
 from foretouch.simulation.contact.influence import Complex128, convolve, influence_spectrum
 from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
     Command,
     ContactConfig,
     ContactProblem,
@@ -35,7 +36,7 @@ _MARGIN = 2  # cells around the expected footprint
 _OVERLAP = 2e-2  # of the depth: how far the surfaces may still overlap before it is solved again on the window
 
 
-def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig | None = None) -> ContactSolution:
+def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
     """Press two bodies together, each cell answering to all others.
 
     Args:
@@ -46,7 +47,6 @@ def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig
     Raises:
         ContactError: If it does not converge in `max_iterations`, or a layer is compressed beyond `max_strain`.
     """
-    config = config or ContactConfig()
     if command.idle:
         return no_contact(problem, command.depth_m or 0.0)
     gap = np.minimum(problem.gap, _ABSENT_M)
@@ -92,20 +92,19 @@ def _solve_in_window(
 def _descend(problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64, start: Float64) -> Descent:
     """Step until the tolerance is met or the iterations are spent."""
     total = None if command.force_n is None else command.force_n / problem.cell_m2
-    descent = Descent(gap, _spectrum(problem, gap.shape[0]), start, depth=command.depth_m, total=total)
+    descent = Descent(gap, _spectra(problem, gap.shape[0]).sum(axis=0), start, depth=command.depth_m, total=total)
     while descent.iterations < config.max_iterations and descent.step() >= config.tolerance:
         pass
     return descent
 
 
-def _spectrum(problem: ContactProblem, n: int) -> Complex128:
-    first, *others = (influence_spectrum(layer, n, problem.step_m) for layer in problem.layers)
-    return sum(others, start=first)
+def _spectra(problem: ContactProblem, n: int) -> Complex128:
+    """(L, 2n, n + 1), of each layer."""
+    return np.stack([influence_spectrum(layer, n, problem.step_m) for layer in problem.layers])
 
 
 def _displacements(problem: ContactProblem, pressure: Float64) -> Float64:
-    n = pressure.shape[0]
-    return np.stack([convolve(pressure, influence_spectrum(layer, n, problem.step_m)) for layer in problem.layers])
+    return convolve(pressure, _spectra(problem, pressure.shape[0]))
 
 
 def _overlap(displacement: Float64, gap: Float64, depth: float) -> float:

@@ -10,7 +10,14 @@ from typing import Final, Literal
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.hertz import solve_hertz
 from foretouch.simulation.contact.layer import solve_layer
-from foretouch.simulation.contact.problem import Command, ContactConfig, ContactProblem, ContactSolution, Layer
+from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
+    Command,
+    ContactConfig,
+    ContactProblem,
+    ContactSolution,
+    Layer,
+)
 from foretouch.simulation.contact.winkler import solve_winkler
 
 __all__ = ["LEVELS", "Level", "choose_level", "solve_contact"]
@@ -36,7 +43,7 @@ def choose_level(layers: Sequence[Layer]) -> tuple[Level, str]:
 
 
 def solve_contact(
-    problem: ContactProblem, command: Command, level: Level = "auto", config: ContactConfig | None = None
+    problem: ContactProblem, command: Command, level: Level = "auto", config: ContactConfig = DEFAULT_CONFIG
 ) -> ContactSolution:
     """Solve one contact at the level asked for.
 

@@ -17,7 +17,16 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
 from foretouch.types import Float64
 
-__all__ = ["Command", "ContactConfig", "ContactProblem", "ContactSolution", "Layer", "no_contact", "refuse_overload"]
+__all__ = [
+    "DEFAULT_CONFIG",
+    "Command",
+    "ContactConfig",
+    "ContactProblem",
+    "ContactSolution",
+    "Layer",
+    "no_contact",
+    "refuse_overload",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +38,9 @@ class ContactConfig(Settings):
     )
     max_iterations: int = setting(300, "Elastic layer: steps before it is refused", minimum=1)
     max_strain: float = setting(0.95, "Deepest compression of a layer over its thickness", minimum=0.01, maximum=1.0)
+
+
+DEFAULT_CONFIG = ContactConfig()  # made once: checking settings takes longer than a Winkler contact
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ import numpy as np
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
     Command,
     ContactConfig,
     ContactProblem,
@@ -45,7 +46,7 @@ def bed_stiffness(layer: Layer) -> float:
 
 
 def solve_winkler(
-    problem: ContactProblem, command: Command, config: ContactConfig | None = None, *, stiffness: float | None = None
+    problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG, *, stiffness: float | None = None
 ) -> ContactSolution:
     """Press two bodies together on a bed of springs; exact, without iteration.
 
@@ -68,7 +69,7 @@ def solve_winkler(
         depth = command.depth_m
     pressure = k * np.maximum(depth - problem.gap, 0.0)
     displacement = compliances[:, None, None] * pressure
-    refuse_overload(problem, displacement, depth, config or ContactConfig())
+    refuse_overload(problem, displacement, depth, config)
     area = np.count_nonzero(pressure) * problem.cell_m2
     return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
 
