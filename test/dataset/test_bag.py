@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording, list_topics, read_bag
@@ -125,6 +126,20 @@ def test_bag_of_others_with_an_odd_layout(tmp_path, rng, plugin):
     (cloud,) = read_bag(tmp_path / "bag")
     np.testing.assert_array_equal(cloud.xyz, xyz)
     assert (cloud.frame_id, cloud.stamp_ns) == ("lidar", 3_000_000_004)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_compressed_bag_of_others(tmp_path, rng, plugin, mode):
+    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
+    writer = Writer(tmp_path / "bag", version=8, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=KILTED)
+        message = foreign_message(KILTED, xyz, stamp_ns=7)
+        writer.write(connection, 10, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
+    (cloud,) = read_bag(tmp_path / "bag")
+    np.testing.assert_array_equal(cloud.xyz, xyz)
 
 
 def test_ros1_bag(tmp_path, rng):

@@ -100,9 +100,13 @@ class Recording:
             # Recordings of ROS 2 before Iron hold no definitions: those of a current release then serve.
             self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
             self._reader.open()
-        with _known_failures(self.path):
-            self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
-            self.topics: tuple[Topic, ...] = tuple(self._topics())
+        try:
+            with _known_failures(self.path):
+                self._store = self._reader.typestore if self._reader.is2 else _without_seq(self._reader.typestore)
+                self.topics: tuple[Topic, ...] = tuple(self._topics())
+        except FileError:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -258,8 +262,12 @@ def _known_failures(path: Path, place: str | None = None) -> Iterator[None]:
         yield
     except FileError:
         raise
+    except PermissionError as err:
+        raise FileError(path, err.strerror or "may not be read", field=place) from err
     except Exception as err:
-        told = " ".join(str(err).split()) or type(err).__name__
+        told = " ".join(str(err).split())
+        if not type(err).__module__.startswith("rosbags"):
+            told = f"{type(err).__name__}: {told}" if told else type(err).__name__
         raise FileError(path, f"truncated or damaged: {told}", field=place) from err
 
 
