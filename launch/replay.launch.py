@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording, or a folder of clouds, through the whole chain; ends when it has been played.
 
-ros2 launch foretouch replay.launch.py source:=recording/
+ros2 launch foretouch replay.launch.py path:=recording/
 """
 
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
@@ -14,7 +14,7 @@ from launch import LaunchContext, LaunchDescription
 
 PASSED_ON = ("namespace", "model", "params_file", "rviz")
 ARGUMENTS = [
-    DeclareLaunchArgument("source", description="Recording, cloud file, or folder of clouds or samples"),
+    DeclareLaunchArgument("path", description="Recording, cloud file, or folder of clouds or samples"),
     DeclareLaunchArgument("namespace", default_value="/foretouch", description="Of all nodes"),
     DeclareLaunchArgument("model", default_value="default", description="Name of a shipped model, or a checkpoint"),
     DeclareLaunchArgument("params_file", default_value="", description="ROS parameters of any node, YAML"),
@@ -40,7 +40,7 @@ def replay(context: LaunchContext) -> list[Node]:
             executable="foretouch_replay",
             namespace=LaunchConfiguration("namespace"),
             parameters=[params_file] if params_file else [],
-            ros_arguments=["-p", ["replay:path:=", LaunchConfiguration("source")]],
+            ros_arguments=["-p", ["replay:path:=", LaunchConfiguration("path")]],
             output="screen",
             on_exit=Shutdown(reason="the source has been played"),
         )

@@ -15,6 +15,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.inputs import read_table, read_targets
 from foretouch.ros.planning import plan_targets
 from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
+from foretouch.ros.warm_up import tabletop
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 __all__ = ["GraspNode", "GraspNodeConfig"]
@@ -40,6 +41,8 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     def setup(self) -> None:
         """Outputs before inputs, so that no answer is lost."""
         self._grasps = self.advertise(GraspArray, "grasps")
+        for target in self._pipeline.see(tabletop()).targets:
+            self._pipeline.plan(target)
         super().setup()
 
     def config_changed(self, config: GraspNodeConfig) -> None:

@@ -18,6 +18,7 @@ from foretouch.ros.conversions import (
     prediction_to_msg,
     refusal_to_msg,
 )
+from foretouch.ros.warm_up import tabletop
 from foretouch.types import Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
@@ -43,6 +44,13 @@ class Predictor:
             self.fault = f"model: {err}"
             if fallback:
                 self._fall_back(fallback)
+
+    def warm_up(self) -> None:
+        """Predict once, so that the first real cloud does not wait for torch."""
+        if self.model is not None:
+            pipeline = Pipeline()
+            for target in pipeline.see(tabletop()).targets:
+                self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
     def _fall_back(self, name: str) -> None:
         try:

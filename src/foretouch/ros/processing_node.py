@@ -39,6 +39,13 @@ class ProcessingConfig(NodeConfig):
     queue_depth: int = setting(
         5, "Inputs that may wait; the oldest is given up for a newer one", minimum=1, maximum=10_000, read_only=True
     )
+    pairing_depth: int = setting(
+        64,
+        "Clouds that may wait for their other messages: more than all queues before this node hold together",
+        minimum=1,
+        maximum=10_000,
+        read_only=True,
+    )
     silence_s: float = setting(5.0, "Time without an input that is worth a warning", unit="s", minimum=0.1, maximum=1e6)
 
 
@@ -55,12 +62,11 @@ class ProcessingNode(ForetouchNode[_P], ABC):
     def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:
         super().__init__(name, config_class, **options)
         self._topics = tuple(inputs)
-        depth = self.config.queue_depth
         self._lock = threading.Lock()
         names = [topic for _, topic in inputs]
-        self._pairing = StampPairing(names, depth, self.statistics.arrive, self.statistics.drop)
+        self._pairing = StampPairing(names, self.config.pairing_depth, self.statistics.arrive, self.statistics.drop)
         self._worker: Worker[StampedSet] = Worker(
-            name, depth, self._work, lambda _, reason: self.statistics.drop(reason)
+            name, self.config.queue_depth, self._work, lambda _, reason: self.statistics.drop(reason)
         )
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""

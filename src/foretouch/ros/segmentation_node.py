@@ -20,6 +20,7 @@ from foretouch.ros.inputs import read_cloud
 from foretouch.ros.markers import object_markers
 from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
 from foretouch.ros.status import RefusalError, status_code
+from foretouch.ros.warm_up import tabletop
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 __all__ = ["SegmentationNode", "SegmentationNodeConfig"]
@@ -52,6 +53,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._table = self.advertise(TablePlane, "table")
         self._object_cloud = self.advertise(PointCloud2, "object_cloud")
         self._markers = self.advertise(MarkerArray, "markers")
+        self._pipeline.see(tabletop())
         super().setup()
 
     def config_changed(self, config: SegmentationNodeConfig) -> None:

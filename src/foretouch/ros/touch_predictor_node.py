@@ -82,6 +82,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._predictor = Predictor(self.config.model, self.config.fallback_model)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
+        self._predictor.warm_up()
         self._touch = self.advertise(TouchPredictionArray, "touch")
         self._markers = self.advertise(MarkerArray, "markers")
         self._service = self.create_service(

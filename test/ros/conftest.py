@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real nodes over real DDS, each test in a domain of its own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: pip install foretouch[ros]")
+pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built: pip install ./foretouch_msgs")
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+from foretouch.ros.environment import prepare_environment
+
+prepare_environment()
+
+import rclpy  # noqa: E402
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+
+from foretouch.ros.executables import make_nodes  # noqa: E402
+
+_counter = itertools.count()
+
+
+def next_domain() -> int:
+    """1 to 100; neighbours in time and neighbouring workers differ."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    return (os.getpid() + 31 * worker + next(_counter)) % 100 + 1
+
+
+class Graph:
+    """Nodes of foretouch, and a plain rclpy node that talks to them, served by one executor thread."""
+
+    def __init__(self) -> None:
+        self.domain = next_domain()
+        rclpy.init(domain_id=self.domain)
+        self.probe = Node("probe", namespace="/foretouch")
+        self.nodes: list[Any] = []
+        self._executor = MultiThreadedExecutor(4)
+        self._executor.add_node(self.probe)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def add(self, *names: str, **parameters: Any) -> list[Any]:
+        """Make and start nodes; parameter names may hold dots written as two underscores."""
+        overrides = [Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
+        made = make_nodes(*names, parameter_overrides=overrides)
+        for node in made:
+            self._executor.add_node(node)
+            node.autostart()
+        self.nodes += made
+        return made
+
+    def listen(self, message: type, topic: str, *, reliable: bool = True) -> list[Any]:
+        """A list that fills with what a topic sends."""
+        heard: list[Any] = []
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        self.probe.create_subscription(message, topic, heard.append, QoSProfile(depth=100, reliability=reliability))
+        return heard
+
+    def talk(self, message: type, topic: str, *, reliable: bool = True) -> Any:
+        """A publisher; wait with `matched` before using it."""
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        return self.probe.create_publisher(message, topic, QoSProfile(depth=100, reliability=reliability))
+
+    def matched(self, topic: str, publishers: int = 1, subscribers: int = 1) -> None:
+        """Wait until a topic has at least so many ends, and a moment for them to find each other."""
+        name = self.probe.resolve_topic_name(topic)
+        self.until(
+            lambda: (
+                self.probe.count_publishers(name) >= publishers and self.probe.count_subscribers(name) >= subscribers
+            )
+        )
+        time.sleep(0.2)
+
+    def call(self, service: type, name: str, request: Any) -> Any:
+        """The answer of a service."""
+        client = self.probe.create_client(service, name)
+        assert client.wait_for_service(10.0), f"{name} is not offered"
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def until(self, condition: Callable[[], Any], timeout_s: float = 20.0) -> None:
+        """Wait for something to become true."""
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, "nothing happened in time"
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        """Destroy all and leave the domain."""
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(5.0)
+        for node in (*self.nodes, self.probe):
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    one = Graph()
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="session")
+def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A small network with random weights: what it predicts is wrong, how it travels is the same."""
+    import torch
+
+    from foretouch.models.checkpoint import save_network
+    from foretouch.models.regressor import TouchNet
+    from foretouch.models.settings import ModelConfig
+
+    torch.manual_seed(0)
+    config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
+    net = TouchNet(config)
+    net.set_scaling(torch.linspace(1700, 3300, config.output_size), torch.linspace(20, 300, config.output_size))
+    return str(save_network(tmp_path_factory.mktemp("model"), "small", net.eval(), {}))
+
+
+@pytest.fixture(scope="session")
+def scene_cloud() -> Callable[..., Any]:
+    """Builds the cloud of a small scene with one object or more, by seed and stamp."""
+    import numpy as np
+
+    from foretouch.simulation.depth_scene import random_scene
+
+    def build(seed: int = 0, stamp_ns: int = 1_700_000_000_123_456_789, n_objects: int = 2) -> Any:
+        scene = random_scene(np.random.default_rng(seed), width=424, height=240, n_objects=n_objects)
+        return scene.render().cloud(frame_id="camera_depth_optical_frame", stamp_ns=stamp_ns)
+
+    return build
