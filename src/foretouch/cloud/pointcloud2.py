@@ -277,6 +277,6 @@ def _view(
     shape, strides = layout.shape, layout.strides
     if last is not None:
         shape, strides = (*shape, last[0]), (*strides, last[1])
-    if not data.size:
+    if 0 in shape:
         return np.empty(shape, dtype)
     return np.ndarray(shape, dtype, buffer=data, offset=offset, strides=strides)
