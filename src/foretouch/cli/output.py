@@ -19,16 +19,20 @@ def print_json(record: Mapping[str, Any]) -> None:
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """A table for a person; numbers are to be formatted with their units by the caller."""
+    """A title and, if it has rows, a table; numbers are formatted with their units by the caller."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", title_style="bold")
+    console = Console()
+    console.print(title, style="bold", highlight=False, soft_wrap=True)
+    if not rows:
+        return
+    table = Table()
     for column in columns:
         table.add_column(column, justify="left" if column == columns[0] else "right")
     for row in rows:
         table.add_row(*row)
-    Console(soft_wrap=False).print(table)
+    console.print(table)
 
 
 def warn(message: str) -> None:
