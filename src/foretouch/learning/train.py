@@ -18,6 +18,7 @@ from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
+from foretouch.learning.augment import turn, viewing_axis_rotations
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.regressor import TouchNet
 from foretouch.models.settings import ModelConfig
@@ -51,6 +52,13 @@ class TrainConfig(Settings):
     points: int | None = setting(
         None, "Points a cloud in training, chosen anew each time; as many as in prediction by default", minimum=8
     )
+    turn_deg: float = setting(
+        0.0,
+        "Turn cloud and grasp about the viewing axis by up to this much; for cameras that look down",
+        minimum=0.0,
+        maximum=180.0,
+        unit="deg",
+    )
     seed: int = setting(0, "Of weights, order and points", minimum=0)
 
 
@@ -83,14 +91,17 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report
 def _fit(net: TouchNet, data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None) -> None:
     rng = np.random.default_rng(config.seed)
     labels = torch.from_numpy(data.labels[:, columns(data.config.outputs)].astype(np.float32))
-    grasps = torch.from_numpy(data.grasps) if data.config.use_grasp else None
+    fed = torch.from_numpy(data.grasps)
     optimiser, schedule = _make_optimiser(net, config, config.epochs * (len(index) // config.batch_size))
     net.train()
     for epoch in range(config.epochs):
         losses = []
         for batch in _batches(index, config.batch_size, rng):
-            points = torch.from_numpy(data.points(batch, rng, config.points))
-            scaled = net(points, None if grasps is None else grasps[batch])
+            points, grasps = torch.from_numpy(data.points(batch, rng, config.points)), fed[batch]
+            if config.turn_deg > 0.0:
+                rotations = viewing_axis_rotations(len(batch), config.turn_deg, rng).astype(np.float32)
+                points, grasps = turn(points, grasps, torch.from_numpy(rotations), data.config)
+            scaled = net(points, grasps if data.config.use_grasp else None)
             loss = training_loss(scaled, net.to_scaled(labels[batch]), data.config, config.loss)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
