@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GeoGrasp with nothing but SciPy's tree, as one would write it first: normals at all points, one road."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from foretouch.cloud.voxel import voxel_grid
+from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.candidates import Spots, contact_radius, grasp_slab
+from foretouch.grasp.ranking import Ranking, rank_pairs
+from foretouch.types import Float32, Float64, Plane
+
+
+def inliers(xyz: Float32, config: GeoGraspConfig) -> Float32:
+    """The filtered cloud, by 50 neighbours of every point from the tree."""
+    distance, _ = cKDTree(xyz).query(xyz, config.neighbours + 1)
+    mean = distance[:, 1:].mean(axis=1).astype(np.float32).astype(np.float64)
+    return xyz[mean <= mean.mean() + config.outlier_deviations * mean.std(ddof=1)]
+
+
+def normals_everywhere(xyz: Float32, radius_m: float) -> tuple[Float64, Float64]:
+    """(N, 3) normals and (N,) curvature of all points."""
+    normals, curvature = np.full((len(xyz), 3), np.nan), np.full(len(xyz), np.nan)
+    double = xyz.astype(np.float64)
+    for i, near in enumerate(cKDTree(xyz).query_ball_point(xyz, radius_m)):
+        if len(near) < 3:
+            continue
+        offset = double[near] - double[near].mean(axis=0)
+        values, vectors = np.linalg.eigh(offset.T @ offset)
+        normals[i] = vectors[:, 0] * (-1.0 if vectors[:, 0] @ double[i] > 0 else 1.0)
+        curvature[i] = values[0] / values.sum()
+    return normals, curvature
+
+
+def plan(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> tuple[Ranking, tuple[Spots, Spots]]:
+    """The ranking, and the candidates of both sides that it speaks of."""
+    xyz = inliers(xyz, config)
+    normals, curvature = normals_everywhere(xyz, config.normal_radius_m)
+    axis = find_axis(xyz, plane, config)
+    side = side_coordinate(axis.direction, plane)
+    slab = grasp_slab(xyz, axis.centroid, axis.direction, side, config.slab_half_width_m)
+    tree = cKDTree(xyz)
+    sides, initials = [], []
+    for initial in (slab.first, slab.second):
+        near = np.sort(tree.query_ball_point(xyz[initial], contact_radius(slab.width_m, config)))
+        columns = np.column_stack([xyz[near].astype(np.float64), normals[near], curvature[near]])
+        mean = voxel_grid(xyz[near], config.voxel_m).mean(columns)
+        unit = mean[:, 3:6] / np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)
+        sides.append(Spots(mean[:, :3], unit, mean[:, 6]))
+        one = [initial]
+        initials.append(Spots(xyz[one].astype(np.float64), normals[one], curvature[one]))
+    both = (sides[0], sides[1])
+    return rank_pairs(both, (initials[0], initials[1]), slab, axis.centroid), both

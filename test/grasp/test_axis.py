@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.errors import CloudError
+from foretouch.grasp import GeoGraspConfig, object_axis
+from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.types import Cloud, Plane
+
+SIDE_VIEW = Plane.from_coefficients([0.0, 1.0, 0.0, 0.0])
+CONFIG = GeoGraspConfig()
+
+
+def _rod(direction, n=400):
+    """Points around a line through (0, 0, 1)."""
+    rng = np.random.default_rng(0)
+    direction = np.asarray(direction, float) / np.linalg.norm(direction)
+    points = np.array([0.0, 0.0, 1.0]) + rng.uniform(-0.1, 0.1, (n, 1)) * direction
+    return (points + rng.normal(0.0, 0.005, (n, 3))).astype(np.float32)
+
+
+@pytest.mark.parametrize("direction", [[1, 0.2, 0], [0.1, 1, 0.1], [0.3, 0.3, 1], [1, 1, 1]])
+def test_finds_the_long_direction(direction, top_view):
+    axis = find_axis(_rod(direction), top_view, CONFIG)
+    assert abs(axis.direction @ direction) / np.linalg.norm(direction) > 0.99
+    assert axis.ratio < 0.2
+    np.testing.assert_allclose(axis.centroid, [0.0, 0.0, 1.0], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("direction", "sign"),
+    [
+        ([1.0, 0.1, 0.0], -1),  # flat and along x: towards -x
+        ([0.1, 1.0, 0.0], 1),  # flat and along y: towards +y
+        ([0.4, 0.0, 0.9], -1),  # steep: towards the camera
+    ],
+)
+def test_sign_in_top_view_whatever_the_order_of_points(direction, sign, top_view, rng):
+    for _ in range(5):
+        xyz = rng.permutation(_rod(direction))
+        assert np.sign(find_axis(xyz, top_view, CONFIG).direction @ direction) == sign
+
+
+def test_sign_does_not_hang_on_the_sign_of_the_planes_normal():
+    for direction in ([0.2, 1.0, 0.3], [1.0, 0.2, 0.3], [0.5, -0.3, 1.0]):
+        xyz = _rod(direction)
+        flipped = Plane(-SIDE_VIEW.normal, -SIDE_VIEW.offset)
+        axes = [find_axis(xyz, plane, CONFIG).direction for plane in (SIDE_VIEW, flipped)]
+        np.testing.assert_array_equal(*axes)
+
+
+@pytest.mark.parametrize(
+    ("axis", "coordinate"),
+    [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)],
+)
+def test_sides_in_top_view_lie_across_the_axis(axis, coordinate, top_view):
+    assert side_coordinate(np.array(axis), top_view) == coordinate
+
+
+@pytest.mark.parametrize(
+    ("axis", "coordinate"),
+    [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)],
+)
+def test_sides_in_side_view(axis, coordinate):
+    assert side_coordinate(np.array(axis), SIDE_VIEW) == coordinate
+
+
+def test_a_ball_has_a_ratio_near_one(top_view):
+    directions = np.random.default_rng(1).normal(size=(20000, 3))
+    ball = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True) + [0.0, 0.0, 1.0]
+    assert find_axis(ball.astype(np.float32), top_view, CONFIG).ratio > 0.9
+
+
+def test_an_outlier_does_not_turn_the_axis(top_view):
+    clean = _rod([0.0, 1.0, 0.0], 2000)
+    outliers = np.array([[0.5, 0.0, 1.0], [0.55, 0.0, 1.0]], np.float32)
+    with_outliers, _ = object_axis(Cloud(np.concatenate([clean, outliers])), top_view, CONFIG)
+    without, _ = object_axis(Cloud(clean), top_view, CONFIG)
+    assert abs(with_outliers @ without) > 0.9999
+
+
+def test_points_in_one_voxel_have_no_axis(top_view):
+    with pytest.raises(CloudError, match=r"60 points in 1 voxel of 0\.0125 m have no axis"):
+        object_axis(Cloud(np.full((60, 3), 0.501, np.float32)), top_view, CONFIG)
+
+
+def test_two_points_have_no_axis(top_view):
+    with pytest.raises(CloudError, match="2 finite points"):
+        object_axis(Cloud(np.ones((2, 3), np.float32)), top_view, CONFIG)

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.errors import CloudError, GraspError
+from foretouch.grasp import GeoGraspConfig, plan_grasps, random_slide
+from foretouch.types import Cloud, Plane
+
+CONFIG = GeoGraspConfig()
+
+
+def _assert_sound(plan):
+    """What every plan keeps, whatever the cloud."""
+    assert plan.reason
+    assert (plan.status == "no_grasp") == (not plan.grasps)
+    assert all(np.isfinite(value) for value in plan.ms.values())
+    for array in (plan.initial_points, plan.axis, plan.centroid):
+        assert array is None or np.isfinite(array).all()
+    for grasp in plan.grasps:
+        assert np.isfinite(grasp.rotation).all()
+        assert np.isfinite(grasp.score) or (plan.status == "initial_points" and "no score" in plan.reason)
+
+
+def test_a_box_is_taken_across_its_long_axis(box_cloud, top_view):
+    plan = plan_grasps(box_cloud, top_view, CONFIG)
+    _assert_sound(plan)
+    assert plan.status == "ok"
+    assert abs(plan.axis[1]) > 0.99
+    best = plan.grasps[0]
+    assert best.g1[0] < -0.02 < 0.02 < best.g2[0]  # the side of least x comes first
+    assert abs(best.g1[1] - best.g2[1]) < 0.01
+    np.testing.assert_allclose(np.abs(best.rotation[:, 2]), [1.0, 0.0, 0.0], atol=0.2)
+
+
+def test_candidates_come_best_first_and_no_more_than_asked(box_cloud, top_view):
+    ten = plan_grasps(box_cloud, top_view, GeoGraspConfig(count=10))
+    scores = [grasp.score for grasp in ten.grasps]
+    assert len(scores) == min(10, ten.counts["n_pairs_ranked"])
+    assert scores == sorted(scores, reverse=True)
+    three = plan_grasps(box_cloud, top_view, GeoGraspConfig(count=3))
+    assert [grasp.score for grasp in three.grasps] == scores[:3]
+
+
+def test_counts_of_pairs_add_up(box_cloud, top_view):
+    counts = plan_grasps(box_cloud, top_view, CONFIG).counts
+    assert counts["n_pairs"] == counts["n_fv"] * counts["n_sv"]
+    dropped = sum(counts[name] for name in ("n_pairs_inside", "n_pairs_unknown", "n_pairs_low"))
+    assert counts["n_pairs"] == dropped + counts["n_pairs_ranked"]
+    assert counts["n_points"] >= counts["n_filtered"] >= counts["n_plane"]
+
+
+def test_times_every_stage(box_cloud, top_view):
+    ms = plan_grasps(box_cloud, top_view, CONFIG).ms
+    assert list(ms) == ["outliers", "axis", "slab", "candidates", "ranking", "pose", "total"]
+    assert ms["total"] == pytest.approx(sum(ms.values()) - ms["total"])
+
+
+def test_the_same_cloud_gives_the_same_bits(box_cloud, top_view):
+    one, other = (plan_grasps(box_cloud, top_view, GeoGraspConfig(count=20)) for _ in range(2))
+    for a, b in zip(one.grasps, other.grasps, strict=True):
+        assert a.score == b.score
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+
+
+def test_shifting_by_whole_voxels_along_the_table_shifts_the_grasp(box_cloud, top_view):
+    # The voxel grid stands on the origin, and normals and pixels look at it: only such a shift may leave all as it is,
+    # and only for a cloud without the pixels of one camera.
+    shift = np.array([0.0, 0.0, 8 * CONFIG.voxel_m], np.float32)
+    near = Cloud((np.round(box_cloud.xyz * 2**14) / 2**14).astype(np.float32))
+    far = Cloud((near.xyz + shift).astype(np.float32))
+    one, other = plan_grasps(near, top_view, CONFIG), plan_grasps(far, top_view, CONFIG)
+    np.testing.assert_allclose(other.initial_points, one.initial_points + shift, atol=1e-6)
+    np.testing.assert_allclose(other.axis, one.axis, atol=1e-4)
+
+
+def test_points_that_are_not_finite_are_counted_and_change_nothing(box_cloud, top_view):
+    bad = np.array([[np.nan, 0, 1], [0, np.inf, 1], [np.nan] * 3], np.float32)
+    plan = plan_grasps(Cloud(np.concatenate([bad, box_cloud.xyz])), top_view, CONFIG)
+    assert plan.counts["n_dropped"] == 3
+    assert plan.counts["n_points"] == box_cloud.size + 3
+    assert plan.grasps[0].score == plan_grasps(box_cloud, top_view, CONFIG).grasps[0].score
+
+
+@pytest.mark.parametrize("slide_m", [-0.03, 0.02])
+def test_a_slide_moves_the_contacts_along_the_axis(box_cloud, top_view, slide_m):
+    still = plan_grasps(box_cloud, top_view, CONFIG)
+    slid = plan_grasps(box_cloud, top_view, CONFIG, slide_m=slide_m)
+    assert slid.slide_m == slide_m
+    moved = (slid.initial_points.mean(axis=0) - still.centroid) @ still.axis
+    assert moved == pytest.approx(slide_m, abs=CONFIG.slab_half_width_m)
+    np.testing.assert_array_equal(slid.axis, still.axis)
+
+
+def test_a_slide_beyond_the_object_says_how_long_it_is(box_cloud, top_view):
+    plan = plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.5)
+    _assert_sound(plan)
+    assert plan.status == "no_grasp"
+    assert "no point within 7 mm of the grasp plane" in plan.reason
+    assert plan.axis is not None
+    assert plan.counts["n_filtered"] > 0
+
+
+def test_random_slides_follow_the_seed_and_stay_on_the_object(box_cloud, top_view):
+    plans = [plan_grasps(box_cloud, top_view, CONFIG, rng=np.random.default_rng(seed)) for seed in range(8)]
+    again = plan_grasps(box_cloud, top_view, CONFIG, rng=np.random.default_rng(0))
+    assert again.slide_m == plans[0].slide_m
+    slides = [plan.slide_m for plan in plans]
+    assert len(set(slides)) == 8
+    assert max(map(abs, slides)) < 0.8 * 0.07
+    assert all(plan.status != "no_grasp" for plan in plans)
+
+
+def test_random_slide_covers_the_asked_part_of_the_extent(rng):
+    xyz = np.array([[-0.1, 0, 0], [0.3, 0, 0]], np.float32)
+    slides = [random_slide(xyz, np.zeros(3), np.array([1.0, 0, 0]), 0.5, rng) for _ in range(500)]
+    assert -0.05 <= min(slides) < -0.045
+    assert 0.145 < max(slides) <= 0.15
+
+
+def test_a_slide_given_and_drawn_is_refused(box_cloud, top_view, rng):
+    with pytest.raises(GraspError, match=r"slide_m, rng: a slide of 0.01 m and one to be drawn"):
+        plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
+
+
+def test_a_slide_that_is_not_finite_is_refused(box_cloud, top_view):
+    with pytest.raises(GraspError, match="slide_m: nan is not finite"):
+        plan_grasps(box_cloud, top_view, CONFIG, slide_m=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("xyz", "reason"),
+    [
+        (np.zeros((0, 3)), "0 finite points, GeoGrasp needs 3"),
+        (np.full((500, 3), np.nan), "0 finite points"),
+        (np.ones((1, 3)), "1 finite points"),
+        (np.full((4000, 3), 1.0), "in 1 voxel of 0.0125 m have no axis"),
+        (np.full((5, 3), 1e20), r"reaches 1e\+20 m, beyond 1000 m"),
+    ],
+)
+def test_clouds_without_a_grasp_are_named(xyz, reason, top_view):
+    plan = plan_grasps(Cloud(xyz.astype(np.float32)), top_view, CONFIG)
+    _assert_sound(plan)
+    assert plan.status == "no_grasp"
+    with pytest.raises(AssertionError, match=reason):
+        raise AssertionError(plan.reason)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6, 10, 40, 60])
+@pytest.mark.parametrize("normal", [[0, 0, 1], [0, 1, 0], [1, 0, 0]])
+def test_few_points_never_fail(n, normal, rng):
+    for _ in range(10):
+        xyz = rng.normal([0.0, 0.0, 1.0], 0.03, (n, 3))
+        _assert_sound(plan_grasps(Cloud(xyz.astype(np.float32)), Plane.from_coefficients([*normal, 0.0]), CONFIG))
+
+
+def _flat(rng):
+    return np.column_stack([rng.uniform(-0.05, 0.05, 2000), rng.uniform(-0.03, 0.03, 2000), np.ones(2000)])
+
+
+def _line(rng):
+    return np.column_stack([np.linspace(-0.1, 0.1, 300), np.zeros(300), np.ones(300)])
+
+
+def _doubled(rng):
+    return np.repeat(_flat(rng)[:300], 60, axis=0)
+
+
+def _two_clumps(rng):
+    return np.repeat([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]], 200, axis=0)
+
+
+def _upright(rng):
+    return np.column_stack([rng.normal(0, 0.001, 500), rng.normal(0, 0.001, 500), np.linspace(1.0, 1.3, 500)])
+
+
+def _behind(rng):
+    return _flat(rng) * [1, 1, -1]
+
+
+@pytest.mark.parametrize("make", [_flat, _line, _doubled, _two_clumps, _upright, _behind])
+@pytest.mark.parametrize("normal", [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0.6, 0.8, 0.0]])
+def test_hazards_of_the_original_are_named(make, normal, rng):
+    plan = plan_grasps(Cloud(make(rng).astype(np.float32)), Plane.from_coefficients([*normal, -1.0]), CONFIG)
+    _assert_sound(plan)
+
+
+def test_one_candidate_a_side_has_no_score_and_says_so(top_view):
+    # A strip so short that all of a side falls into one voxel: the original divides by zero there.
+    x, y = np.meshgrid([-0.0301, -0.03, 0.03, 0.0301], np.arange(0.0, 0.004, 0.0005))
+    ends = np.column_stack([x.ravel(), y.ravel() + 0.001, 1.0 + 0.1 * x.ravel() ** 2 + 0.01 * y.ravel()])
+    spine = np.column_stack([np.zeros(200), np.linspace(-0.06, 0.06, 200), np.full(200, 1.003)])
+    plan = plan_grasps(
+        Cloud(np.concatenate([ends, spine]).astype(np.float32)), top_view, GeoGraspConfig(outlier_deviations=9.0)
+    )
+    _assert_sound(plan)
+    assert plan.status == "initial_points"
+    assert np.isnan(plan.grasps[0].score)
+    assert "do not differ" in plan.reason
+
+
+def test_pixels_of_another_cloud_are_refused(box_cloud, top_view):
+    with pytest.raises(CloudError, match="does not go with 1800 points"):
+        plan_grasps(box_cloud, top_view, CONFIG, pixels=np.arange(3), image_shape=(480, 640))
+
+
+def test_pixels_without_the_image_are_refused(box_cloud, top_view):
+    with pytest.raises(CloudError, match="pixels, image_shape: one is given without the other"):
+        plan_grasps(box_cloud, top_view, CONFIG, pixels=np.arange(box_cloud.size))
+
+
+def test_wrong_pixels_cannot_change_the_plan(box_cloud, top_view, rng):
+    pixels = rng.permutation(box_cloud.size)
+    plan = plan_grasps(box_cloud, top_view, CONFIG, pixels=pixels, image_shape=(30, 60))
+    assert plan.counts == plan_grasps(box_cloud, top_view, CONFIG).counts

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GeoGrasp against the original's output and against grasps that a robot executed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.files import read_cloud
+from foretouch.cloud.outliers import inlier_mask
+from foretouch.cloud.pixel_window import PixelGrid
+from foretouch.grasp import GeoGraspConfig, plan_grasps
+from foretouch.types import Cloud
+
+OPEN = {"axis_sign", "score_undefined"}  # not settled by the original
+
+pytestmark = pytest.mark.real_data
+
+
+def _paths(real_data):
+    return sorted((real_data / "vision2tactile").glob("*/*/cloud-object.pcd"))
+
+
+def test_sampled_rows_equal_the_original(reference, real_data, parity, rng):
+    rows = parity.read_reference(real_data)
+    chosen = [rows[i] for i in np.sort(rng.choice(len(rows), 150, replace=False))]
+    found = parity.compare_all(chosen)
+    assert found["score"] <= 1  # 2 of all 2400 differ, by float32 sums of the original
+    assert {name: n for name, n in found.items() if name not in OPEN | {"score"}} == {}
+
+
+@pytest.mark.slow
+def test_all_rows_equal_the_original(reference, real_data, parity):
+    rows = parity.read_reference(real_data)
+    assert len(rows) == 2400
+    found = parity.compare_all(rows)
+    assert found["score"] <= 2
+    assert {name: n for name, n in found.items() if name not in OPEN | {"score"}} == {}
+
+
+def test_sign_of_the_axis_is_the_originals_in_top_view(reference, real_data, parity):
+    rows = [row for row in parity.read_reference(real_data)[::40] if abs(row.plane.normal[2]) > 0.9]
+    assert len(rows) == 20
+    assert parity.compare_all(rows)["axis_sign"] == 0
+
+
+def test_executed_grasps_are_initial_points_of_a_slid_slab(reference, real_data, parity):
+    executed = parity.read_executed(real_data)
+    assert len(executed) == 400
+    assert sum(parity.reproduces(grasp, grasp.slide_m) for grasp in executed) >= 362
+
+
+def test_executed_grasps_off_the_middle_have_another_slide(reference, real_data, parity):
+    rest = [g for g in parity.read_executed(real_data)[::8] if not parity.reproduces(g, g.slide_m)]
+    assert rest
+    assert all(parity.explaining_slide(grasp) is not None for grasp in rest)
+
+
+def test_pixel_window_and_tree_keep_the_same_points(real_data):
+    for path in _paths(real_data)[::10]:
+        xyz = read_cloud(path).xyz.reshape(-1, 3)
+        grid = PixelGrid.from_rays(xyz)
+        assert grid is not None
+        np.testing.assert_array_equal(inlier_mask(xyz, grid=grid), inlier_mask(xyz))
+
+
+def test_pixels_given_and_recovered_plan_the_same(real_data, top_view):
+    for path in _paths(real_data)[::50]:
+        cloud = read_cloud(path)
+        grid = PixelGrid.from_rays(cloud.xyz)
+        pixels, shape = grid.row * grid.width + grid.column, (grid.height, grid.width)
+        image = np.full((*shape, 3), np.nan, np.float32)
+        image.reshape(-1, 3)[pixels] = cloud.xyz
+        order = np.argsort(pixels)
+        ordered = Cloud(cloud.xyz[order])
+        plans = [
+            plan_grasps(ordered, top_view, GeoGraspConfig(count=5)),
+            plan_grasps(ordered, top_view, GeoGraspConfig(count=5), pixels=pixels[order], image_shape=shape),
+            plan_grasps(Cloud(image), top_view, GeoGraspConfig(count=5)),
+        ]
+        assert plans[2].counts["n_dropped"] == image.size // 3 - cloud.size
+        for plan in plans[1:]:
+            assert [g.score for g in plan.grasps] == [g.score for g in plans[0].grasps]
+            np.testing.assert_array_equal(plan.initial_points, plans[0].initial_points)
+            for one, other in zip(plan.grasps, plans[0].grasps, strict=True):
+                np.testing.assert_array_equal(one.rotation, other.rotation)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from foretouch.errors import GraspError
+from foretouch.grasp.pose import hand_rotation, is_parallel, quaternion_xyzw
+
+X, Y, Z = np.eye(3)
+vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
+
+
+def test_axes_of_a_hand_worked_pose():
+    # Contacts along x, object along y: Z = x, X = x × y = z, Y = x × z = -y.
+    rotation = hand_rotation(np.array([0.05, 0.0, 1.0]), np.array([-0.05, 0.0, 1.0]), Y)
+    np.testing.assert_allclose(rotation, np.column_stack([Z, -Y, X]), atol=1e-15)
+
+
+@given(vectors, vectors, vectors)
+def test_is_a_proper_rotation_with_z_along_the_contacts(g1, g2, axis):
+    if np.linalg.norm(g1 - g2) < 1e-6 or np.linalg.norm(axis) < 1e-6:
+        return
+    rotation = hand_rotation(g1, g2, axis)
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-9)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(rotation[:, 2], (g1 - g2) / np.linalg.norm(g1 - g2), atol=1e-12)
+    if not is_parallel(g1, g2, axis):
+        assert abs(rotation[:, 0] @ axis) < 1e-8 * max(1.0, np.linalg.norm(axis))
+
+
+def test_turns_with_the_object(rng):
+    g1, g2, axis = rng.normal(size=(3, 3))
+    turn = Rotation.random(random_state=1).as_matrix()
+    turned = hand_rotation(turn @ g1, turn @ g2, turn @ axis)
+    np.testing.assert_allclose(turned, turn @ hand_rotation(g1, g2, axis), atol=1e-12)
+
+
+def test_negated_axis_turns_the_hand_half_about_z(rng):
+    g1, g2, axis = rng.normal(size=(3, 3))
+    expected = hand_rotation(g1, g2, axis) @ np.diag([-1.0, -1.0, 1.0])
+    np.testing.assert_allclose(hand_rotation(g1, g2, -axis), expected, atol=1e-12)
+
+
+def test_contacts_along_the_axis_follow_the_least_aligned_coordinate():
+    rotation = hand_rotation(np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y)
+    # Z = y; x and z are equally far from it, the first of them stands in: X = y × x = -z.
+    np.testing.assert_allclose(rotation, np.column_stack([-Z, -X, Y]), atol=1e-15)
+    assert is_parallel(np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y)
+
+
+def test_coincident_contacts_are_refused():
+    with pytest.raises(GraspError, match=r"g1 - g2: .* has no direction"):
+        hand_rotation(X, X, Y)
+
+
+def test_axis_without_length_is_refused():
+    with pytest.raises(GraspError, match=r"axis: .* has no direction"):
+        hand_rotation(X, Y, np.zeros(3))
+
+
+def test_contact_that_is_not_finite_is_refused():
+    with pytest.raises(GraspError, match="has no direction"):
+        hand_rotation(np.array([np.nan, 0.0, 0.0]), Y, Z)
+
+
+def test_quaternion_agrees_with_scipy():
+    rotations = Rotation.random(200, random_state=0)
+    for matrix, expected in zip(rotations.as_matrix(), rotations.as_quat(), strict=True):
+        quaternion = quaternion_xyzw(matrix)
+        assert quaternion[3] >= 0.0
+        np.testing.assert_allclose(quaternion * np.sign(expected[3]), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [X, Y, Z, (X + Y) / np.sqrt(2.0), (Y - X) / np.sqrt(2.0)])
+def test_quaternion_of_a_half_turn_has_its_first_component_positive(axis):
+    quaternion = quaternion_xyzw(2.0 * np.outer(axis, axis) - np.eye(3))
+    leading = axis[np.flatnonzero(axis)[0]]
+    np.testing.assert_allclose(quaternion, [*(axis * np.sign(leading)), 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), np.eye(3) * 2.0, np.full((3, 3), np.nan), np.eye(2)])
+def test_quaternion_of_no_rotation_is_refused(matrix):
+    with pytest.raises(GraspError, match="is not a rotation matrix"):
+        quaternion_xyzw(matrix)
