@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import threading
@@ -51,10 +52,8 @@ class Graph:
         self._thread.start()
 
     def _serve(self) -> None:
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
 
     def add(self, *names: str, **parameters: Any) -> list[Any]:
         """Make and start nodes; parameter names may hold dots written as two underscores."""
@@ -142,8 +141,9 @@ def scene_cloud() -> Callable[..., Any]:
 
     from foretouch.simulation.depth_scene import random_scene
 
-    def build(seed: int = 0, stamp_ns: int = 1_700_000_000_123_456_789, n_objects: int = 2) -> Any:
-        scene = random_scene(np.random.default_rng(seed), width=424, height=240, n_objects=n_objects)
+    def build(seed: int = 0, stamp_ns: int = 1_700_000_000_123_456_789, n_objects: int = 2, width: int = 424) -> Any:
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng, width=width, height=round(width * 30 / 53), n_objects=n_objects)
         return scene.render().cloud(frame_id="camera_depth_optical_frame", stamp_ns=stamp_ns)
 
     return build

@@ -29,8 +29,8 @@ def targets_of(cloud, *members):
     finite = np.isfinite(flat).all(axis=1)
     shape = cloud.xyz.shape[:2]
     result = []
-    for number, pixels in members:
-        pixels = np.array([p for p in pixels if finite[p]])
+    for number, wanted in members:
+        pixels = np.array([p for p in wanted if finite[p]])
         result.append(FoundObject(str(number), cloud.take(pixels), PLANE, pixels, shape))
     return tuple(result)
 

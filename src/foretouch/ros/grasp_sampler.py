@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
@@ -17,13 +17,14 @@ from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.conversions import pose_stamped
 from foretouch.ros.inputs import read_plane, read_table, read_targets
 from foretouch.ros.planning import plan_targets
-from foretouch.ros.predictor import Predictor
 from foretouch.ros.status import RefusalError, status_name
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction
 
 __all__ = ["GraspSampler", "Latest", "failed", "pressure_cost"]
+
+Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
 
 _SUCCESS = "success"
 _COSTS = (SampleGrasps.Goal.PRESSURE, SampleGrasps.Goal.SCORE)
@@ -47,13 +48,13 @@ class GraspSampler:
     """Answers one goal; holds no state between goals.
 
     Args:
-        predictor: The model.
+        predict: Gives the predictions for grasps on one target, in order.
         grasp: Settings of GeoGrasp.
         ranges: Of the tactile values, for the cost `pressure`.
     """
 
-    def __init__(self, predictor: Predictor, grasp: GeoGraspConfig, ranges: TactileRanges) -> None:
-        self._predictor = predictor
+    def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges) -> None:
+        self._predict = predict
         self._grasp = grasp
         self._ranges = ranges
 
@@ -72,7 +73,7 @@ class GraspSampler:
             `SampleGrasps.Result`, cheapest grasp first; those without a prediction come last, at infinite cost.
 
         Raises:
-            RefusalError: If there is nothing to grasp, or the goal cannot be understood.
+            RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal cannot be understood.
         """
         cost = goal.cost or SampleGrasps.Goal.PRESSURE
         if cost not in _COSTS:
@@ -89,10 +90,12 @@ class GraspSampler:
             fresh = self._rate(target, plan.grasps, header, cost)
             tell(_feedback(fresh, header))
             candidates += fresh
+        if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
+            raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
         return _result(sorted(candidates, key=lambda c: c.cost), header, plan)
 
     def _rate(self, target: FoundObject, grasps: Sequence[Grasp], header: Header, cost: str) -> list[_Candidate]:
-        predictions = self._predictor.array([target], grasps, header).predictions
+        predictions = self._predict(target, grasps, header)
         by_score = cost == SampleGrasps.Goal.SCORE
         return [
             _Candidate(_finite(-grasp.score) if by_score else pressure_cost(touch, self._ranges), grasp, touch)

@@ -33,7 +33,7 @@ from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
 from foretouch.ros.status import RefusalError
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import GraspArray, Status, TablePlane, TouchPredictionArray
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 __all__ = ["TouchPredictorConfig", "TouchPredictorNode"]
@@ -177,7 +177,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         with self._latest_lock:
             latest = self._latest
         try:
-            sampler = GraspSampler(self._loaded(), self.config.grasp, self.config.ranges)
+            sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
             result = sampler.sample(
                 goal_handle.request, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested
             )
@@ -189,6 +189,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         else:
             goal_handle.succeed()
         return result
+
+    def _predict_candidates(
+        self, target: FoundObject, grasps: Sequence[Grasp], header: Header
+    ) -> Sequence[TouchPrediction]:
+        return list(self._predict([target], grasps, header, None).predictions)
 
     def _remember_table(self, message: TablePlane) -> None:
         with self._latest_lock:
