@@ -21,6 +21,7 @@ __all__ = [
     "add_input_arguments",
     "add_plan_arguments",
     "answer_each",
+    "four_numbers",
     "found_objects",
     "grasp_record",
     "pipeline_config",

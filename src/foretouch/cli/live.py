@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
@@ -17,48 +18,50 @@ if TYPE_CHECKING:
 __all__ = ["live_panel"]
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
+_MAX_REASONS = 3
 _MAX_ROWS = 8  # of predictions; a planner's fifty would push the nodes off the screen
 
 
 def live_panel(view: View, title: str) -> Panel:
     """Everything an operator needs at a glance: what each node does and, where it does nothing, why."""
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or "none yet"
-    parts: list[RenderableType] = [_nodes(view.nodes), Text(f"clouds answered: {answered}")]
-    if view.reasons:
-        parts.append(
-            Text("why not: " + "; ".join(f"{text} ({n})" for text, n in view.reasons.most_common(3)), "yellow")
-        )
+    parts: list[RenderableType] = [_nodes(view.nodes), *_complaints(view.nodes), Text(f"clouds answered: {answered}")]
+    parts += [Text(f"  {count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions[:_MAX_ROWS]))
     return Panel(Group(*parts), title=title, title_align="left")
 
 
 def _nodes(nodes: dict[str, NodeView]) -> Table:
-    table = Table(expand=True)
-    for name in ("node", "state", "rate [Hz]", "received", "used", "dropped", "latency p50 / p95 [ms]", "says"):
-        table.add_column(name, justify="left" if name in {"node", "state", "says"} else "right", overflow="fold")
+    table = Table(expand=True, box=SIMPLE_HEAD)
+    for name in ("node", "state", "Hz", "received", "used", "dropped", "latency ms"):
+        table.add_column(name, justify="left" if name in {"node", "state"} else "right", no_wrap=name != "dropped")
     for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         values = node.values
-        latency = " / ".join(values.get(f"latency_ms.{p}", "–") for p in ("p50", "p95"))
         drops = [
             f"{value} {key.removeprefix('dropped.')}" for key, value in values.items() if key.startswith("dropped.")
         ]
         table.add_row(
-            name.rpartition("/")[2],
+            Text(_short(name), _LEVELS.get(node.level, "")),
             values.get("state", ""),
             values.get("rate_hz", ""),
             values.get("received", ""),
             values.get("used", ""),
             " ".join(drops) or values.get("dropped", ""),
-            latency,
-            Text(node.message, _LEVELS.get(node.level, "")),
+            " / ".join(values.get(f"latency_ms.{p}", "–") for p in ("p50", "p95")),
         )
     return table
 
 
+def _complaints(nodes: dict[str, NodeView]) -> list[Text]:
+    """One line for each node that is not well."""
+    unwell = [(name, node) for name, node in nodes.items() if node.level]
+    return [Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, "")) for name, node in unwell]
+
+
 def _predictions(predictions: list[TouchPrediction]) -> Table:
-    table = Table(title="last prediction", title_justify="left", expand=True)
-    for name in ("object", "width [mm]", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "model", "flags"):
+    table = Table(title="last prediction [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
+    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "model", "flags"):
         table.add_column(name, justify="right" if name not in {"object", "model", "flags"} else "left")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
@@ -90,8 +93,12 @@ def _span(intervals: list[Interval]) -> str:
     return f"{min(values):.0f}…{max(values):.0f}"
 
 
+def _short(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
 def _order(name: str) -> tuple[int, str]:
     """In the order of the data's way."""
-    short = name.rpartition("/")[2]
+    short = _short(name)
     known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "markers"]
     return (known.index(short) if short in known else len(known), short)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "run"]
 
 _REFRESH_S = 0.2
-_STARTED_S = 10.0
+_DIAGNOSED_S = 1.2  # by then every node has reported once more, all that it did
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +114,7 @@ def _draw_until(ended: threading.Event, graph: Graph, title: str) -> None:
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
     """The last words: a table or a line of counts, and the picture."""
-    time.sleep(_REFRESH_S)  # the last diagnostics are on their way
+    time.sleep(_DIAGNOSED_S)
     view = graph.monitor.view()
     answered, played = sum(view.answers.values()), graph.played()
     if arguments.json:
