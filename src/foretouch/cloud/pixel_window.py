@@ -31,6 +31,7 @@ _BLOCK_PAIRS = 30_000  # distances at a time: they fit the cache
 _ROUNDING = 1.0 - 1e-5  # float32 distances are good to 1e-6 of their size
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
+_LATTICE_SIZE = 1e5  # columns or rows of any camera
 _LATTICE_CELLS = 64  # cells a point; a sparser image is no object seen by one camera
 
 
@@ -237,27 +238,17 @@ def _lattice(ray: Float64) -> npt.NDArray[np.int64] | None:
     """Index of each ray on an evenly spaced line, or None if they do not lie on one."""
     levels = np.sort(ray)
     gaps = np.diff(levels)
-    widest = gaps.max()
-    if widest == 0.0:
+    if gaps.max() == 0.0:
         return None
-    pitch = _pitch(gaps)
-    start = levels[0]
-    # One pass of least squares: a pitch off by a thousandth is a whole pixel off after a thousand columns.
-    index = np.cumsum(np.concatenate([[0.0], np.rint(gaps / pitch)]))
+    step = np.median(gaps[gaps > _LATTICE_GAP * gaps.max()])
+    index = np.cumsum(np.concatenate([[0.0], np.rint(gaps / step)]))
+    # A line through all rays: a step off by a thousandth would be a whole pixel off after a thousand columns.
     spread = index - index.mean()
-    denominator = float(spread @ spread)
-    if denominator == 0.0:
+    if not spread.any():
         return None
-    pitch = float(spread @ levels) / denominator
-    start = float(levels.mean() - pitch * index.mean())
-    place = (ray - start) / pitch
+    pitch = (spread @ levels) / (spread @ spread)
+    place = (ray - levels.mean()) / pitch + index.mean()
     nearest = np.rint(place)
-    if np.abs(place - nearest).max() > _LATTICE_TOLERANCE:
+    if np.abs(place - nearest).max() > _LATTICE_TOLERANCE or np.abs(nearest).max() > _LATTICE_SIZE:
         return None
     return np.asarray(nearest, np.int64)
-
-
-def _pitch(gaps: Float64) -> float:
-    """The step between columns: the median of the gaps that are no rounding."""
-    wide = gaps[gaps > _LATTICE_GAP * gaps.max()]
-    return float(np.median(wide))
