@@ -16,7 +16,6 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from foretouch.config import Settings
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import combined_sha256, file_sha256, new_card, read_card, write_text
 from foretouch.models.regressor import TouchNet
@@ -116,21 +115,19 @@ def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
         raise ModelError(f"{weights}: no such weights; {card_path.name} names them")
     if (found := file_sha256(weights)) != card["sha256"]:
         raise ModelError(f"{weights}: sha256: {found} is not {card['sha256']} of {card_path.name}; damaged or replaced")
-    net = TouchNet(config)
+    with torch.device("meta"):  # shapes alone: no random numbers are drawn for weights that are replaced at once
+        net = TouchNet(config)
     tensors = _read_tensors(weights)
     _check_tensors(weights, net.state_dict(), tensors)
-    net.load_state_dict(tensors)
-    net.eval()
-    return net, card
+    net.load_state_dict(tensors, assign=True)
+    return net.eval(), card
 
 
 def _config(path: Path, card: Mapping[str, Any]) -> ModelConfig:
     try:
-        config: Settings = ModelConfig.from_mapping(card["config"], f"{path}: config")
+        return ModelConfig.from_mapping(card["config"], f"{path}: config")
     except ConfigError as err:
         raise ModelError(str(err)) from err
-    assert isinstance(config, ModelConfig)  # noqa: S101 - for the type checker
-    return config
 
 
 def _read_tensors(path: Path) -> dict[str, Tensor]:

@@ -27,7 +27,7 @@ other, of their midpoint from the centroid, and of the farther contact from the 
 _MARGIN: Final = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Familiarity:
     """Spans of the five lengths over the training samples.
 

@@ -92,7 +92,7 @@ class TouchModel:
             ModelError: If it lacks a colour that the model needs.
         """
         del tare
-        counts = np.empty((len(grasps), TOUCH_SIZE))
+        counts = np.zeros((len(grasps), TOUCH_SIZE))
         outside = np.zeros(len(grasps), np.bool_)
         strange = np.zeros(len(grasps), np.bool_)
         for member in self._members:

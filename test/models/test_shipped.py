@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The models that come with the package."""
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foretouch.dataset.vision2tactile import folder_sha256, read_folder
+from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
+from foretouch.tactile.modalities import MODALITIES
+
+
+def test_the_default_is_first_and_all_load() -> None:
+    assert available_models()[0] == DEFAULT_MODEL
+    assert load_model().name == load_model("default").name == DEFAULT_MODEL
+    for name in available_models():
+        assert load_model(name).name == name
+
+
+def test_cards_tell_what_they_must() -> None:
+    for name in available_models():
+        card = load_model(name).card
+        assert card["calibration"] is None
+        assert "not redistributed" in card["data"]["licence"]
+        assert len(card["data"]["sha256"]) == 64
+        assert card["limits"]
+        for table in (card["skill"], *card["baselines"].values()):
+            assert set(table) == {"random", "time", "object"}
+            assert all(set(scores) == set(MODALITIES) for scores in table.values())
+        assert {"training_mean", "object_mean", "object_time_trees", "geometry_trees"} == set(card["baselines"])
+
+
+def test_weights_fit_in_ten_megabytes() -> None:
+    files = [path for path in (resources.files("foretouch.models") / "weights").iterdir() if path.suffix != ".json"]
+    assert len(files) == len(available_models())
+    assert all(Path(str(path)).stat().st_size <= 10_000_000 for path in files)
+
+
+def test_a_prediction_has_the_size_of_a_touch(can, make_grasps) -> None:
+    predictions = load_model().predict(can, make_grasps(3))
+    assert all(1600 < p.value.pdc_mf < 2300 and 2500 < p.value.pdc_th < 3400 for p in predictions)
+    assert len({p.value.pdc_th for p in predictions}) == 3  # it looks at the grasp
+
+
+@pytest.mark.real_data
+def test_it_knows_what_it_was_trained_on(real_data: Path) -> None:
+    model = load_model()
+    samples = read_folder(real_data / "vision2tactile" / "coffee")
+    predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
+    assert not any("unfamiliar" in prediction.flags for prediction in predictions)
+    predicted = np.array([p.value.vector() for p in predictions])
+    actual = np.array([sample.touch.vector() for sample in samples])
+    assert np.all(np.abs(predicted - actual).mean(axis=0) < 300)
+    assert np.corrcoef(predicted[:, 0], actual[:, 0])[0, 1] > 0.3
+
+
+@pytest.mark.real_data
+def test_the_card_names_this_data(real_data: Path) -> None:
+    folder = real_data / "vision2tactile"
+    card = load_model().card
+    if sum(card["data"]["objects"].values()) != len(list(folder.glob("*/*"))):
+        pytest.skip("the folder holds other samples than the model was trained on")
+    assert folder_sha256(folder) == card["data"]["sha256"]
