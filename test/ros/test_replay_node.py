@@ -168,6 +168,7 @@ def test_folders_of_objects_go_behind_the_segmentation(graph, tmp_path, rng):
         assert list(table.plane.coef) == [0.0, 0.0, -1.0, 1.0]
     snapshot = node.statistics.snapshot()
     assert (snapshot.received, snapshot.used, dict(snapshot.dropped)) == (3, 2, {"unreadable": 1})
+    assert node.unreadable == 1
 
 
 def test_folders_of_images_are_to_be_segmented(graph, tmp_path, rng):
@@ -210,7 +211,8 @@ def test_a_recording_that_breaks_off_is_a_failure_with_its_reason(graph, tmp_pat
     metadata.write_text(metadata.read_text().replace("message_count: 5", "message_count: 6"))
     node, received = play(graph, tmp_path / "bag", {"points": PointCloud2})
     assert (len(received["points"]), node.outcome) == (5, "failed")
-    assert "declares 6 messages, holds 5" in node.errors()[0]
+    assert "declares 6 messages, holds 5" in node.reason
+    assert node.errors() == (node.reason,)
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     Attributes:
         ended: Set when there is nothing more to play, for whatever reason; then `outcome` tells which.
         outcome: `waiting`, `playing`, `finished`, `stopped` or `failed`.
+        reason: Why it failed, or "".
         played: Messages published by topic, the clouds under the name they were published by.
         unanswered: Clouds that `touch` did not answer in time, in lockstep.
     """
@@ -96,7 +97,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self.outcome = "waiting"
         self.played: Counter[str] = Counter()
         self.unanswered = 0
-        self._reason = ""
+        self.reason = ""
         self._source: Source | None = None
         self._senders: dict[str, Any] = {}
         self._left_out: dict[str, str] = {}
@@ -115,6 +116,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def clouds_topic(self) -> str:
         """Full name of the topic that the clouds go to; "" before it is known."""
         return str(self._senders[CLOUDS].topic_name) if CLOUDS in self._senders else ""
+
+    @property
+    def unreadable(self) -> int:
+        """Entries of the source that could not be read, and so were not played; the log names each."""
+        return self.statistics.snapshot().dropped.get("unreadable", 0)
 
     # Hooks of the base.
 
@@ -164,7 +170,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     def errors(self) -> tuple[str, ...]:
         """Why the replay broke off."""
-        return (self._reason,) if self.outcome == "failed" else ()
+        return (self.reason,) if self.outcome == "failed" else ()
 
     def notes(self) -> dict[str, str]:
         """Where the replay stands."""
@@ -285,10 +291,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self.get_logger().info(f"{topic_name}: not played: {reason}")
 
     def _tell(self, outcome: str, reason: str = "") -> None:
-        self.outcome, self._reason = outcome, reason
+        self.outcome, self.reason = outcome, reason
         level = DiagnosticStatus.ERROR if outcome == "failed" else DiagnosticStatus.OK
-        counts = self.statistics.snapshot()
-        values = {**self.notes(), "unreadable": str(counts.dropped.get("unreadable", 0))}
+        values = {**self.notes(), "unreadable": str(self.unreadable)}
         self._status.publish(
             DiagnosticStatus(
                 level=level,
