@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene and one of its objects, as files, and a way to call commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foretouch.cli.main import main
+from foretouch.cloud.files import write_cloud
+from foretouch.simulation.depth_scene import random_scene
+
+
+@dataclass
+class Answer:
+    """What a command returned and printed."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.out.splitlines()]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    def run(*words: object) -> Answer:
+        status = main([str(word) for word in words])
+        captured = capsys.readouterr()
+        return Answer(status, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`scene.npz`, organised, with two objects; `object.pcd`, the first of them alone; `empty.npz`."""
+    folder = tmp_path_factory.mktemp("files")
+    image = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render()
+    cloud = image.cloud()
+    write_cloud(folder / "scene.npz", cloud)
+    write_cloud(folder / "object.pcd", cloud.take(image.labels == 2))
+    np.savez(folder / "empty.npz", xyz=np.full((4, 5, 3), np.nan, np.float32))
+    return folder

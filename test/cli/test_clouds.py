@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`segment`, `grasp` and `predict` on files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.files import read_cloud
+from foretouch.pipeline import ASSUMED_TABLE, Pipeline
+
+Call = Callable[..., Any]
+
+
+def test_segment_tells_plane_objects_and_times(call: Call, files: Path) -> None:
+    answer = call("segment", files / "scene.npz", "--json")
+    (record,) = answer.records
+    assert answer.status == 0
+    assert record["input"] == str(files / "scene.npz")
+    assert len(record["objects"]) == 2
+    assert np.linalg.norm(record["plane"][:3]) == pytest.approx(1.0)
+    assert record["ms"]["total"] > 0
+    for one in record["objects"]:
+        low, high = np.array(one["bounds"])
+        assert ((low <= one["centroid"]) & (one["centroid"] <= high)).all()
+
+
+def test_labels_have_the_shape_of_the_cloud(call: Call, files: Path, tmp_path: Path) -> None:
+    (record,) = call("segment", files / "scene.npz", "--json", "--labels-out", tmp_path / "l.npy").records
+    labels = np.load(tmp_path / "l.npy")
+    assert (labels.shape, labels.dtype) == ((240, 424), np.int32)
+    for one in record["objects"]:
+        assert np.count_nonzero(labels == one["id"]) == one["n_points"]
+
+
+def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call: Call, files: Path) -> None:
+    names = [files / "scene.npz", files / "none.npz", files / "empty.npz", files / "scene.npz"]
+    answer = call("segment", *names, "--json")
+    assert answer.status == 1
+    assert [record["input"] for record in answer.records] == [str(name) for name in names]
+    assert [record["status"] for record in answer.records] == ["ok", "refused", "empty_cloud", "ok"]
+    assert "does not exist" in answer.records[1]["reason"]
+    assert "Traceback" not in answer.err
+
+
+def test_a_person_gets_a_table(call: Call, files: Path) -> None:
+    answer = call("segment", files / "scene.npz")
+    assert answer.status == 0
+    assert "centroid" in answer.out
+
+
+def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:
+    (record,) = call("grasp", files / "object.pcd", "--plane", "0,0,1,-1.27", "--json").records
+    cloud = read_cloud(files / "object.pcd")
+    (felt,) = Pipeline().run_object(cloud, ASSUMED_TABLE).felt
+    assert record["status"] == felt.plan.status
+    np.testing.assert_array_equal(record["grasps"][0]["g1"], felt.plan.grasps[0].g1)
+    np.testing.assert_array_equal(record["grasps"][0]["rotation"], felt.plan.grasps[0].rotation.reshape(9))
+    np.testing.assert_array_equal(record["initial_points"], felt.plan.initial_points)
+
+
+def test_grasp_segments_an_organised_cloud_first(call: Call, files: Path) -> None:
+    records = call("grasp", files / "scene.npz", "--target", "all", "--count", "3", "--json").records
+    assert [record["object"] for record in records] == ["1", "2"]
+    assert all(1 <= len(record["grasps"]) <= 3 for record in records)
+
+
+def test_vary_is_repeated_by_its_seed_and_slide_by_its_length(call: Call, files: Path) -> None:
+    def contact(*options: str) -> list[float]:
+        return call("grasp", files / "object.pcd", "--json", *options).records[0]["grasps"][0]["g1"]
+
+    assert contact("--vary", "1") == contact("--vary", "1")
+    assert contact("--vary", "1") != contact("--vary", "2")
+    assert contact("--slide-m", "0.01") != contact()
+
+
+def test_predict_gives_50_values_and_null_bounds_without_calibration(call: Call, files: Path) -> None:
+    (record,) = call("predict", files / "object.pcd", "--json").records
+    (one,) = record["predictions"]
+    values = [one["PDC_TH"]["value"], one["PDC_MF"]["value"], *one["E_TH"]["value"], *one["E_MF"]["value"]]
+    assert len(values) == 50
+    assert np.isfinite(values).all()
+    assert one["PDC_TH"]["lower"] is None
+    assert one["reference"] == "none"
+    assert len(record["model"]["sha256"]) == 64
+
+
+def test_predict_takes_given_grasps_in_their_order(call: Call, files: Path) -> None:
+    xyz = read_cloud(files / "object.pcd").xyz.reshape(-1, 3)
+    pairs = [(xyz[0], xyz[-1]), (xyz[5], xyz[-5])]
+    options = [word for g1, g2 in pairs for word in ("--grasp=" + ",".join(f"{v:.6f}" for v in (*g1, *g2)),)]
+    (record,) = call("predict", files / "object.pcd", "--json", *options).records
+    given = [[*one["grasp"]["g1"], *one["grasp"]["g2"]] for one in record["predictions"]]
+    np.testing.assert_allclose(given, [[*g1, *g2] for g1, g2 in pairs], atol=1e-6)
+
+
+def test_a_grasp_without_width_is_refused_in_one_line(call: Call, files: Path) -> None:
+    answer = call("predict", files / "object.pcd", "--json", "--grasp", "0,0,1,0,0,1")
+    assert answer.status == 1
+    assert "both contacts" in answer.records[0]["reason"]
+    assert answer.err.count("\n") == 1
+
+
+def test_a_config_file_and_set_change_the_pipeline(call: Call, files: Path, tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("grasp: {tip_mm: 30, count: 2}\n")
+    from_file = call("grasp", files / "object.pcd", "--json", "--config", tmp_path / "c.yaml").records[0]
+    from_option = call("grasp", files / "object.pcd", "--json", "--tip-mm", "30", "--set", "grasp.count=2").records[0]
+    assert from_file["counts"] == from_option["counts"]
+    assert from_file["counts"] != call("grasp", files / "object.pcd", "--json").records[0]["counts"]
+
+
+def test_an_unknown_setting_names_the_known_ones(call: Call, files: Path) -> None:
+    answer = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
+    assert answer.status == 1
+    assert "grasp.tipp_mm: unknown setting; known: tip_mm" in answer.err
+
+
+def test_wrong_usage_is_2(files: Path) -> None:
+    from foretouch.cli.main import main
+
+    with pytest.raises(SystemExit) as caught:
+        main(["grasp", str(files / "object.pcd"), "--plane", "0,0,1"])
+    assert caught.value.code == 2
+    assert main([]) == 2
+
+
+@pytest.mark.real_data
+def test_the_public_grasps_bring_their_own_grasp_and_name(call: Call, real_data: Path) -> None:
+    folder = real_data / "vision2tactile" / "coffee"
+    answer = call("predict", folder, "--json")
+    assert answer.status == 0
+    assert len(answer.records) == 50
+    record = answer.records[0]
+    sample = folder.parent / record["sample"]
+    given = np.loadtxt(sample / "best-grasp.txt", delimiter=",")
+    one = record["predictions"][0]["grasp"]
+    np.testing.assert_allclose([*one["g1"], *one["g2"]], given)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import metadata
+from typing import Any
+
+import pytest
+
+from foretouch.cli import doctor
+
+Call = Callable[..., Any]
+
+
+def test_this_environment_is_well(call: Call) -> None:
+    answer = call("doctor", "--json")
+    troubles = [
+        one for one in answer.records if one["state"] not in {"ok", "optional"} and one["name"] != "shared memory"
+    ]
+    assert troubles == []
+    assert {"Python", "torch", "open3d loads", "foretouch_msgs loads", "default model"} <= {
+        one["name"] for one in answer.records
+    }
+
+
+def test_another_version_is_a_mismatch_with_the_line_that_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metadata, "version", lambda _: "0.1")
+    found = doctor._pin("numpy", "2.4.6", None)
+    assert (found.state, found.mend) == ("mismatch", "pip install numpy==2.4.6")
+    assert "0.1" in found.found
+
+
+def test_an_absent_package_is_missing_unless_only_the_camera_needs_it() -> None:
+    assert doctor._pin("no-such-package", "1", None).state == "missing"
+    assert doctor._pin("no-such-package", "1", "camera").state == "optional"
+
+
+def test_a_crash_of_a_library_does_not_end_the_doctor() -> None:
+    found = doctor._tried("it loads", "import os; os.abort()", "mend it")
+    assert (found.state, found.mend) == ("broken", "mend it")

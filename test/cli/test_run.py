@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`run` and `replay` as a person calls them: processes of their own, over real DDS."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.files import write_cloud
+from foretouch.simulation.depth_scene import random_scene
+from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    """A DDS domain of this test's own, beyond those that other tests take."""
+    return {**os.environ, "ROS_DOMAIN_ID": str(101 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def _run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "foretouch.cli.main", *map(str, words)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=100,
+        check=False,
+    )
+    return done.returncode, [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")], done.stderr
+
+
+def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, environment: dict[str, str]) -> None:
+    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=5))
+    picture = tmp_path / "touch.png"
+    status, lines, err = _run(environment, "run", "--source", tmp_path / "recording", "--json", "--picture", picture)
+    assert status == 0, err
+    *answers, last = lines
+    assert (last["played"], last["answered"], len(answers)) == (5, 5, 5)
+    assert len({answer["stamp_ns"] for answer in answers}) == 5
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path, environment: dict[str, str]) -> None:
+    for k in range(3):
+        image = random_scene(np.random.default_rng(k), width=212, height=120, n_objects=1).render()
+        write_cloud(tmp_path / f"{k + 8}.npz", image.cloud())
+    status, lines, err = _run(environment, "run", "--source", tmp_path, "--json")
+    assert status == 0, err
+    stamps = [line["stamp_ns"] for line in lines[:-1]]
+    assert len(stamps) == 3
+    assert stamps == sorted(set(stamps))
+
+
+def test_an_absent_source_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
+    status, lines, err = _run(environment, "run", "--source", tmp_path / "none", "--json")
+    assert status == 1
+    assert lines == []
+    assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
+
+
+def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> None:
+    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=200))
+    with subprocess.Popen(
+        [sys.executable, "-m", "foretouch.cli.main", "run", "--source", str(tmp_path / "recording"), "--json"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # the first answer: it is under way
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    last = json.loads(out.splitlines()[-1])
+    assert process.returncode == 0, err
+    assert 0 < last["answered"] < 200
+    assert "Traceback" not in err
