@@ -15,6 +15,7 @@ from launch_ros.substitutions import FindPackageShare
 from launch import LaunchContext, LaunchDescription
 
 SHARE = FindPackageShare("foretouch")
+MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
     DeclareLaunchArgument("namespace", default_value="/foretouch", description="Of all nodes"),
     DeclareLaunchArgument("camera", default_value="true", description="false where realsense2_camera publishes"),
@@ -54,7 +55,7 @@ def perception(context: LaunchContext) -> list[Node]:
             namespace=given["namespace"],
             remappings=[("points", given["points"])],
             parameters=[given["params_file"]] if given["params_file"] else [],
-            ros_arguments=["-p", f"touch_predictor:model:={given['model']}"],
+            ros_arguments=["-p", f"model:={given['model']}"] if executable in MODEL_USERS else [],
             output="screen",
         )
         for executable in executables

@@ -40,7 +40,7 @@ def replay(context: LaunchContext) -> list[Node]:
             executable="foretouch_replay",
             namespace=LaunchConfiguration("namespace"),
             parameters=[params_file] if params_file else [],
-            ros_arguments=["-p", ["replay:path:=", LaunchConfiguration("path")]],
+            ros_arguments=["-p", ["path:=", LaunchConfiguration("path")]],
             output="screen",
             on_exit=Shutdown(reason="the source has been played"),
         )

@@ -9,9 +9,11 @@ three nodes of `perception` do work at the same time. `ros2 run` and the launch 
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
@@ -41,7 +43,7 @@ _CLASSES = {
     "replay": ("foretouch.ros.replay_node", "ReplayNode"),
 }
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
-_POLL_S = 0.5  # between looks at whether the nodes have ended
+_POLL_S = 0.2  # between looks at whether the nodes have ended
 _EXECUTOR_THREADS = 4  # messages, one service, one action, and lifecycle or parameters
 
 
@@ -87,13 +89,18 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     """
     prepare_environment()
     import rclpy
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=list(sys.argv if args is None else args))
+    rclpy.init(args=list(sys.argv if args is None else args), signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         spin(make_nodes(*names))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
+    except KeyboardInterrupt:  # while the nodes were being made
+        return 0
     finally:
         rclpy.try_shutdown()
     return 0
@@ -119,6 +126,7 @@ def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
         for node in nodes:
             node.destroy_node()
         raise
+    _warn_of_unknown_parameters(nodes)
     return nodes
 
 
@@ -136,6 +144,22 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        for node in nodes:
+            node.stop()
         executor.shutdown(timeout_sec=1.0)
         for node in nodes:
             node.destroy_node()
+
+
+def _interrupt(number: int, _: FrameType | None) -> None:
+    """Both signals end the process in order; rclpy's own handler pulls the graph away from under the threads."""
+    signal.signal(number, signal.SIG_DFL)  # a second one is not to be argued with
+    raise KeyboardInterrupt(signal.Signals(number).name)
+
+
+def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:
+    """A parameter that reaches all nodes of a process needs to be known to one of them only."""
+    for node in nodes:
+        for name in sorted(node.unknown_parameters()):
+            if not any(other.has_parameter(name) for other in nodes):
+                node.get_logger().warning(f"parameter {name}: unknown to {node.get_name()}; it has no effect")

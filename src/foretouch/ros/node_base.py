@@ -147,6 +147,11 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         )
         self._inputs.append(subscription)
 
+    def unknown_parameters(self) -> set[str]:
+        """Names given at the start that mean nothing to this node; ROS would pass over them in silence."""
+        given = getattr(self, "_parameter_overrides", {})
+        return {name for name in given if not (self.has_parameter(name) or name.startswith("qos_overrides."))}
+
     def age_s(self, stamp_ns: int) -> float:
         """Time from a stamp to now on the node's clock [s]."""
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
@@ -169,7 +174,6 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         if not self._attempt(self.setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
-        self._warn_of_unknown_parameters()
         self.state_name = "inactive"
         return super().on_configure(state)
 
@@ -235,12 +239,6 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         text = f"{topic}: a {other} has incompatible QoS ({policy}): no message passes"
         self._mismatches[f"{topic} {other}"] = text
         self.get_logger().warning(text)
-
-    def _warn_of_unknown_parameters(self) -> None:
-        given = getattr(self, "_parameter_overrides", {})
-        for name in given:
-            if not self.has_parameter(name):
-                self.get_logger().warning(f"parameter {name}: unknown to {self.get_name()}; it has no effect")
 
     def _report(self) -> None:
         now = self.statistics.snapshot()
