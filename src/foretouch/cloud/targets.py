@@ -76,11 +76,12 @@ def choose_targets(objects: Sequence[ObjectSegment], config: TargetConfig) -> tu
 def _least(
     objects: Sequence[ObjectSegment], distances: Sequence[float], margin: float, where: str
 ) -> tuple[list[ObjectSegment], str]:
-    first, *rest = sorted(range(len(objects)), key=lambda i: distances[i])
-    if rest and distances[rest[0]] - distances[first] < margin:
-        pair = f"objects {objects[first].id} and {objects[rest[0]].id}"
-        return [], f"{pair} are equally near to {where}, {distances[first]:.3f} and {distances[rest[0]]:.3f} m"
-    return [objects[first]], ""
+    order = sorted(range(len(objects)), key=lambda i: distances[i])
+    if len(order) > 1 and distances[order[1]] - distances[order[0]] < margin:
+        a, b = sorted(order[:2])
+        pair = f"objects {objects[a].id} and {objects[b].id}"
+        return [], f"{pair} are equally near to {where}, {distances[a]:.3f} and {distances[b]:.3f} m"
+    return [objects[order[0]]], ""
 
 
 def _largest(objects: Sequence[ObjectSegment]) -> tuple[list[ObjectSegment], str]:
