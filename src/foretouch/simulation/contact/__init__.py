@@ -11,11 +11,13 @@ from foretouch.simulation.contact.level import LEVELS, Level, choose_level, solv
 from foretouch.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
+    PadWindow,
     cell_centres,
     contact_frame,
     gap_field,
     pad_depth,
     pad_direction,
+    pad_window,
 )
 from foretouch.simulation.contact.problem import (
     DEFAULT_CONFIG,
@@ -42,6 +44,7 @@ __all__ = [
     "Layer",
     "Level",
     "PadConfig",
+    "PadWindow",
     "bed_stiffness",
     "cell_centres",
     "choose_level",
@@ -49,6 +52,7 @@ __all__ = [
     "gap_field",
     "pad_depth",
     "pad_direction",
+    "pad_window",
     "solve_contact",
     "solve_grip",
     "solve_hertz",

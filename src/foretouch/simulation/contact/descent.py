@@ -76,7 +76,7 @@ class Descent:
     def _depth(self, wet: npt.NDArray[np.bool_]) -> float:
         if self._given_depth is not None:
             return self._given_depth
-        return float(np.vdot(self._displacement + self._gap, wet)) / np.count_nonzero(wet)
+        return float(np.vdot(self._displacement + self._gap, wet)) / int(np.count_nonzero(wet))
 
     def _apply(self, length: float, t: Float64, q: Float64, r: Float64, wet: npt.NDArray[np.bool_]) -> None:
         old = self.pressure

@@ -57,7 +57,7 @@ def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig
         pressure, displacement = end.pressure, _displacements(problem, end.pressure)
     refuse_overload(problem, displacement, end.depth, config)
     force = float(pressure.sum()) * problem.cell_m2
-    area = np.count_nonzero(pressure) * problem.cell_m2
+    area = int(np.count_nonzero(pressure)) * problem.cell_m2
     return ContactSolution(pressure, displacement, force, area, end.depth, end.iterations, end.residual)
 
 

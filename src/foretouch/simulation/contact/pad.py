@@ -19,7 +19,17 @@ from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import Layer
 from foretouch.types import Float64
 
-__all__ = ["ContactFrame", "PadConfig", "cell_centres", "contact_frame", "gap_field", "pad_depth", "pad_direction"]
+__all__ = [
+    "ContactFrame",
+    "PadConfig",
+    "PadWindow",
+    "cell_centres",
+    "contact_frame",
+    "gap_field",
+    "pad_depth",
+    "pad_direction",
+    "pad_window",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +87,33 @@ class ContactFrame:
     def points(self, x: Float64, y: Float64, depth: Float64) -> Float64:
         """(..., 3) float64 [m], fingertip frame, of points at (x, y) and `depth` below the tangent plane."""
         return self.origin + np.stack([x, y, -depth], axis=-1) @ self.rotation.T
+
+
+@dataclass(frozen=True, eq=False)
+class PadWindow:
+    """The part of the pad that a contact is solved on.
+
+    Attributes:
+        frame: Where the pad is touched.
+        x: (N, N) float64 [m], cell centres in the contact frame; changes along a row.
+        y: (N, N) float64 [m]; changes along a column.
+        depth: (N, N) float64 [m], the undeformed skin below the tangent plane; infinite beside the pad.
+        points: (N, N, 3) float64 [m], the cells on the skin, fingertip frame; NaN beside the pad.
+    """
+
+    frame: ContactFrame
+    x: Float64
+    y: Float64
+    depth: Float64
+    points: Float64
+
+
+def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
+    """The window about the place where the outward normal is `direction` (see `contact_frame`)."""
+    frame = contact_frame(config, direction)
+    x, y = cell_centres(config)
+    depth = pad_depth(config, frame, x, y)
+    return PadWindow(frame, x, y, depth, frame.points(x, y, np.where(np.isfinite(depth), depth, np.nan)))
 
 
 def pad_direction(pitch_rad: float, roll_rad: float) -> Float64:

@@ -191,9 +191,6 @@ def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: flo
     Raises:
         ContactError: Names the depth, or the layer and its strain, and the limit.
     """
-    side = problem.gap.shape[0] * problem.step_m
-    if not depth_m <= side:
-        raise ContactError(f"depth: {depth_m:.3g} m is more than the {side:.3g} m window is wide: press less")
     for k, layer in enumerate(problem.layers):
         strain = float(displacement[k].max()) / layer.thickness_m
         if strain > config.max_strain:
@@ -201,3 +198,6 @@ def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: flo
                 f"layers[{k}]: compressed by {strain:.3g} of its {layer.thickness_m * 1e3:.3g} mm, "
                 f"more than max_strain {config.max_strain:g}: press less or make it stiffer"
             )
+    side = problem.gap.shape[0] * problem.step_m
+    if not depth_m <= side:
+        raise ContactError(f"depth: {depth_m:.3g} m is more than the {side:.3g} m window is wide: press less")

@@ -70,7 +70,7 @@ def solve_winkler(
     pressure = k * np.maximum(depth - problem.gap, 0.0)
     displacement = compliances[:, None, None] * pressure
     refuse_overload(problem, displacement, depth, config)
-    area = np.count_nonzero(pressure) * problem.cell_m2
+    area = int(np.count_nonzero(pressure)) * problem.cell_m2
     return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
 
 

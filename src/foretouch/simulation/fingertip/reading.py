@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
-from foretouch.simulation.contact.pad import ContactFrame, PadConfig
+from foretouch.simulation.contact.pad import PadConfig, PadWindow
 from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.simulation.fingertip.electrodes import (
     ElectrodeConfig,
@@ -74,8 +74,7 @@ def read_contact(
     config: FingertipConfig,
     pad: PadConfig,
     finger: Finger,
-    frame: ContactFrame,
-    skin_points: Float64,
+    window: PadWindow,
     solution: ContactSolution,
 ) -> Reading:
     """What the fingertip reads in contact; without force, its rest to the bit.
@@ -84,9 +83,7 @@ def read_contact(
         config: How contact becomes counts.
         pad: Shape of the pad and of the window.
         finger: Its rest and gain.
-        frame: Where it is touched.
-        skin_points: (N, N, 3) float64 [m], the window's cells on the undeformed skin (`ContactFrame.points` of
-            `pad_depth`); not finite beside the pad.
+        window: Where it is touched.
         solution: Of the contact; the first of its layers is the skin.
 
     Raises:
@@ -96,10 +93,10 @@ def read_contact(
         return rest_reading(finger)
     skin = solution.displacement[0]
     volume = displaced_volume(config.fluid, skin, pad.step_m**2)
-    weights = electrode_weights(config.electrodes, pad, frame, skin_points)
+    weights = electrode_weights(config.electrodes, pad, window.frame, window.points)
     approach = skin_approach(config.electrodes, weights, skin, volume)
     electrodes = electrode_counts(config.electrodes, approach, finger.electrode_rest, finger.electrode_gain)
-    return Reading(pdc_counts(config.fluid, frame, volume, finger.pdc_rest, finger.pdc_gain), electrodes)
+    return Reading(pdc_counts(config.fluid, window.frame, volume, finger.pdc_rest, finger.pdc_gain), electrodes)
 
 
 def quantise(
