@@ -22,6 +22,7 @@ COMMANDS = {
     "segment": "Find the table and the objects of a cloud",
     "grasp": "Find where a hand can hold an object (GeoGrasp)",
     "predict": "Predict what the fingertips would read",
+    "simulate": "Make a data set of simulated grasps from a scene",
     "run": "Run the whole ROS graph in one terminal",
     "replay": "Play a recording or a folder of clouds into the ROS graph",
     "models": "List and verify the touch models at hand",

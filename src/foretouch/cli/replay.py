@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cli.run import replay_fault
 from foretouch.errors import ForetouchError
 
 __all__ = ["add_arguments", "run"]
@@ -48,9 +49,17 @@ def run(arguments: argparse.Namespace) -> int:
             replay.ended.wait()
         except KeyboardInterrupt:
             replay.stop()
-        counts = {"outcome": replay.outcome, "clouds": graph.played(), "played": dict(replay.played)}
+        counts = {
+            "outcome": replay.outcome,
+            "clouds": graph.played(),
+            "unreadable": replay.unreadable,
+            "played": dict(replay.played),
+        }
         if arguments.json:
             print_json(counts)
         else:
             warn(f"{arguments.path}: {replay.outcome}, {graph.played()} clouds played")
-        return int(replay.outcome == "failed")
+        fault = replay_fault(replay)
+        if fault is not None:
+            warn(f"{arguments.path}: {fault}")
+        return int(fault is not None)

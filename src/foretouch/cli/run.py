@@ -15,8 +15,9 @@ from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
+    from foretouch.ros.replay_node import ReplayNode
 
-__all__ = ["add_arguments", "run"]
+__all__ = ["add_arguments", "replay_fault", "replay_parameters", "run"]
 
 _REFRESH_S = 0.2
 _DIAGNOSED_S = 1.2  # by then every node has reported once more, all that it did
@@ -87,6 +88,15 @@ def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
     return parameters
 
 
+def replay_fault(replay: ReplayNode | None) -> str | None:
+    """What was wrong with the source, in words; None if all of it was played."""
+    if replay is None:
+        return None
+    if replay.outcome == "failed":
+        return f"broke off: {replay.reason}"
+    return f"{replay.unreadable} entries could not be read" if replay.unreadable else None
+
+
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the source has ended and is answered, or Ctrl-C; False if answers are missing."""
     ended = threading.Event() if graph.replay is None else graph.replay.ended
@@ -131,10 +141,13 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         )
     if arguments.picture:
         _draw(graph, arguments.picture)
+    if (fault := replay_fault(graph.replay)) is not None:
+        warn(f"{arguments.source}: {fault}")
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    return 0 if complete and (predicted or not answered) else 1
+    whole = complete and replay_fault(graph.replay) is None
+    return 0 if whole and (predicted or not answered) else 1
 
 
 def _draw(graph: Graph, path: str) -> None:
