@@ -14,9 +14,9 @@ from foretouch.pipeline import FoundObject
 from foretouch.tactile.layout import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
 
-__all__ = ["draw_electrodes", "draw_front", "draw_scene", "save_touch_picture"]
+__all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_touch_picture"]
 
-_FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # g1, g2 as the models take them: thumb, middle finger
+FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # g1, g2 as the models take them: thumb, middle finger
 _MAX_POINTS = 6000  # more only make a scatter slower, not denser
 
 
@@ -54,9 +54,9 @@ def save_touch_picture(
             (thumb, "TH", value.pdc_th, value.e_th, None if rest is None else rest.e_th),
             (middle, "MF", value.pdc_mf, value.e_mf, None if rest is None else rest.e_mf),
         ):
-            draw_electrodes(axes, electrodes, at_rest, colour=_FINGER_COLOURS[name])
+            draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name])
             finger = "thumb" if name == "TH" else "middle finger"
-            axes.set_title(f"{finger}, PDC {pdc:.0f}", color=_FINGER_COLOURS[name], fontsize=11)
+            axes.set_title(f"{finger}, PDC {pdc:.0f}", color=FINGER_COLOURS[name], fontsize=11)
     else:
         for axes in (thumb, middle):
             axes.set_axis_off()
@@ -93,7 +93,7 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     ends = np.stack([grasp.g1, grasp.g2])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
     for name, end in zip(("TH", "MF"), ends, strict=True):
-        axes.scatter(end[0], end[1], s=70, color=_FINGER_COLOURS[name], edgecolors="white", zorder=3, label=name)
+        axes.scatter(end[0], end[1], s=70, color=FINGER_COLOURS[name], edgecolors="white", zorder=3, label=name)
     axes.legend(loc="upper right", fontsize=8)
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 

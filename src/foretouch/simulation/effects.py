@@ -51,7 +51,7 @@ class Effect:
         name: Unique; it also names the random stream, so renaming an effect changes its numbers.
         run: Does it.
         needed: The field of the scene that calls for it with this object, or None where nothing does.
-        off: The field whose absence turns it off, for those who ask why it does not run.
+        off: Why it does not run where nothing needs it: the field that is absent.
         reads: Keys of the state that must be there.
         writes: Keys that it makes; each key has one maker.
         modifies: Keys that it changes, after they are made and before they are read. Several change one key in

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
-from foretouch.errors import SimulationError
+from foretouch.errors import ForetouchError, SimulationError
 from foretouch.simulation.effects import Effect, Job, guarded
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.state import SampleState
@@ -94,7 +94,7 @@ def explain(scene: SceneConfig, effects: Sequence[Effect], outputs: Iterable[str
             plans.append(EffectPlan(effect.name, True, ", ".join(reasons), tuple(item.name for item in items)))
             continue
         called_for = any(effect.needed(scene, item) for item in scene.objects)
-        plans.append(EffectPlan(effect.name, False, "nothing reads it" if called_for else f"{effect.off}: absent"))
+        plans.append(EffectPlan(effect.name, False, "nothing reads it" if called_for else effect.off))
     return plans
 
 
@@ -135,6 +135,10 @@ class Engine:
             start = time.thread_time()
             try:
                 effect.run(Job(self.scene, item, self._world, key, effect.name), guarded(state, effect))
+            except SimulationError:
+                raise
+            except ForetouchError as err:
+                raise SimulationError(f"{item.name}: {effect.name}: {err}", effect.name) from err
             finally:
                 timing.calls += 1
                 timing.seconds += time.thread_time() - start

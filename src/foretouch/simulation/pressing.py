@@ -8,19 +8,17 @@ import numpy as np
 from foretouch.simulation.body import Body
 from foretouch.simulation.contact import (
     Command,
-    ContactFrame,
     ContactProblem,
     Layer,
     PadConfig,
-    cell_centres,
+    PadWindow,
     gap_field,
-    pad_depth,
 )
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.types import Float64
 
-__all__ = ["command_of", "contact_problem", "layers_of", "surface_behind"]
+__all__ = ["command_of", "contact_problem", "layers_of", "pad_of", "surface_behind"]
 
 _BACK_M = 0.03  # how far in front of the tangent plane the rays start
 
@@ -38,21 +36,23 @@ def command_of(scene: SceneConfig, target: float) -> Command:
     return Command(force_n=target) if scene.grasps.control == "force" else Command(depth_m=target)
 
 
-def surface_behind(pad: PadConfig, body: Body, frame: FingerFrame) -> Float64:
+def pad_of(scene: SceneConfig, item: ObjectConfig) -> PadConfig:
+    """The pad, its window as wide as the object's softness asks for."""
+    return scene.fingers.pad if item.rigid else scene.fingers.pad.soft
+
+
+def surface_behind(window: PadWindow, body: Body, frame: FingerFrame) -> Float64:
     """(N, N) float64 [m]: how far behind the tangent plane the body's surface lies, inf where there is none."""
-    x, y = cell_centres(pad)
-    starts = frame.points(x, y, -_BACK_M).reshape(-1, 3)
+    starts = frame.points(window.x, window.y, -_BACK_M).reshape(-1, 3)
     t = body.cast(starts, np.broadcast_to(frame.approach, starts.shape)).t
-    return t.reshape(x.shape) - _BACK_M
+    return t.reshape(window.x.shape) - _BACK_M
 
 
-def contact_problem(scene: SceneConfig, item: ObjectConfig, pad: ContactFrame, behind: Float64) -> ContactProblem:
+def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, behind: Float64) -> ContactProblem:
     """The gap between a pad and the surface behind its tangent plane.
 
     Raises:
         ContactError: If nowhere in the window do both exist.
     """
-    config = scene.fingers.pad
-    x, y = cell_centres(config)
-    gap = gap_field(pad_depth(config, pad, x, y), -behind)
-    return ContactProblem(gap, config.step_m, layers_of(scene, item))
+    gap = gap_field(window.depth, -behind)
+    return ContactProblem(gap, pad_of(scene, item).step_m, layers_of(scene, item))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from foretouch.grasp import GraspPlan
 from foretouch.simulation.body import Body, Hits
-from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight
+from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight, PadWindow
 from foretouch.simulation.hand import FingerFrame
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
@@ -45,7 +45,7 @@ class SampleState:
         axial_load_n: How much more the middle finger pushes than the thumb [N].
         weight: What the object's weight asks of the fingers.
         postures: Of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3).
-        pads: Where on its skin each fingertip is touched.
+        pads: Where on its skin each fingertip is touched, and the window about it.
         touches: The tangent frames there, in the world.
         relief: (2, N, N) float64 [m], the object's surface behind each tangent plane, inf where there is none.
         contacts: How thumb and middle finger touch it.
@@ -76,7 +76,7 @@ class SampleState:
     weight: HeldWeight = _key()
     postures: tuple[tuple[ContactFrame, Float64], tuple[ContactFrame, Float64]] = _key()
     touches: tuple[FingerFrame, FingerFrame] = _key()
-    pads: tuple[ContactFrame, ContactFrame] = _key()
+    pads: tuple[PadWindow, PadWindow] = _key()
     relief: Float64 = _key()
     contacts: tuple[ContactSolution, ContactSolution] = _key()
     readings: Float64 = _key()

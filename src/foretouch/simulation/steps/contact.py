@@ -81,7 +81,7 @@ EFFECTS = (
         "weight",
         _weight,
         _gravity,
-        off="gravity",
+        off="no gravity",
         reads=keys("bodies", "touches"),
         writes=keys("weight"),
         modifies=keys("axial_load_n"),
@@ -91,12 +91,12 @@ EFFECTS = (
             f"contact_{level}",
             _solve(level),
             _needed_at(level),
-            off=f"fidelity: {level}, or an object that calls for it",
+            off=f"fidelity: no object calls for {level}",
             reads=keys("pads", "relief", "targets", "axial_load_n"),
             writes=keys("contacts"),
         )
         for level in LEVELS
         if level != "auto"
     ),
-    Effect("held", _held, _gravity, off="gravity", reads=keys("weight"), modifies=keys("contacts")),
+    Effect("held", _held, _gravity, off="no gravity", reads=keys("weight"), modifies=keys("contacts")),
 )

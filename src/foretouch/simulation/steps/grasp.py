@@ -99,7 +99,7 @@ EFFECTS = (
         "execution_error",
         _execution_error,
         lambda scene, _item: "grasps.error" if scene.grasps.error is not None else None,
-        off="grasps.error",
+        off="no grasps.error",
         modifies=keys("fingers"),
     ),
     Effect("targets", _targets, always("grasps"), writes=keys("targets", "axial_load_n")),

@@ -9,10 +9,10 @@ import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.body import Body
-from foretouch.simulation.contact import ContactFrame, PadConfig, cell_centres, contact_frame, pad_depth, pad_direction
+from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.effects import Effect, Job, always, keys
 from foretouch.simulation.hand import FingerFrame
-from foretouch.simulation.pressing import surface_behind
+from foretouch.simulation.pressing import pad_of, surface_behind
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
 from foretouch.types import Float64
@@ -44,7 +44,7 @@ def _first_touch(job: Job, state: SampleState) -> None:
     They meet where their normals are opposite, which on a slope is beside the place that the hand aimed with.
     The contact is solved in the tangent plane there. A slope outside of the friction cone lets the finger slip.
     """
-    pad_config, item = job.scene.fingers.pad, job.item
+    pad_config, item = pad_of(job.scene, job.item), job.item
     met = []
     for finger, (aimed, tip), name in zip(state.fingers, state.postures, _FINGERS, strict=True):
         point, normal = _meet(pad_config, state.bodies[0], finger, aimed)
@@ -56,10 +56,10 @@ def _first_touch(job: Job, state: SampleState) -> None:
                 f"{item.name}: the {name} meets a slope of {slope:.2f}, friction holds {item.friction:g}", "slips"
             )
         try:
-            pad = contact_frame(pad_config, -normal @ tip)
+            pad = pad_window(pad_config, -normal @ tip)
         except ContactError as err:
             raise SimulationError(f"{item.name}: {name}: {err}", "misses") from err
-        met.append((pad, FingerFrame(point, tip @ pad.rotation)))
+        met.append((pad, FingerFrame(point, tip @ pad.frame.rotation)))
     state.pads = met[0][0], met[1][0]
     state.touches = met[0][1], met[1][1]
 
@@ -86,9 +86,11 @@ def _meet(
     return starts[least] + hits.t[least] * finger.approach, normal / np.linalg.norm(normal)
 
 
-def _relief(job: Job, state: SampleState) -> None:
+def _relief(_job: Job, state: SampleState) -> None:
     body = state.bodies[0]
-    state.relief = np.stack([surface_behind(job.scene.fingers.pad, body, frame) for frame in state.touches])
+    state.relief = np.stack(
+        [surface_behind(window, body, frame) for window, frame in zip(state.pads, state.touches, strict=True)]
+    )
 
 
 def _surface(job: Job, state: SampleState) -> None:
@@ -96,15 +98,14 @@ def _surface(job: Job, state: SampleState) -> None:
     surface = job.item.surface
     if surface is None:
         return
-    x, y = cell_centres(job.scene.fingers.pad)
     body = state.bodies[0]
     rng = np.random.default_rng([job.scene.seed, job.key.slot % len(job.scene.objects), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
     axes *= 2.0 * np.pi / surface.wavelength_m / np.linalg.norm(axes, axis=1, keepdims=True)
     phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
     waves = []
-    for frame in state.touches:
-        points = (frame.points(x, y, 0.0) - body.position) @ body.rotation
+    for window, frame in zip(state.pads, state.touches, strict=True):
+        points = (frame.points(window.x, window.y, 0.0) - body.position) @ body.rotation
         waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * surface.relief_m * np.sqrt(2.0 / _WAVES))
     state.relief = state.relief + np.stack(waves)
 
@@ -118,13 +119,13 @@ EFFECTS = (
         reads=keys("bodies", "fingers", "postures"),
         writes=keys("pads", "touches"),
     ),
-    Effect("relief", _relief, always("fingers"), reads=keys("bodies", "touches"), writes=keys("relief")),
+    Effect("relief", _relief, always("fingers"), reads=keys("bodies", "pads", "touches"), writes=keys("relief")),
     Effect(
         "surface",
         _surface,
         lambda _scene, item: "objects.surface" if item.surface is not None else None,
-        off="objects.surface",
-        reads=keys("bodies", "touches"),
+        off="no objects.surface",
+        reads=keys("bodies", "pads", "touches"),
         modifies=keys("relief"),
     ),
 )

@@ -100,7 +100,7 @@ EFFECTS = (
         "clutter",
         _clutter,
         lambda scene, _item: "clutter" if scene.clutter is not None else None,
-        off="clutter",
+        off="no clutter",
         modifies=keys("bodies"),
     ),
 )

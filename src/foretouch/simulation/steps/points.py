@@ -56,7 +56,7 @@ EFFECTS = (
         "colour",
         _colour,
         lambda _scene, item: "objects.colour" if item.colour is not None else None,
-        off="objects.colour",
+        off="no objects.colour",
         reads=keys("normals", "pixels", "window"),
         modifies=keys("cloud"),
     ),

@@ -9,7 +9,7 @@ from typing import Literal, cast
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
-from foretouch.simulation.contact import ContactFrame, ContactSolution, cell_centres, pad_depth, solve_contact
+from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
 from foretouch.simulation.effects import Effect, Job, Needed, always, keys
 from foretouch.simulation.fingertip import (
     Finger,
@@ -25,7 +25,7 @@ from foretouch.simulation.fingertip import (
     warming,
     white_noise,
 )
-from foretouch.simulation.pressing import command_of, contact_problem, surface_behind
+from foretouch.simulation.pressing import command_of, contact_problem, pad_of, surface_behind
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
@@ -43,12 +43,10 @@ def _ideal(job: Job, state: SampleState) -> None:
     state.readings = np.array([at_rest, touched])
 
 
-def _felt(job: Job, finger: Finger, pad: ContactFrame, contact: ContactSolution) -> Float64:
+def _felt(job: Job, finger: Finger, window: PadWindow, contact: ContactSolution) -> Float64:
     """(25,) PDC and electrodes of one ideal fingertip in contact."""
     config = job.scene.fingers
-    x, y = cell_centres(config.pad)
-    skin = pad.points(x, y, pad_depth(config.pad, pad, x, y))
-    reading = read_contact(config.fingertip, config.pad, finger, pad, skin, contact)
+    reading = read_contact(config.fingertip, pad_of(job.scene, job.item), finger, window, contact)
     return np.append(reading.pdc, reading.electrodes)
 
 
@@ -90,21 +88,21 @@ def _slip(job: Job, state: SampleState) -> None:
 
 def _felt_after(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
     """(25,) of finger k, the object having slid down by so much across its normal."""
-    frame, pad, scene = state.touches[k], state.pads[k], job.scene
+    frame, window, scene = state.touches[k], state.pads[k], job.scene
     across = _DOWN - (_DOWN @ frame.approach) * frame.approach
     length = float(np.linalg.norm(across))
     if length > 0.0:
         frame = replace(frame, origin=frame.origin - slid_m * across / length)
-    behind = surface_behind(scene.fingers.pad, state.bodies[0], frame)
+    behind = surface_behind(window, state.bodies[0], frame)
     try:
-        problem = contact_problem(scene, job.item, pad, behind)
+        problem = contact_problem(scene, job.item, window, behind)
         target = command_of(scene, float(state.targets[k]))
         contact = solve_contact(
             problem, target, "auto" if scene.fidelity == "auto" else _level(scene), scene.fingers.contact
         )
     except ContactError as err:
         raise SimulationError(f"{job.item.name}: after a slip of {slid_m * 1e3:.1f} mm: {err}", "contact") from err
-    return _felt(job, job.world.fingers[k], pad, contact)
+    return _felt(job, job.world.fingers[k], window, contact)
 
 
 def _level(scene: SceneConfig) -> Literal["hertz", "winkler", "layer"]:
@@ -194,24 +192,24 @@ EFFECTS = (
         "moments",
         _moments,
         lambda scene, _item: "fingers" if scene.fingers.timeline is None else None,
-        off="fingers.timeline is there, and its",
+        off="fingers.timeline makes them",
         reads=keys("readings"),
         writes=_TIMED,
     ),
-    Effect("timeline", _timeline, _if("timeline"), off="fingers.timeline", reads=keys("readings"), writes=_TIMED),
+    Effect("timeline", _timeline, _if("timeline"), off="no fingers.timeline", reads=keys("readings"), writes=_TIMED),
     Effect(
         "slip",
         _slip,
         _if("slip"),
-        off="fingers.slip",
+        off="no fingers.slip",
         reads=keys("readings", "bodies", "touches", "pads", "targets", "load"),
         modifies=_SERIES,
     ),
-    Effect("creep", _creep, _if("creep"), off="fingers.creep", modifies=_SERIES),
-    Effect("drift", _drift, _if("drift"), off="fingers.drift", reads=keys("times", "load"), modifies=_SERIES),
-    Effect("noise", _noise, _if("noise"), off="fingers.noise", modifies=_SERIES),
-    Effect("scan_hold", _scan, _if("scan"), off="fingers.scan", modifies=_SERIES),
-    Effect("dead_electrodes", _dead, _if("dead"), off="fingers.dead", modifies=_SERIES),
+    Effect("creep", _creep, _if("creep"), off="no fingers.creep", modifies=_SERIES),
+    Effect("drift", _drift, _if("drift"), off="no fingers.drift", reads=keys("times", "load"), modifies=_SERIES),
+    Effect("noise", _noise, _if("noise"), off="no fingers.noise", modifies=_SERIES),
+    Effect("scan_hold", _scan, _if("scan"), off="no fingers.scan", modifies=_SERIES),
+    Effect("dead_electrodes", _dead, _if("dead"), off="no fingers.dead", modifies=_SERIES),
     Effect(
         "counts",
         _counts,

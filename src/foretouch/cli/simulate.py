@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch simulate`: a data set of simulated grasps, only with the effects that the scene calls for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch import __version__
+from foretouch.cli.output import print_json, print_table
+from foretouch.config import load_yaml, parse_overrides
+from foretouch.errors import ConfigError, FileError
+
+if TYPE_CHECKING:
+    from foretouch.simulation.scene import SceneConfig
+    from foretouch.simulation.simulate import Simulation
+    from foretouch.types import GraspSample
+
+__all__ = ["SHEET", "add_arguments", "run"]
+
+SHEET = "contact_sheet.png"
+_SHEET_SAMPLES = 12
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The scene, how many samples, and where to."""
+    parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
+    parser.add_argument("-n", "--count", type=_positive, metavar="N", help="how many samples")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="the data set; must not exist")
+    parser.add_argument("--seed", type=int, help="in place of the scene's")
+    parser.add_argument(
+        "--workers", type=_positive, help="processes (default: one a core); the samples do not depend on it"
+    )
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting of the scene")
+    parser.add_argument(
+        "--explain", action="store_true", help="tell which effects will run, and for which field; run none"
+    )
+    parser.add_argument(
+        "--replay", metavar="SLOT[.ATTEMPT]", help="make one try again and tell what it gives or why it fails"
+    )
+    parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and nothing else there")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 0; a slot that is given up is an error."""
+    scene = _scene(arguments)
+    if arguments.explain:
+        return _explain(scene, arguments.json)
+    if arguments.replay is not None:
+        return _replay(scene, arguments.replay, arguments.json)
+    if arguments.count is None or arguments.out is None:
+        raise ConfigError("simulate: -n and -o are needed, or --explain, or --replay")
+    if arguments.out.exists():
+        raise FileError(arguments.out, "exists already")
+    return _simulate(scene, arguments)
+
+
+def _scene(arguments: argparse.Namespace) -> SceneConfig:
+    from foretouch.simulation.scene import SceneConfig
+
+    scene = SceneConfig.from_mapping(load_yaml(arguments.scene), arguments.scene)
+    changes = parse_overrides(arguments.set)
+    if arguments.seed is not None:
+        changes["seed"] = arguments.seed
+    return scene.updated(changes, arguments.scene) if changes else scene
+
+
+def _explain(scene: SceneConfig, as_json: bool) -> int:
+    from foretouch.simulation.simulate import explain_scene
+
+    plans = explain_scene(scene)
+    if as_json:
+        effects = [
+            {"name": p.name, "ran": p.runs, "ms_per_sample": None, "reason": p.reason, "objects": p.objects}
+            for p in plans
+        ]
+        print_json({"effects": effects, "samples": 0, "scene_sha256": scene.sha256()})
+        return 0
+    everyone = len(scene.objects)
+    rows = [
+        [p.name, "runs" if p.runs else "-", p.reason, "all" if len(p.objects) == everyone else ", ".join(p.objects)]
+        for p in plans
+    ]
+    print_table("effects", ["effect", "", "for", "objects"], rows)
+    return 0
+
+
+def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
+    from foretouch.errors import SimulationError
+    from foretouch.simulation.simulate import replay
+    from foretouch.simulation.streams import SampleKey
+
+    slot, _, attempt = which.partition(".")
+    if not slot.isdecimal() or (attempt and not attempt.isdecimal()):
+        raise ConfigError(f"--replay: {which} is not SLOT or SLOT.ATTEMPT")
+    key = SampleKey(scene.seed, int(slot), int(attempt or 0))
+    record: dict[str, Any] = {"slot": key.slot, "attempt": key.attempt, "seed": key.seed}
+    try:
+        state = replay(scene, key)
+    except SimulationError as err:
+        record |= {"status": "failed", "reason": err.reason, "message": str(err)}
+    else:
+        record |= {
+            "status": "ok",
+            "points": state.cloud.size,
+            "plan": state.plan.status,
+            "width_m": state.grasp.width_m,
+        }
+        record |= {"force_n": [contact.force_n for contact in state.contacts], "touch": state.touch.vector()}
+    if as_json:
+        print_json(record)
+    else:
+        print_table(f"slot {which}", ["", "value"], [[name, str(value)] for name, value in record.items()])
+    return 0
+
+
+def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.store_writer import StoreWriter
+    from foretouch.simulation.simulate import Simulation
+
+    simulation = Simulation(scene)
+    workers = arguments.workers or len(os.sched_getaffinity(0))
+    about = {
+        "made_by": f"foretouch {__version__} simulate",
+        "scene": scene.to_mapping(),
+        "scene_sha256": scene.sha256(),
+    }
+    shown: list[GraspSample] = []
+    start = time.perf_counter()
+    with StoreWriter(arguments.out, about) as writer, _progress(arguments.count, arguments.json) as advance:
+        for made in simulation.samples(arguments.count, workers):
+            writer.write(made.sample)
+            if len(shown) < _SHEET_SAMPLES:
+                shown.append(made.sample)
+            advance()
+        writer.about["failures"] = [
+            {"slot": f.key.slot, "attempt": f.key.attempt, "reason": f.reason, "message": f.message}
+            for f in simulation.failures
+        ]
+    seconds = time.perf_counter() - start
+    if not arguments.no_sheet:
+        from foretouch.report.contact_sheet import save_contact_sheet
+
+        save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
+    _tell(simulation, writer.sha256, arguments, seconds)
+    return 0
+
+
+def _tell(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
+    from foretouch.simulation.simulate import explain_scene
+
+    count, effects = arguments.count, []
+    for plan in explain_scene(simulation.scene):
+        timing = simulation.timings[plan.name]
+        effects.append(
+            {
+                "name": plan.name,
+                "ran": timing.calls > 0,
+                "ms_per_sample": 1e3 * timing.seconds / count,
+                "reason": plan.reason,
+                "calls": timing.calls,
+            }
+        )
+    record = {
+        "effects": effects,
+        "samples": count,
+        "samples_per_s": count / seconds,
+        "sha256": sha256,
+        "scene_sha256": simulation.scene.sha256(),
+        "failures": simulation.failures_by_reason,
+        "path": str(arguments.out),
+    }
+    if arguments.json:
+        print_json(record)
+        return
+    rows = [[e["name"], str(e["calls"]), f"{e['ms_per_sample']:.2f}", e["reason"]] for e in effects]
+    print_table("effects", ["effect", "calls", "ms a sample", "for"], rows)
+    failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
+    print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
+    print(f"sha256 {sha256}")
+
+
+class _progress:  # noqa: N801  # used as a statement
+    """A bar on stderr for a person, nothing for a program."""
+
+    def __init__(self, count: int, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        self._bar = Progress(console=Console(stderr=True), disable=quiet)
+        self._task = self._bar.add_task("simulating", total=count)
+
+    def __enter__(self) -> Any:
+        self._bar.__enter__()
+        return lambda: self._bar.advance(self._task)
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.__exit__(*error)  # type: ignore[arg-type]
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value

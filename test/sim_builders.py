@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small scenes and single states, shared by the tests of the simulator."""
+
+from typing import Any
+
+import numpy as np
+
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.state import SampleState
+from foretouch.simulation.steps import EFFECTS
+from foretouch.simulation.streams import SampleKey
+
+CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
+SPONGE = {
+    "name": "sponge",
+    "shape": "sponge",
+    "size_m": [0.07, 0.11, 0.05],
+    "young_pa": 2e5,
+    "thickness_m": 0.02,
+}
+EVERY_CAMERA_FAULT = {"z_step_m": 0.001, "noise": {}, "stereo": {}, "flying_pixels": {}, "holes": {}}
+EVERY_FINGER_EFFECT = {
+    "timeline": {},
+    "creep": {},
+    "slip": {},
+    "drift": {},
+    "noise": {},
+    "scan": {},
+    "dead": {"thumb": [3]},
+}
+
+
+def scene(*objects: dict[str, Any], **groups: Any) -> SceneConfig:
+    """A scene of these objects (a rigid can if there is none) with some of its groups."""
+    return SceneConfig.from_mapping({"objects": list(objects) or [CAN], **groups})
+
+
+def run(config: SceneConfig, *outputs: str, slot: int = 0, seed: int | None = None) -> SampleState:
+    """One sample with all its effects, as far as the outputs need them."""
+    key = SampleKey(config.seed if seed is None else seed, slot)
+    return Engine(config, EFFECTS, outputs or ("touch",)).run(key)
+
+
+def unit(vector: Any) -> Any:
+    """Of length 1."""
+    return np.asarray(vector) / np.linalg.norm(vector)

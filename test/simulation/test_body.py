@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from foretouch.simulation.body import Body
+from foretouch.simulation.primitives import Box, Cylinder, Primitive, Sphere
+
+ROTATION = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+ROTATION = ROTATION * np.sign(np.linalg.det(ROTATION))
+POSITION = np.array([0.1, -0.2, 0.3])
+EYE = np.array([0.2, 0.1, 1.5])
+
+
+def rays(count: int = 4000) -> npt.NDArray[np.float64]:
+    towards = POSITION + np.random.default_rng(0).uniform(-0.08, 0.08, (count, 3))
+    return (towards - EYE) * 0.7  # of any length
+
+
+@pytest.mark.parametrize(
+    ("shape", "size", "solid", "tolerance_m"),
+    [
+        ("ball", (0.1, 0.1, 0.1), Sphere(position=POSITION, radius=0.05), 4e-5),
+        ("box", (0.1, 0.06, 0.12), Box(position=POSITION, rotation=ROTATION, size=np.array([0.1, 0.06, 0.12])), 1e-6),
+    ],
+)
+def test_rays_meet_a_mesh_where_they_meet_the_solid(
+    shape: str, size: tuple[float, ...], solid: Primitive, tolerance_m: float
+) -> None:
+    directions = rays()
+    found = Body(shape, 0, np.array(size), POSITION, ROTATION).cast(EYE, directions).t
+    exact = solid.cast(EYE, directions)
+    both = np.isfinite(found) & np.isfinite(exact)
+    assert both.sum() > 1000
+    off = np.abs(found[both] - exact[both]) * np.linalg.norm(directions[both], axis=1)
+    assert np.percentile(off, 90) < tolerance_m  # edges are rounded and silhouettes are made of facets
+    assert np.mean(np.isfinite(found) != np.isfinite(exact)) < 0.02  # the box is rounded
+
+
+def test_a_stretched_ball_is_an_ellipsoid() -> None:
+    size = np.array([0.06, 0.1, 0.14])
+    directions = rays()
+    hits = Body("ball", 0, size, POSITION, ROTATION).cast(EYE, directions)
+    seen = np.isfinite(hits.t)
+    local = (EYE + hits.t[seen, None] * directions[seen] - POSITION) @ ROTATION
+    np.testing.assert_allclose(((local / (size / 2)) ** 2).sum(axis=1), 1.0, atol=3e-3)
+
+
+def test_normals_of_a_stretched_ball_are_its_gradient() -> None:
+    size = np.array([0.06, 0.1, 0.14])
+    body = Body("ball", 0, size, POSITION, ROTATION)
+    directions = rays()
+    hits = body.cast(EYE, directions)
+    seen = np.isfinite(hits.t)
+    local = (EYE + hits.t[seen, None] * directions[seen] - POSITION) @ ROTATION
+    gradient = (local / size**2) @ ROTATION.T
+    gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
+    normals = body.world_normals(hits.normal[seen])
+    assert np.einsum("ij,ij->i", normals, gradient).min() > np.cos(0.05)  # a facet turns by 0.04 rad
+
+
+def test_origins_may_differ_from_ray_to_ray() -> None:
+    body = Body("ball", 0, np.full(3, 0.1), np.zeros(3), np.eye(3))
+    starts = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
+    t = body.cast(starts, np.array([[0.0, 0.0, -1.0], [0.0, -2.0, 0.0], [0.0, 0.0, -1.0]])).t
+    np.testing.assert_allclose(t, [0.95, 0.475, np.inf], atol=2e-5)
+
+
+def test_the_lowest_point_of_a_tilted_cylinder() -> None:
+    angle = 0.4
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]])
+    can = Body("can", 0, np.array([0.08, 0.08, 0.1]), np.array([0.0, 0.0, 0.5]), tilt)
+    solid = Cylinder(position=can.position, rotation=tilt, radius=0.04, height=0.1)
+    exact = 0.5 - 0.05 * np.cos(angle) - 0.04 * np.sin(angle)
+    assert can.lowest() == pytest.approx(exact, abs=2e-3)  # the rim is bevelled
+    assert can.lowest() >= solid.corners()[:, 2].min() - 1e-9

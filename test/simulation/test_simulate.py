@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+import hashlib
+from typing import Any
+
+import numpy as np
+import pytest
+from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, run, scene
+
+from foretouch.dataset.store import sample_digest
+from foretouch.errors import SimulationError
+from foretouch.grasp import plan_grasps
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import SimulatedSample, Simulation, replay
+from foretouch.simulation.world import World
+from foretouch.tactile import check_touch
+from foretouch.types import GraspSample
+
+FULL = {
+    "camera": EVERY_CAMERA_FAULT,
+    "clutter": {},
+    "grasps": {"slide": True, "error": {}, "thumb": {"force_n": [1.5, 3.0]}},
+    "gravity": {},
+    "fingers": EVERY_FINGER_EFFECT,
+}
+LOADED = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
+
+
+def made(config: SceneConfig, count: int, workers: int = 1) -> list[SimulatedSample]:
+    return list(Simulation(config).samples(count, workers))
+
+
+def digest(samples: list[SimulatedSample]) -> str:
+    content = hashlib.sha256()
+    for one in samples:
+        content.update(sample_digest(one.sample))
+    return content.hexdigest()
+
+
+def test_samples_come_in_order_with_their_objects_in_turn() -> None:
+    samples = made(scene(CAN, SPONGE), 5)
+    assert [s.sample.id for s in samples] == [
+        "can/000000",
+        "sponge/000001",
+        "can/000002",
+        "sponge/000003",
+        "can/000004",
+    ]
+    assert [s.key.slot for s in samples] == [0, 1, 2, 3, 4]
+
+
+def test_a_sample_is_whole() -> None:
+    one: GraspSample = made(scene(), 1)[0].sample
+    assert one.touch is not None
+    assert one.tare is not None
+    assert check_touch(one.touch).valid
+    assert check_touch(one.tare).valid
+    assert one.touch.pdc_th > one.tare.pdc_th  # pressure rises
+    assert (one.tare.e_th - one.touch.e_th).max() > 20  # and electrodes fall
+    assert one.extra["force_th_n"] == pytest.approx(one.extra["target_th"], rel=1e-3)
+    assert one.extra["force_th_n"] == pytest.approx(one.extra["force_mf_n"], rel=1e-3)
+
+
+def test_the_grasp_is_that_of_the_planner_on_the_samples_own_cloud() -> None:
+    config = scene()
+    one = made(config, 1)[0].sample
+    plan = plan_grasps(one.cloud, World.of(config).plane, config.grasps.geograsp)
+    np.testing.assert_array_equal(plan.grasps[0].g1, one.grasp.g1)
+    np.testing.assert_array_equal(plan.grasps[0].rotation, one.grasp.rotation)
+
+
+def test_the_same_samples_on_one_worker_and_on_two() -> None:
+    config = scene(*LOADED, **FULL)
+    alone = Simulation(config)
+    first = list(alone.samples(34, 1))
+    spread = Simulation(config)
+    second = list(spread.samples(34, 2))
+    assert digest(first) == digest(second) == digest(made(config, 34))
+    assert alone.failures_by_reason == spread.failures_by_reason
+    assert {n: t.calls for n, t in alone.timings.items()} == {n: t.calls for n, t in spread.timings.items()}
+
+
+def test_another_seed_gives_other_samples() -> None:
+    assert digest(made(scene(), 2)) != digest(made(scene(seed=1), 2))
+
+
+def test_a_longer_run_starts_with_the_shorter_one() -> None:
+    assert digest(made(scene(), 5)[:3]) == digest(made(scene(), 3))
+
+
+def test_a_rigid_scene_never_calls_the_layer_solver() -> None:
+    simulation = Simulation(scene())
+    list(simulation.samples(3))
+    assert simulation.timings["contact_layer"].calls == 0
+    assert simulation.timings["contact_winkler"].calls == 3
+
+
+def test_an_effect_that_is_off_costs_no_call() -> None:
+    simulation = Simulation(scene())
+    list(simulation.samples(2))
+    off = ("clutter", "normals", "flying_pixels", "depth_noise", "stereo_shadow", "holes", "depth_steps", "colour")
+    off += ("execution_error", "surface", "weight", "held", "timeline", "slip", "creep", "drift", "noise", "scan_hold")
+    assert {name: simulation.timings[name].calls for name in off} == dict.fromkeys(off, 0)
+
+
+CLOUD = ("cloud.xyz", "grasp.g1", "grasp.g2")
+TOUCH = ("touch.e_th", "touch.e_mf", "touch.pdc_th")
+
+
+@pytest.mark.parametrize(
+    ("groups", "kept"),
+    [
+        ({"fingers": {"noise": {}}}, (*CLOUD, "targets", "readings")),
+        ({"fingers": {"drift": {}}}, (*CLOUD, "targets", "readings")),
+        ({"fingers": {"timeline": {}}}, (*CLOUD, *TOUCH, "targets")),
+        ({"grasps": {"error": {}}}, (*CLOUD, "targets")),
+        ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, *TOUCH, "depth", "targets")),
+        ({"objects": [CAN | {"surface": {}}]}, (*CLOUD, "depth", "targets")),
+        ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "targets")),
+        ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, *TOUCH, "targets")),
+        ({"camera": {"z_step_m": 0.001}}, ("exact_depth", "labels", "targets")),
+    ],
+)
+def test_switching_an_effect_leaves_the_other_outputs_alone(groups: dict[str, Any], kept: tuple[str, ...]) -> None:
+    outputs = {name.split(".")[0] for name in kept} | {"touch", "depth"}
+    plain, changed = run(scene(), *outputs), run(SceneConfig.from_mapping({"objects": [CAN], **groups}), *outputs)
+    for name in kept:
+        first, second = plain, changed
+        for part in name.split("."):
+            first, second = getattr(first, part), getattr(second, part)
+        np.testing.assert_array_equal(first, second, err_msg=name)
+
+
+def test_a_failure_is_counted_and_fails_again_when_replayed() -> None:
+    config = scene(CAN | {"friction": 0.35, "pose": {"rest": "any"}}, max_attempts=100)
+    simulation = Simulation(config)
+    samples = list(simulation.samples(3))
+    assert len(samples) == 3
+    assert set(simulation.failures_by_reason) <= {"slips", "misses", "no_grasp", "contact"}
+    assert simulation.failures_by_reason["slips"] > 0
+    failure = simulation.failures[0]
+    with pytest.raises(SimulationError, match="slope") as caught:
+        replay(config, failure.key)
+    assert str(caught.value) == failure.message
+    again = replay(config, samples[-1].key)
+    np.testing.assert_array_equal(again.touch.e_th, samples[-1].sample.touch.e_th)  # type: ignore[union-attr]
+
+
+def test_a_slot_that_always_fails_ends_the_run_by_name() -> None:
+    config = scene(CAN | {"friction": 0.0, "pose": {"rest": "any"}}, max_attempts=3)
+    simulation = Simulation(config)
+    with pytest.raises(SimulationError, match=r"slot 0: given up after 3 attempts \(3 slips\); the last: can: the"):
+        list(simulation.samples(2))
+    assert simulation.failures_by_reason == {"slips": 3}
+
+
+def test_a_scene_that_is_too_wide_for_the_hand_at_this_angle_is_counted() -> None:
+    long = CAN | {"size_m": [0.12, 0.3, 0.1], "shape": "box", "pose": {"rest": "upright"}}
+    simulation = Simulation(scene(long, grasps={"max_width_m": 0.1}, max_attempts=2))
+    with pytest.raises(SimulationError, match=r"2 too_wide.*the hand opens 0.1 m"):
+        list(simulation.samples(1))
