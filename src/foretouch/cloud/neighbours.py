@@ -46,9 +46,11 @@ def _tree_mean_distance(xyz: Float32, query: npt.NDArray[np.int64], k: int) -> F
     index, _ = small_gicp.KdTree(double).batch_knn_search(double[query], k + 1)
     index = index.astype(np.int64)
     # Again in float32, as the pixel window has them: equal distances must round equally.
+    columns = np.ascontiguousarray(xyz.T)
     squared = np.zeros(index.shape, np.float32)
-    for axis in range(3):
-        difference = xyz[:, axis][index] - xyz[query, axis, None]
+    for column in columns:
+        difference = column.take(index)
+        difference -= column[query, None]
         difference *= difference
         squared += difference
     return np.asarray(np.sqrt(squared).sum(axis=1, dtype=np.float64) / k, np.float32)

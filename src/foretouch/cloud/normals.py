@@ -102,7 +102,10 @@ def _squared_distances(columns: Float32, points: Float32) -> Float32:
 def _moments(xyz: Float32, origin: Float32) -> Float64:
     """(M, 10) float64: 1, the coordinates from `origin`, and their six products."""
     x, y, z = (xyz.astype(np.float64) - origin.astype(np.float64)).T
-    return np.column_stack([np.ones(len(xyz)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
+    moments = np.empty((len(xyz), 10))
+    for i, column in enumerate((1.0, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)):
+        moments[:, i] = column
+    return moments
 
 
 def _covariance(sums: Float64) -> Float64:

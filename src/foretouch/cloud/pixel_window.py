@@ -6,9 +6,8 @@ nearest neighbours without a search tree, unless a depth edge or a slanted surfa
 points from farther pixels. Whether it does is decided by the rays. In the optical frame every
 point Q has z > 0, and let t be the least x / z of all points right of the window. All of them then lie in
 the half-space x >= t z, and a point P of the other side is at least (t z_P - x_P) / sqrt(1 + t²)
-away from it. The same holds to the left, above, below and, with x + y or x - y for x, along the diagonals: the
-windows are octagons. If the k-th nearest point of the window
-is no farther than the nearest of these half-spaces, no point outside can be nearer.
+away from it. The same holds to the left, above and below. If the k-th nearest point of the window
+is no farther than the nearest of the four half-spaces, no point outside can be nearer.
 
 The half-spaces are read off the cloud itself, so neither intrinsics nor an undistorted image
 are assumed: a wrong pixel index can only make the proof fail, never make it wrong.
@@ -35,17 +34,9 @@ _LATTICE_SIZE = 1e5  # columns or rows of any camera
 _LATTICE_CELLS = 64  # cells a point; a sparser image is no object seen by one camera
 
 
-@dataclass(frozen=True)
-class _Window:
-    """The pixels of |right|, |down| <= reach and |right| + |down| <= diagonal_reach."""
-
-    reach: int
-    diagonal_reach: int
-
-
-# Tried in turn on the points that are not proven yet. On a surface seen head-on 50 neighbours reach 4 pixels
-# far; slants, rims and holes need more.
-_WINDOWS = (_Window(5, 7), _Window(8, 11))
+# Pixels from the middle of a window to its edge, tried in turn on the points that are not proven yet. On a surface
+# seen head-on 50 neighbours reach 4 pixels far; slants, rims and holes need more.
+_REACHES = (5, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +126,12 @@ def window_mean_distance(xyz: Float32, grid: PixelGrid, k: int) -> tuple[Float32
     if not xyz[:, 2].min() > 0.0:
         return mean, proven
     sides = _half_spaces(xyz, grid)
-    image = _PaddedImage(xyz, grid, max(window.reach for window in _WINDOWS))
-    for window in _WINDOWS:
-        offsets = image.offsets(window)
-        if len(offsets) <= k:
-            continue
+    image = _PaddedImage(xyz, grid, max(_REACHES))
+    for reach in (r for r in _REACHES if (2 * r + 1) ** 2 > k):
+        offsets = image.offsets(reach)
         rows = max(1, _BLOCK_PAIRS // len(offsets))
         pending = np.flatnonzero(~proven)
-        clearance = _squared_clearance(sides, pending, window)
+        clearance = _squared_clearance(sides, pending, reach)
         for start in range(0, len(pending), rows):
             part = pending[start : start + rows]
             squared = image.squared_distances(xyz, part, offsets)
@@ -162,12 +151,10 @@ class _PaddedImage:
         self._channels = np.full((3, (grid.height + 2 * margin) * self._width), np.inf, np.float32)
         self._channels[:, self._flat] = xyz.T
 
-    def offsets(self, window: _Window) -> npt.NDArray[np.int64]:
-        """(K,) int64: from a pixel to those of its window, itself among them."""
-        steps = np.arange(-window.reach, window.reach + 1)
-        down, right = np.meshgrid(steps, steps, indexing="ij")
-        inside = np.abs(down) + np.abs(right) <= window.diagonal_reach
-        return np.asarray((down * self._width + right)[inside], np.int64)
+    def offsets(self, reach: int) -> npt.NDArray[np.int64]:
+        """((2 reach + 1)²,) int64: from a pixel to those of its window, itself among them."""
+        steps = np.arange(-reach, reach + 1)
+        return (steps[:, None] * self._width + steps).reshape(-1)
 
     def squared_distances(self, xyz: Float32, query: npt.NDArray[np.int64], offsets: npt.NDArray[np.int64]) -> Float32:
         """(Q, K) float32 [m²]: from each point to those of its window, infinite at pixels without one."""
@@ -189,14 +176,12 @@ class _HalfSpaces:
     """For one direction in the image: which half-space holds all points that are farther along it.
 
     Attributes:
-        diagonal: Whether the direction is one; a step along it is 1/√2 pixels.
-        place: (N,) int64, how far each point is along the direction, 0 ... size - 1.
-        along: (N,) float64 [m], coordinate in that direction; x, y or a sum of both.
+        place: (N,) int64, how many pixels each point is along the direction.
+        along: (N,) float64 [m], coordinate in that direction: x, y or their negatives.
         z: (N,) float64 [m].
         least: (size + margin,) float64, least `along` / z of the points at this place and farther on.
     """
 
-    diagonal: bool
     place: npt.NDArray[np.int64]
     along: Float64
     z: Float64
@@ -204,32 +189,28 @@ class _HalfSpaces:
 
 
 def _half_spaces(xyz: Float32, grid: PixelGrid) -> list[_HalfSpaces]:
-    """All eight directions."""
+    """Right, left, down and up."""
     x, y, z = xyz.T.astype(np.float64)
-    margin = max(window.diagonal_reach for window in _WINDOWS) + 2
+    margin = max(_REACHES) + 1
     sides = []
-    for right, down in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        place, along = right * grid.column + down * grid.row, right * x + down * y
-        for sign in (1, -1):
-            index = sign * place
-            index -= index.min()
-            least = np.full(int(index.max()) + 1 + margin, np.inf)
-            np.minimum.at(least, index, sign * along / z)
+    for place, along, size in ((grid.column, x, grid.width), (grid.row, y, grid.height)):
+        ray = along / z
+        for sign, index in ((1.0, place), (-1.0, size - 1 - place)):
+            least = np.full(size + margin, np.inf)
+            np.minimum.at(least, index, sign * ray)
             least = np.minimum.accumulate(least[::-1])[::-1]
-            sides.append(_HalfSpaces(right * down != 0, index, sign * along, z, least))
+            sides.append(_HalfSpaces(index, sign * along, z, least))
     return sides
 
 
-def _squared_clearance(sides: list[_HalfSpaces], query: npt.NDArray[np.int64], window: _Window) -> Float64:
+def _squared_clearance(sides: list[_HalfSpaces], query: npt.NDArray[np.int64], reach: int) -> Float64:
     """(Q,) float64 [m²]: no point outside of the window is nearer; -1 where nothing is known."""
     clearance = np.full(len(query), np.inf)
     for side in sides:
-        step = (window.diagonal_reach if side.diagonal else window.reach) + 1
-        t = side.least[side.place[query] + step]
+        t = side.least[side.place[query] + reach + 1]
         beyond = np.flatnonzero(np.isfinite(t))  # elsewhere no point lies farther in this direction
         t, point = t[beyond], query[beyond]
-        length = np.sqrt((2.0 if side.diagonal else 1.0) + t * t)
-        distance = (t * side.z[point] - side.along[point]) / length
+        distance = (t * side.z[point] - side.along[point]) / np.sqrt(1.0 + t * t)
         clearance[beyond] = np.minimum(clearance[beyond], distance)
     return np.where(clearance > 0.0, (clearance * _ROUNDING) ** 2, -1.0)
 

@@ -35,8 +35,10 @@ class VoxelGrid:
         Returns:
             (M, C) float64.
         """
-        sums = [np.bincount(self.cell, column, minlength=len(self.counts)) for column in values.T]
-        return np.asarray(np.column_stack(sums) / self.counts[:, None], np.float64)
+        means = np.empty((len(self.counts), values.shape[1]))
+        for i, column in enumerate(values.T):
+            means[:, i] = np.bincount(self.cell, column, minlength=len(self.counts)) / self.counts
+        return means
 
 
 def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
