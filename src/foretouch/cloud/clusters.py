@@ -71,14 +71,14 @@ class Clusters(NamedTuple):
     Attributes:
         labels: (h, w) or (n,) int32; 0 is none.
         solid: The same shape, bool: labelled, and its depth can be trusted.
-        count: The largest label.
+        n_labels: The largest label.
         rows: First row of the part, 0 where not organised.
         columns: First column of the part.
     """
 
     labels: Int32
     solid: Bool
-    count: int
+    n_labels: int
     rows: int = 0
     columns: int = 0
 

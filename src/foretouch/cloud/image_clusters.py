@@ -65,17 +65,18 @@ class _Window(NamedTuple):
         return self._step(z, self.config.flying_slope)
 
     def _step(self, z: Float32, slope: float) -> Float32:
-        step = z * np.float32(slope * self.pitch)
-        return np.maximum(step, np.float32(self.config.gap_m), out=step)
+        step: Float32 = np.maximum(z * np.float32(slope * self.pitch), np.float32(self.config.gap_m))
+        return step
 
 
 def label_image(
-    xyz: Float32, z: Float32, in_range: Bool, cut: HeightCut, config: ClusterConfig, stride: int
+    xyz: Float32, coarse: Float32, z: Float32, in_range: Bool, cut: HeightCut, config: ClusterConfig, stride: int
 ) -> Clusters | None:
     """Label an organised cloud.
 
     Args:
         xyz: (H, W, 3) float32 [m], camera optical frame.
+        coarse: Every `stride`-th of its rows and columns, contiguous.
         z: (H, W), its depths, contiguous.
         in_range: (H, W), pixels that count.
         cut: What is table.
@@ -87,13 +88,13 @@ def label_image(
     """
     grid = (slice(None, None, stride), slice(None, None, stride))
     min_nodes = max(1, config.min_points // (2 * stride * stride))
-    coarse = cut.split(xyz[grid], z[grid])
-    candidates = _candidates(coarse.above & in_range[grid], coarse.height > config.min_top_m, min_nodes)
+    rough = cut.split(coarse, coarse[..., 2])
+    candidates = _candidates(rough.above & in_range[grid], rough.height > config.min_top_m, min_nodes)
     if not candidates.any():
         return None
     part = _around(candidates, stride)
     fine = cut.split(xyz[part], z[part])
-    pitch = _pixel_pitch(xyz[grid]) / stride
+    pitch = _pixel_pitch(coarse) / stride
     window = _Window(np.ascontiguousarray(z[part]), fine, fine.above & in_range[part], stride, pitch, config)
     with np.errstate(invalid="ignore"):
         nodes = _label_grid(window, min_nodes)
@@ -192,26 +193,26 @@ def _any(steps: Bool, stride: int) -> Bool:
 def _grow(nodes: Int32, window: _Window) -> Int32:
     """The labels of the grid at full resolution.
 
-    A cell whose four corners agree takes their label; in other cells each pixel takes that of the labelled
-    corner which is nearest in depth, if one is near enough.
+    Pixels of a cell take the label of its corners. Where two objects meet in a cell, each pixel takes that of
+    the labelled corner which is nearest in depth.
     """
     height, width = window.z.shape
     stride = window.stride
     corners = _corners(nodes)
-    cells = np.where((corners == corners[0]).all(axis=0), nodes, np.int32(-1))
-    labels = np.repeat(np.repeat(cells, stride, axis=1), stride, axis=0)[:height, :width]
-    labels = np.multiply(labels, window.above)
-    undecided = np.flatnonzero(labels < 0)
-    rows, columns = np.divmod(undecided, width)
+    cells = corners.max(axis=0)
+    shared = ((corners > 0) & (corners != cells)).any(axis=0)
+    cells[shared] = -1
+    labels: Int32 = np.repeat(np.repeat(cells, stride, axis=1), stride, axis=0)[:height, :width] * window.above
+    if not shared.any():
+        return labels
+    contested = np.flatnonzero(labels < 0)
+    rows, columns = np.divmod(contested, width)
     cell = rows // stride * nodes.shape[1] + columns // stride
     choices = corners.reshape(4, -1).take(cell, axis=1)
-    apart = _corners(window.z[window.grid]).reshape(4, -1).take(cell, axis=1)
-    apart -= window.z.take(undecided)
-    np.abs(apart, out=apart)
-    possible = (choices > 0) & (apart <= stride * window.reach(window.z.take(undecided)))
-    apart[~possible] = np.inf
-    nearest = apart.argmin(axis=0) * len(undecided) + np.arange(len(undecided))
-    labels.reshape(-1)[undecided] = np.where(possible.take(nearest), choices.take(nearest), 0)
+    apart = np.abs(_corners(window.z[window.grid]).reshape(4, -1).take(cell, axis=1) - window.z.take(contested))
+    apart[(choices == 0) | np.isnan(apart)] = np.inf
+    nearest = apart.argmin(axis=0) * len(contested) + np.arange(len(contested))
+    labels.reshape(-1)[contested] = choices.take(nearest)
     return labels
 
 
@@ -257,7 +258,8 @@ def _flying(labels: Int32, window: _Window, z: Float32) -> Index:
     support = np.count_nonzero(np.abs(steps) <= near, axis=0)
     # A steep face goes on as it came: opposite neighbours differ by the same step.
     straight = np.count_nonzero(np.abs(steps[:4] + steps[:3:-1]) <= near, axis=0)
-    return pixels[(support < _SUPPORT) & (straight < _STRAIGHT)]
+    flying: Index = pixels[(support < _SUPPORT) & (straight < _STRAIGHT)]
+    return flying
 
 
 def _feet(solid: Bool, window: _Window, z: Float32, trusted: Int32) -> tuple[Index, Int32]:

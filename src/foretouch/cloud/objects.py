@@ -126,9 +126,9 @@ def _members(clusters: Clusters, shape: tuple[int, ...]) -> tuple[npt.NDArray[np
     """
     place = np.flatnonzero(clusters.solid)
     owner = clusters.labels.reshape(-1)[place]
-    order = np.argsort(owner.astype(np.min_scalar_type(clusters.count)), kind="stable")  # 8 or 16 bits: a radix sort
+    order = np.argsort(owner.astype(np.min_scalar_type(clusters.n_labels)), kind="stable")  # 8 or 16 bits: a radix sort
     flat = place[order].astype(np.int64, copy=False)
     if len(shape) == 2:
-        rows, columns = np.divmod(flat, clusters.labels.shape[1])
-        flat = (rows + clusters.rows) * shape[1] + columns + clusters.columns
-    return flat, np.cumsum(np.bincount(owner, minlength=clusters.count + 1))
+        width = clusters.labels.shape[1]
+        flat += (flat // width) * (shape[1] - width) + clusters.rows * shape[1] + clusters.columns
+    return flat, np.cumsum(np.bincount(owner, minlength=clusters.n_labels + 1))

@@ -36,7 +36,7 @@ def read_with_open3d(path: Path, points: int, shape: tuple[int, ...]) -> Cloud:
 
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         try:
-            read = open3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+            read = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
         except RuntimeError as err:
             raise FileError(path, f"Open3D: {' '.join(str(err).split())}") from err
     xyz = np.asarray(read.points).astype(np.float32)

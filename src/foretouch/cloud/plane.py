@@ -17,7 +17,7 @@ from foretouch.types import Float32, Float64, Plane
 
 __all__ = ["PlaneConfig", "PlaneFit", "fit_plane"]
 
-_SCORED = 1024  # points that judge a hypothesis
+_SCORED = 512  # points that judge a hypothesis
 _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane

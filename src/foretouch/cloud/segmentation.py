@@ -41,7 +41,7 @@ SegmentationStatus = Literal["ok", "empty_cloud", "too_few_points", "no_plane", 
 Int32 = npt.NDArray[np.int32]
 
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: 848x480 is then looked at every fourth pixel
-_PLANE_POINTS = 3072  # that decide on the plane
+_PLANE_POINTS = 2048  # that decide on the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel counts
 
 
@@ -139,13 +139,14 @@ def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outc
     with ledger.stage("plane"):
         stride = _stride(kept) if cloud.organised else 1
         grid = (slice(None, None, stride),) * z.ndim
-        fit = fit_plane(_sample(cloud.xyz[grid], kept[grid], _PLANE_POINTS), config.plane)
+        coarse = np.ascontiguousarray(cloud.xyz[grid])
+        fit = fit_plane(_sample(coarse, kept[grid]), config.plane)
     if fit.plane is None:
         return "no_plane", fit.reason, None, (), labels
     with ledger.stage("clusters"):
         cut = _height_cut(fit.plane, fit.noise_per_m, config.clusters)
         if cloud.organised:
-            clusters = label_image(cloud.xyz, z, kept, cut, config.clusters, stride)
+            clusters = label_image(cloud.xyz, coarse, z, kept, cut, config.clusters, stride)
         else:
             clusters = label_points(cloud.xyz, z, kept, cut, config.clusters)
     if clusters is None:
@@ -158,12 +159,12 @@ def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outc
     return "ok", "", fit.plane, gathered.objects, labels
 
 
-def _sample(xyz: Float32, kept: npt.NDArray[np.bool_], count: int) -> Float32:
-    """At most `count` finite rows of those kept, evenly spread over them."""
+def _sample(xyz: Float32, kept: npt.NDArray[np.bool_]) -> Float32:
+    """Finite points of those kept, evenly spread over them, as many as the plane needs; (n, 3)."""
     index = np.flatnonzero(kept)
-    if len(index) > count:
-        index = index[np.linspace(0.0, len(index) - 1.0, count).astype(np.intp)]
-    points = xyz[index] if xyz.ndim == 2 else xyz[np.divmod(index, xyz.shape[1])]
+    if len(index) > _PLANE_POINTS:
+        index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
+    points: Float32 = xyz.reshape(-1, 3).take(index, axis=0)
     good = np.isfinite(points).all(axis=1)
     return points if good.all() else points[good]
 
