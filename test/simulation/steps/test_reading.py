@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from sim_builders import CAN, run, scene
+
+from foretouch.simulation.fingertip import steady_noise, temperature_drift, warming
+from foretouch.simulation.simulate import Simulation
+
+HELD = {"grasps": {"insertion_m": 0.01}}
+SERIES = ("series", "load", "times", "hold_row", "readings", "touch", "tare")
+
+
+def test_without_effects_touch_and_tare_are_the_rounded_ideal() -> None:
+    state = run(scene(**HELD), *SERIES)
+    rest, touched = state.readings
+    np.testing.assert_array_equal(state.tare.e_th, np.rint(rest[0, 1:]))
+    np.testing.assert_array_equal(state.touch.e_mf, np.rint(touched[1, 1:]))
+    assert state.touch.pdc_mf == np.rint(touched[1, 0])
+
+
+def test_a_hand_has_one_pair_of_fingers_a_scene() -> None:
+    tares = [s.sample.tare for s in Simulation(scene(**HELD)).samples(3)]
+    other = next(iter(Simulation(scene(seed=1, **HELD)).samples(1))).sample.tare
+    assert tares[0] is not None
+    assert other is not None
+    for tare in tares[1:]:
+        assert tare is not None
+        np.testing.assert_array_equal(tare.e_th, tares[0].e_th)
+    assert not np.array_equal(other.e_th, tares[0].e_th)
+
+
+def test_a_timeline_rests_closes_holds_and_releases() -> None:
+    timeline = {"rate_hz": 100, "rest_s": 0.1, "close_s": 0.05, "hold_s": 0.2}
+    state = run(scene(fingers={"timeline": timeline}, **HELD), *SERIES)
+    assert state.load.tolist() == [0.0] * 10 + [0.2, 0.4, 0.6, 0.8] + [1.0] * 20 + [0.8, 0.6, 0.4, 0.2] + [0.0] * 10
+    assert state.hold_row == 33
+    np.testing.assert_allclose(np.diff(state.times), 0.01)
+    np.testing.assert_array_equal(state.series[0], state.readings[0])
+    np.testing.assert_allclose(state.series[20], state.readings[1])
+
+
+def test_steady_noise_is_that_of_the_real_sensor() -> None:
+    """The bounds of 22 recordings of a BioTac SP in steady touch at 100 Hz."""
+    fingers = {"timeline": {"hold_s": 3.0}, "noise": {}, "scan": {}}
+    found = []
+    for slot in range(6):
+        state = run(scene(fingers=fingers, **HELD), *SERIES, slot=slot)
+        found += [np.rint(state.series[state.load == 1.0][1:, finger, 1:]) for finger in range(2)]
+    noise = steady_noise(found)
+    assert noise.sd == pytest.approx(4.4, abs=0.5)
+    assert noise.repeated == pytest.approx(0.35, abs=0.05)
+    assert noise.lag1 == pytest.approx(0.38, abs=0.08)
+
+
+def test_noise_moves_tare_and_touch_apart() -> None:
+    plain, noisy = run(scene(**HELD), *SERIES), run(scene(fingers={"noise": {}}, **HELD), *SERIES)
+    moved = (noisy.series - plain.series)[..., 1:]
+    assert np.std(moved) == pytest.approx(np.hypot(4.2, 1.9), rel=0.25)
+    assert abs(np.corrcoef(moved[0].ravel(), moved[1].ravel())[0, 1]) < 0.5
+
+
+def test_drift_moves_the_touch_beyond_an_older_tare() -> None:
+    drift = {"session_s": [100, 100], "tare_age_s": [60, 60]}
+    config = scene(fingers={"drift": drift}, **HELD)
+    plain, warm = run(scene(**HELD), *SERIES), run(config, *SERIES)
+    temperature = config.fingers.drift.temperature  # type: ignore[union-attr]
+    pdc, electrodes = temperature_drift(temperature, warming(temperature, np.array([100.0, 160.0])))
+    np.testing.assert_allclose((warm.series - plain.series)[:, 0, 0], pdc)
+    np.testing.assert_allclose((warm.series - plain.series)[:, 1, 5], electrodes)
+    assert electrodes[1] > electrodes[0] > 0.0
+
+
+def test_creep_comes_late() -> None:
+    fingers = {"timeline": {"hold_s": 2.0}, "creep": {"share": 0.2, "time_s": 0.5}}
+    state = run(scene(fingers=fingers, **HELD), *SERIES)
+    rest, touched = state.readings
+    e = int(np.argmax(rest[0, 1:] - touched[0, 1:])) + 1
+    held = state.series[state.load == 1.0][:, 0, e]
+    assert held[0] > held[20] > held[-1]  # goes on falling
+    assert held[-1] == pytest.approx(touched[0, e], abs=0.02 * (rest[0, e] - touched[0, e]))
+    assert state.series[-1, 0, e] < rest[0, e]  # and leaves a trace
+
+
+def test_slip_moves_the_touch_only_while_held() -> None:
+    fingers = {"timeline": {"hold_s": 1.0}, "slip": {"speed_m_s": 0.01}}
+    rough = CAN | {"surface": {"relief_m": 3e-4}}
+    state = run(scene(rough, fingers=fingers, **HELD), *SERIES)
+    plain = run(scene(rough, fingers={"timeline": {"hold_s": 1.0}}, **HELD), *SERIES)
+    moved = np.abs(state.series - plain.series).max(axis=(1, 2))
+    assert moved[state.load < 1.0].max() == 0.0
+    assert moved[state.hold_row] > 1.0
+    path = moved[state.load == 1.0]
+    assert (np.diff(path) >= -1e-9).all()
+
+
+def test_dead_electrodes_say_so_and_the_others_do_not_change() -> None:
+    plain = run(scene(**HELD), "touch")
+    state = run(scene(fingers={"dead": {"thumb": [3], "middle": [1, 24], "stuck_at": "high"}}, **HELD), "touch")
+    assert state.touch.e_th[2] == 4095
+    assert state.touch.e_mf[[0, 23]].tolist() == [4095, 4095]
+    np.testing.assert_array_equal(np.delete(state.touch.e_th, 2), np.delete(plain.touch.e_th, 2))
+
+
+def test_more_force_more_pressure() -> None:
+    def pdc(force: float) -> float:
+        grasps = {"thumb": {"force_n": [force, force]}, "insertion_m": 0.01}
+        return run(scene(grasps=grasps), "touch").touch.pdc_th
+
+    rises = np.diff([pdc(force) for force in (0.25, 0.75, 1.5, 3.0, 6.0)])
+    assert (rises > 0).all()

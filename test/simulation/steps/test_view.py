@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import numpy.typing as npt
+import pytest
+from sim_builders import CAN, run, scene
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.primitives import Box
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.state import SampleState
+from foretouch.simulation.steps import EFFECTS
+from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import World
+
+FLAT = {
+    "name": "box",
+    "shape": "box",
+    "size_m": [0.12, 0.16, 0.05],
+    "pose": {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]},
+}
+
+
+def plane_fit_rms(cloud: npt.NDArray[np.floating], side_m: float, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+    """Residuals of planes through square patches about random points of a surface that faces the camera [m]."""
+    points = cloud.astype(np.float64)
+    found = []
+    for centre in points[rng.integers(0, len(points), 80)]:
+        patch = points[(np.abs(points[:, :2] - centre[:2]) < side_m / 2).all(axis=1)]
+        if len(patch) < 16:
+            continue
+        design = np.column_stack([patch[:, :2], np.ones(len(patch))])
+        residual = patch[:, 2] - design @ np.linalg.lstsq(design, patch[:, 2], rcond=None)[0]
+        found.append(np.sqrt(np.mean(residual**2)))
+    return np.array(found)
+
+
+def test_depth_and_labels_are_those_of_the_solid() -> None:
+    config = scene(FLAT, camera={"tilt_deg": 30})
+    state = run(config, "exact_depth", "labels", "bodies", "window")
+    body, view = state.bodies[0], World.of(config).view
+    solid = Box(position=body.position, rotation=body.rotation, size=body.size)
+    depth, labels = DepthScene(view, (solid,), np.array([1.4, 1.0]), None).cast()
+    same = labels[state.window] == state.labels
+    assert same.mean() > 0.99  # edges are rounded
+    off = np.abs(state.exact_depth - depth[state.window])[same & (state.labels > 0)]
+    assert np.percentile(off, 95) < 1e-5
+    assert set(np.unique(state.labels)) == {TABLE, FIRST_OBJECT}
+
+
+def test_the_noise_is_that_of_real_clouds() -> None:
+    config = scene(FLAT, camera={"distance_m": 1.25, "z_step_m": 0.001, "noise": {}})
+    rng = np.random.default_rng(0)
+    rms = np.concatenate([plane_fit_rms(run(config, "cloud", slot=k).cloud.xyz, 0.010, rng) for k in range(5)])
+    assert 0.64e-3 <= np.median(rms) <= 1.05e-3  # the range measured on P1's clouds at 1.2 m
+
+
+def test_the_noise_is_correlated_in_space() -> None:
+    config = scene(FLAT, camera={"noise": {}})
+    state = run(config, "depth", "exact_depth", "labels")
+    noise = (state.depth - state.exact_depth)[20:70, 20:70]
+    near = np.corrcoef(noise[:, :-2].ravel(), noise[:, 2:].ravel())[0, 1]
+    far = np.corrcoef(noise[:, :-15].ravel(), noise[:, 15:].ravel())[0, 1]
+    assert near > 0.6  # within the 9-pixel window
+    assert abs(far) < 0.35
+
+
+def test_the_size_of_the_noise_follows_the_formula() -> None:
+    config = scene(FLAT, camera={"noise": {"sub_pixel": 0.08}})
+    focal = World.of(config).focal_px
+    spread = []
+    for slot in range(12):
+        state = run(config, "depth", "exact_depth", slot=slot)
+        spread.append(np.mean(((state.depth - state.exact_depth) / state.exact_depth**2) ** 2))
+    assert np.sqrt(np.mean(spread)) == pytest.approx(0.08 / (focal * 0.055), rel=0.1)
+
+
+def test_depth_comes_in_steps() -> None:
+    state = run(scene(camera={"z_step_m": 0.001, "noise": {}}), "depth")
+    millimetres = state.depth[np.isfinite(state.depth)] * 1000
+    np.testing.assert_allclose(millimetres, np.rint(millimetres), atol=1e-9)
+
+
+def test_only_the_far_side_of_a_tall_object_lies_in_the_stereo_shadow() -> None:
+    tall = FLAT | {"size_m": [0.1, 0.1, 0.2]}
+    state = run(scene(tall, camera={"stereo": {}}), "depth", "exact_depth", "labels")
+    hidden = np.isfinite(state.exact_depth) & ~np.isfinite(state.depth)
+    rows, columns = np.nonzero(hidden)
+    assert len(rows) > 50
+    assert (state.labels[hidden] == TABLE).all()
+    assert columns.max() < np.nonzero(state.labels == FIRST_OBJECT)[1].mean()  # the other imager is to the right
+
+
+def test_flying_pixels_hang_between_object_and_table() -> None:
+    tall = FLAT | {"size_m": [0.1, 0.1, 0.2]}
+    plain = run(scene(tall), "depth", "labels")
+    state = run(scene(tall, camera={"flying_pixels": {"share": 1.0}}), "depth")
+    moved = np.abs(state.depth - plain.depth) > 1e-6
+    assert 50 < moved.sum() < 0.1 * moved.size
+    assert (state.depth[moved] > plain.depth.min()).all()
+    assert (state.depth[moved] < plain.depth.max() + 1e-9).all()
+
+
+def test_holes_have_their_share_and_steep_faces_none_left() -> None:
+    ball = {"name": "ball", "shape": "ball", "size_m": [0.1, 0.1, 0.1]}
+    flat = run(scene(FLAT, camera={"holes": {"share": 0.05, "grazing_deg": 90.0}}), "depth")
+    assert np.mean(~np.isfinite(flat.depth)) == pytest.approx(0.05, abs=0.002)
+    state = run(scene(ball, camera={"holes": {"share": 0.0, "grazing_deg": 60.0}}), "depth", "normals", "labels")
+    seen = (state.labels == FIRST_OBJECT) & np.isfinite(state.depth)
+    assert state.normals[seen][:, 2].min() > np.cos(np.radians(66.0))  # up to the slant of the ray
+    assert (~np.isfinite(state.depth) & (state.labels == FIRST_OBJECT)).any()
+
+
+def test_clutter_hides_a_part_and_is_no_part_of_the_cloud() -> None:
+    config = scene(
+        FLAT, clutter={"count": 6, "size_m": [0.04, 0.08], "distance_m": [0.13, 0.25]}, camera={"tilt_deg": 45}
+    )
+    plain = scene(FLAT, camera={"tilt_deg": 45})
+    smaller = 0
+    for slot in range(8):
+        with_clutter = run(config, "labels", "cloud", "bodies", slot=slot)
+        alone = run(plain, "labels", slot=slot)
+        smaller += int((with_clutter.labels == FIRST_OBJECT).sum() < (alone.labels == FIRST_OBJECT).sum())
+        assert with_clutter.cloud.size == (with_clutter.labels == FIRST_OBJECT).sum()
+        assert len(with_clutter.bodies) == 7
+    assert smaller >= 1
+
+
+def test_the_cloud_lies_on_the_object_in_the_camera_frame() -> None:
+    config = scene({"name": "ball", "shape": "ball", "size_m": [0.1, 0.1, 0.1]}, camera={"tilt_deg": 20})
+    state = run(config, "cloud", "bodies", "pixels")
+    world = World.of(config)
+    points = world.to_world(state.cloud.xyz.astype(np.float64))
+    np.testing.assert_allclose(np.linalg.norm(points - state.bodies[0].position, axis=1), 0.05, atol=5e-5)
+    rows, columns = np.divmod(state.pixels, world.view.width)
+    pixel, _ = world.view.project(points)
+    np.testing.assert_allclose(pixel, np.column_stack([columns, rows]), atol=1e-3)
+
+
+def test_colours_are_the_objects_and_darker_where_it_turns_away() -> None:
+    state = run(scene(CAN | {"colour": [200, 100, 0]}), "cloud")
+    rgb = state.cloud.rgb
+    assert rgb is not None
+    assert rgb[:, 0].max() > 190
+    assert rgb[:, 0].min() < 0.8 * rgb[:, 0].max()
+    assert (rgb[:, 2] == 0).all()
+
+
+def test_too_few_points_are_a_named_failure() -> None:
+    tiny = {"name": "pea", "shape": "ball", "size_m": [0.01, 0.01, 0.01]}
+    with pytest.raises(SimulationError, match=r"pea: \d+ points in view, fewer than 100") as caught:
+        run(scene(tiny), "cloud")
+    assert caught.value.reason == "too_few_points"
+
+
+def test_clutter_without_a_place_is_a_named_failure() -> None:
+    config = scene(clutter={"count": 20, "size_m": [0.12, 0.12], "distance_m": [0.1, 0.11]})
+    with pytest.raises(SimulationError, match=r"finds no place in 100 tries") as caught:
+        run(config, "bodies")
+    assert caught.value.reason == "no_place"
+
+
+def _states(config: SceneConfig, count: int) -> list[SampleState]:
+    engine = Engine(config, EFFECTS, ("bodies",))
+    return [engine.run(SampleKey(0, slot)) for slot in range(count)]
+
+
+@pytest.mark.parametrize("rest", ["upright", "side", "any"])
+def test_objects_stand_on_the_table_within_their_ranges(rest: str) -> None:
+    pose = {"rest": rest, "x_m": [0.01, 0.02], "y_m": [-0.05, 0.05]}
+    config = scene(CAN | {"pose": pose, "size_spread": 0.1})
+    for state in _states(config, 20):
+        body = state.bodies[0]
+        assert body.lowest() == pytest.approx(0.0, abs=1e-9)
+        assert 0.01 <= body.position[0] <= 0.02
+        assert np.abs(body.size / (0.07, 0.07, 0.1) - 1.0).max() <= 0.1
+        np.testing.assert_allclose(body.rotation @ body.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(body.rotation) == pytest.approx(1.0)
+        up = abs(body.rotation[2, 2])
+        assert (rest == "any") or up == pytest.approx(1.0 if rest == "upright" else 0.0, abs=1e-9)
+
+
+def test_random_shapes_take_turns() -> None:
+    config = scene({"name": "thing", "shape": "random", "variants": 3, "size_m": [0.08, 0.08, 0.08]}, CAN)
+    variants = [state.bodies[0].variant for state in _states(config, 8)]
+    assert variants == [0, 0, 1, 0, 2, 0, 0, 0]
