@@ -46,8 +46,11 @@ def test_depth_puts_the_cells_on_the_skin(angles):
     frame = contact_frame(PAD, pad_direction(*angles))
     x, y = cell_centres(PAD)
     depth = pad_depth(PAD, frame, x, y)
-    assert_allclose(np.linalg.norm(frame.points(x, y, depth) / PAD.skin_axes, axis=-1), 1.0, rtol=1e-12)
     assert depth.min() >= 0.0
+    on_pad = np.isfinite(depth)
+    assert on_pad.mean() > 0.98
+    points = frame.points(x[on_pad], y[on_pad], depth[on_pad])
+    assert_allclose(np.linalg.norm(points / PAD.skin_axes, axis=-1), 1.0, rtol=1e-12)
 
 
 def test_depth_about_the_middle_is_that_of_the_two_radii_of_curvature():

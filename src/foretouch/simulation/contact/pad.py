@@ -42,7 +42,7 @@ class PadConfig(Settings):
 
     core_half_length_m: float = setting(0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4)
     core_radius_m: float = setting(0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4)
-    layer_m: float = setting(0.0015, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
+    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
     modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0)
     poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
     friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0)

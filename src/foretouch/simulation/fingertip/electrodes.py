@@ -38,9 +38,9 @@ class ElectrodeConfig(Settings):
 
     kernel_m: float = setting(0.003, "Standard deviation of an electrode's field on the skin", unit="m", minimum=1e-4)
     thinning_m: float = setting(
-        2.6e-5, "Approach of the skin that raises the impedance by a factor e", unit="m", minimum=1e-6
+        3.1e-5, "Approach of the skin that raises the impedance by a factor e", unit="m", minimum=1e-6
     )
-    bulge_area_m2: float = setting(2.2e-4, "Area of skin that displaced liquid lifts evenly", unit="m^2", minimum=1e-6)
+    bulge_area_m2: float = setting(2.3e-4, "Area of skin that displaced liquid lifts evenly", unit="m^2", minimum=1e-6)
 
 
 def electrode_weights(config: ElectrodeConfig, pad: PadConfig, frame: ContactFrame, skin_points: Float64) -> Float64:

@@ -29,7 +29,7 @@ class FluidConfig(Settings):
     """How the liquid answers."""
 
     bottoming_m: float = setting(3e-4, "Displacement at which the skin meets the core", unit="m", minimum=1e-6)
-    saturation_m3: float = setting(9e-10, "Volume at which the pressure levels off", unit="m^3", minimum=1e-12)
+    saturation_m3: float = setting(8.5e-10, "Volume at which the pressure levels off", unit="m^3", minimum=1e-12)
     span_counts: float = setting(220.0, "Rise of PDC where it levels off", unit="counts", minimum=0.0)
     rim_power: float = setting(2.0, "How fast the answer falls from the pad's middle to its rim", minimum=0.0)
 
