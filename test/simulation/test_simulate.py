@@ -11,6 +11,7 @@ from foretouch.errors import SimulationError
 from foretouch.grasp import plan_grasps
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import SimulatedSample, Simulation, replay
+from foretouch.simulation.streams import SampleKey
 from foretouch.simulation.world import World
 from foretouch.tactile import check_touch
 from foretouch.types import GraspSample
@@ -158,3 +159,13 @@ def test_a_scene_that_is_too_wide_for_the_hand_at_this_angle_is_counted() -> Non
     simulation = Simulation(scene(long, grasps={"max_width_m": 0.1}, max_attempts=2))
     with pytest.raises(SimulationError, match=r"2 too_wide.*the hand opens 0.1 m"):
         list(simulation.samples(1))
+
+
+def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
+    config = scene(camera=EVERY_CAMERA_FAULT, grasps={"error": {}}, fingers={"noise": {}})
+    first, again = replay(config, SampleKey(0, 0)), replay(config, SampleKey(0, 0, repeat=1))
+    np.testing.assert_array_equal(first.cloud.xyz, again.cloud.xyz)
+    np.testing.assert_array_equal(first.grasp.g1, again.grasp.g1)
+    np.testing.assert_array_equal(first.targets, again.targets)
+    assert not np.array_equal(first.touch.e_th, again.touch.e_th)
+    assert not np.array_equal(first.fingers[0].origin, again.fingers[0].origin)

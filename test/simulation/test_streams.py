@@ -23,3 +23,10 @@ def test_streams_do_not_lean_on_each_other() -> None:
     key = SampleKey(3, 1)
     a, b = key.stream("a").standard_normal(20_000), key.stream("b").standard_normal(20_000)
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.03  # 4 standard errors
+
+
+def test_a_repeat_draws_anew_only_where_it_is_asked_to() -> None:
+    first, again = SampleKey(0, 1), SampleKey(0, 1, repeat=1)
+    assert first.stream("noise", again=True).random() == first.stream("noise").random()
+    assert again.stream("noise").random() == first.stream("noise").random()
+    assert again.stream("noise", again=True).random() != first.stream("noise").random()

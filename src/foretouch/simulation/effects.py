@@ -30,6 +30,7 @@ class Job:
         world: What all samples of the scene share.
         key: Which sample.
         name: Of the effect, and of its random stream.
+        again: Whether the effect draws anew when a grasp is repeated.
     """
 
     scene: SceneConfig
@@ -37,10 +38,11 @@ class Job:
     world: World
     key: SampleKey
     name: str
+    again: bool = False
 
     def rng(self) -> np.random.Generator:
         """The effect's own stream; call it once, for each call starts it again."""
-        return self.key.stream(self.name)
+        return self.key.stream(self.name, again=self.again)
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Effect:
         writes: Keys that it makes; each key has one maker.
         modifies: Keys that it changes, after they are made and before they are read. Several change one key in
             the order in which the effects are listed.
+        again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
     """
 
     name: str
@@ -65,6 +68,7 @@ class Effect:
     reads: frozenset[str] = field(default_factory=frozenset)
     writes: frozenset[str] = field(default_factory=frozenset)
     modifies: frozenset[str] = field(default_factory=frozenset)
+    again: bool = False
 
 
 def keys(*names: str) -> frozenset[str]:

@@ -134,7 +134,7 @@ class Engine:
             timing = self.timings[effect.name]
             start = time.thread_time()
             try:
-                effect.run(Job(self.scene, item, self._world, key, effect.name), guarded(state, effect))
+                effect.run(Job(self.scene, item, self._world, key, effect.name, effect.again), guarded(state, effect))
             except SimulationError:
                 raise
             except ForetouchError as err:

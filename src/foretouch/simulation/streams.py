@@ -24,15 +24,24 @@ class SampleKey:
         seed: Of the scene.
         slot: Place of the sample in the data set, from 0.
         attempt: How many tries at this place have failed before, from 0.
+        repeat: How often the same grasp of the same object was executed before, from 0.
     """
 
     seed: int
     slot: int
     attempt: int = 0
+    repeat: int = 0
 
-    def stream(self, name: str) -> np.random.Generator:
-        """The stream of one effect in this sample."""
+    def stream(self, name: str, *, again: bool = False) -> np.random.Generator:
+        """The stream of one effect in this sample.
+
+        Args:
+            name: Of the effect.
+            again: Whether a repeat of the grasp draws other numbers.
+        """
         words = (self.seed, *_words(name), self.slot, self.attempt)
+        if again and self.repeat:
+            words = (*words, self.repeat)
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))
 
 

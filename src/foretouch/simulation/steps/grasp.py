@@ -101,6 +101,7 @@ EFFECTS = (
         lambda scene, _item: "grasps.error" if scene.grasps.error is not None else None,
         off="no grasps.error",
         modifies=keys("fingers"),
+        again=True,
     ),
     Effect("targets", _targets, always("grasps"), writes=keys("targets", "axial_load_n")),
 )

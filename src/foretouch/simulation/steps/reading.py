@@ -204,11 +204,14 @@ EFFECTS = (
         off="no fingers.slip",
         reads=keys("readings", "bodies", "touches", "pads", "targets", "load"),
         modifies=_SERIES,
+        again=True,
     ),
     Effect("creep", _creep, _if("creep"), off="no fingers.creep", modifies=_SERIES),
-    Effect("drift", _drift, _if("drift"), off="no fingers.drift", reads=keys("times", "load"), modifies=_SERIES),
-    Effect("noise", _noise, _if("noise"), off="no fingers.noise", modifies=_SERIES),
-    Effect("scan_hold", _scan, _if("scan"), off="no fingers.scan", modifies=_SERIES),
+    Effect(
+        "drift", _drift, _if("drift"), off="no fingers.drift", reads=keys("times", "load"), modifies=_SERIES, again=True
+    ),
+    Effect("noise", _noise, _if("noise"), off="no fingers.noise", modifies=_SERIES, again=True),
+    Effect("scan_hold", _scan, _if("scan"), off="no fingers.scan", modifies=_SERIES, again=True),
     Effect("dead_electrodes", _dead, _if("dead"), off="no fingers.dead", modifies=_SERIES),
     Effect(
         "counts",

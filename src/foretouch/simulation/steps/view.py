@@ -15,7 +15,7 @@ from foretouch.simulation.view import CameraView
 from foretouch.simulation.world import World
 from foretouch.types import Float64
 
-__all__ = ["DEPTH_EFFECTS", "EFFECTS"]
+__all__ = ["EFFECTS", "FRAME_EFFECTS"]
 
 _MARGIN_PX = 16  # around the object: room for flying pixels, the shadow of a neighbour and the matching window
 _SPOT_PX = 3  # side of a hole
@@ -27,6 +27,10 @@ def _object_window(job: Job, state: SampleState) -> None:
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise SimulationError(f"{job.item.name}: lies outside of the view", "outside_view")
     state.window = _grown(rows, view.height), _grown(columns, view.width)
+
+
+def _whole_window(job: Job, state: SampleState) -> None:
+    state.window = slice(0, job.world.view.height), slice(0, job.world.view.width)
 
 
 def _render(job: Job, state: SampleState) -> None:
@@ -124,7 +128,7 @@ def _grown(span: slice, size: int) -> slice:
 
 _RENDERED = keys("exact_depth", "labels", "hits", "depth")
 
-DEPTH_EFFECTS = (
+_DEPTH_EFFECTS = (
     Effect("render", _render, always("camera"), reads=keys("bodies", "window"), writes=_RENDERED),
     Effect(
         "normals", _normals, always("holes or colour"), reads=keys("bodies", "labels", "hits"), writes=keys("normals")
@@ -167,9 +171,16 @@ DEPTH_EFFECTS = (
         modifies=keys("depth"),
     ),
 )
-"""From a window to measured depth, whatever the window."""
+# From a window to measured depth, whatever the window.
 
 EFFECTS = (
     Effect("window", _object_window, always("camera"), reads=keys("bodies"), writes=keys("window")),
-    *DEPTH_EFFECTS,
+    *_DEPTH_EFFECTS,
 )
+"""What a sample needs: the part of the image about its object."""
+
+FRAME_EFFECTS = (
+    Effect("window", _whole_window, always("camera"), writes=keys("window")),
+    *_DEPTH_EFFECTS,
+)
+"""What a camera gives: the whole image."""
