@@ -45,23 +45,20 @@ def bed_stiffness(layer: Layer) -> float:
     return confined / layer.thickness_m
 
 
-def solve_winkler(
-    problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG, *, stiffness: float | None = None
-) -> ContactSolution:
+def solve_winkler(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
     """Press two bodies together on a bed of springs; exact, without iteration.
 
     Args:
         problem: Surfaces and layers.
         command: A force or a depth.
         config: Limits.
-        stiffness: k of one lone layer in place of `bed_stiffness` [Pa/m], such as that of a calibrated bed.
 
     Raises:
         ContactError: If a layer is a half-space or compressed beyond `max_strain`.
     """
     if command.idle:
         return no_contact(problem, command.depth_m or 0.0)
-    compliances = _compliances(problem, stiffness)
+    compliances = np.array([1.0 / bed_stiffness(layer) for layer in problem.layers])
     k = 1.0 / float(compliances.sum())
     if command.depth_m is None:
         depth = _depth_for(problem.gap, float(command.force_n or 0.0) / (k * problem.cell_m2))
@@ -72,14 +69,6 @@ def solve_winkler(
     refuse_overload(problem, displacement, depth, config)
     area = int(np.count_nonzero(pressure)) * problem.cell_m2
     return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
-
-
-def _compliances(problem: ContactProblem, stiffness: float | None) -> Float64:
-    if stiffness is None:
-        return np.array([1.0 / bed_stiffness(layer) for layer in problem.layers])
-    if len(problem.layers) != 1:
-        raise ContactError(f"stiffness: given for one layer, but there are {len(problem.layers)}")
-    return np.array([1.0 / stiffness])
 
 
 def _depth_for(gap: Float64, overlap_sum: float) -> float:
