@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.voxel import voxel_grid
+from foretouch.cloud.voxel import VoxelGrid, voxel_grid
 from foretouch.types import Float32, Float64
 
 __all__ = ["count_without_normal", "normals_and_curvature"]
@@ -43,17 +43,19 @@ def normals_and_curvature(
     return _fit(_summed_moments(near, xyz[query], radius_m), xyz[query])
 
 
-def count_without_normal(xyz: Float32, radius_m: float = 0.03) -> int:
+def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid | None = None) -> int:
     """Number of points to which `normals_and_curvature` would give no normal.
 
     Args:
         xyz: (N, 3) float32 [m], finite. N may be 0.
         radius_m: Radius of the neighbourhood [m].
+        grid: The points in voxels, if that is at hand; one of too long an edge is not used.
     """
     if len(xyz) == 0:
         return 0
     # All points of such a cube are neighbours of each other: if they span a plane, so do the neighbours of each.
-    grid = voxel_grid(xyz, radius_m * _CUBE)
+    if grid is None or grid.leaf_m > radius_m * _CUBE:
+        grid = voxel_grid(xyz, radius_m * _CUBE)
     spans = _spans_plane(grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None])
     doubtful = np.flatnonzero(~spans[grid.cell])
     # Some of the neighbours spanning one is enough, too; all are asked for the few points that remain.
@@ -69,9 +71,9 @@ def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bo
     """The points that can be neighbours of any of `around`."""
     margin = np.float32(radius_m * _MARGIN)
     inside: npt.NDArray[np.bool_] = np.ones(len(xyz), np.bool_)
-    for axis in range(3):
-        inside &= xyz[:, axis] >= around[:, axis].min() - margin
-        inside &= xyz[:, axis] <= around[:, axis].max() + margin
+    for column, middle in zip(np.ascontiguousarray(xyz.T), around.T, strict=True):
+        inside &= column >= middle.min() - margin
+        inside &= column <= middle.max() + margin
     return inside
 
 

@@ -21,10 +21,12 @@ class VoxelGrid:
     Attributes:
         cell: (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z.
         counts: (M,) int64, points a cell, at least 1.
+        leaf_m: Edge of a cell [m].
     """
 
     cell: npt.NDArray[np.int64]
     counts: npt.NDArray[np.int64]
+    leaf_m: float
 
     def mean(self, values: npt.NDArray[np.floating]) -> Float64:
         """Mean over the points of each cell.
@@ -54,7 +56,7 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
         CloudError: If the cloud spans more cells than can be numbered.
     """
     if len(xyz) == 0:
-        return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64))
+        return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64), leaf_m)
     per_m = np.float32(1.0) / np.float32(leaf_m)
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
@@ -64,4 +66,4 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     i, j, k = ijk.astype(np.int64)
     key = i + int(size[0]) * (j + int(size[1]) * k)
     _, cell, counts = np.unique(key, return_inverse=True, return_counts=True)
-    return VoxelGrid(cell.reshape(-1), counts)
+    return VoxelGrid(cell.reshape(-1), counts, leaf_m)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.cloud.outliers import inlier_mask
-from foretouch.cloud.voxel import voxel_grid
+from foretouch.cloud.voxel import VoxelGrid, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.points import usable_points
@@ -30,13 +30,13 @@ class ObjectAxis:
         direction: (3,) float64, unit length, sign fixed by the rule of `find_axis`.
         centroid: (3,) float64 [m], mean of the voxel points.
         ratio: Middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis.
-        n_voxels: Points of the voxel grid.
+        grid: The voxels that both were found in.
     """
 
     direction: Float64
     centroid: Float64
     ratio: float
-    n_voxels: int
+    grid: VoxelGrid
 
 
 def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Float64, Float64]:
@@ -86,7 +86,7 @@ def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
         direction = -direction
     if _is_flipped(direction, plane):
         direction = -direction
-    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), len(voxels))
+    return ObjectAxis(direction, centroid, float(max(values[1], 0.0) / values[2]), grid)
 
 
 def side_coordinate(axis: Float64, plane: Plane) -> int:

@@ -109,9 +109,8 @@ def candidate_spots(xyz: Float32, initial: int, radius_m: float, config: GeoGras
         The M candidates, in the order of their voxels; the initial point alone, with its own normal and
         curvature; and the number of points that the candidates average.
     """
-    offset = xyz - xyz[initial]
-    offset *= offset
-    near = np.flatnonzero(offset.sum(axis=1) < np.float32(radius_m) * np.float32(radius_m))
+    x, y, z = np.ascontiguousarray(xyz.T) - xyz[initial, :, None]
+    near = np.flatnonzero(x * x + y * y + z * z < np.float32(radius_m) * np.float32(radius_m))
     normal, curvature = normals_and_curvature(xyz, near, config.normal_radius_m)
     grid = voxel_grid(xyz[near], config.voxel_m)
     # A point without a normal makes its voxel one without: NaN spreads in the sums.

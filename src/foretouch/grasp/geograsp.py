@@ -97,11 +97,11 @@ def _plan(
         points.require_usable()
         xyz = points.xyz[inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())]
         log.counts["n_filtered"] = len(xyz)
-        log.counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m)
     with log.stage("axis"):
         found = find_axis(xyz, plane, config)
         log.axis, log.centroid, log.axis_ratio = found.direction, found.centroid, found.ratio
-        log.counts["n_voxel"] = found.n_voxels
+        log.counts["n_voxel"] = len(found.grid.counts)
+        log.counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m, found.grid)
     with log.stage("slab"):
         if rng is not None:
             log.slide_m = random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)

@@ -92,7 +92,7 @@ class _Side:
         return self._pd.meaningful and self._k.meaningful
 
     def _to_centroid(self, xyz: Float64) -> Float64:
-        return np.asarray(np.linalg.norm(xyz - self._centroid, axis=1), np.float64)
+        return _length(xyz - self._centroid)
 
 
 def rank_pairs(sides: tuple[Spots, Spots], initials: tuple[Spots, Spots], slab: Slab, centroid: Float64) -> Ranking:
@@ -108,11 +108,11 @@ def rank_pairs(sides: tuple[Spots, Spots], initials: tuple[Spots, Spots], slab: 
     p1, p2 = (initial.xyz[0] for initial in initials)
     w = slab.width_m
     # Neither contact may lie deeper in the object than its initial point, nor may they come closer.
-    skip_a = (a.cd < a.scaled(initials[0])[0]) | (np.linalg.norm(a.xyz - p2, axis=1) < w)
+    skip_a = (a.cd < a.scaled(initials[0])[0]) | (_length(a.xyz - p2) < w)
     skip_b = b.cd < _SLACK * b.scaled(initials[1])[0]
-    skip_b |= np.linalg.norm(b.xyz - p1, axis=1) < _SLACK * w
+    skip_b |= _length(b.xyz - p1) < _SLACK * w
     apart = b.xyz[None] - a.xyz[:, None]
-    distance = np.linalg.norm(apart, axis=2)
+    distance = _length(apart)
     near = distance < _SLACK * w
     kept = ~skip_a[:, None] & ~skip_b[None] & ~near
     i, j = np.nonzero(kept)
@@ -174,3 +174,8 @@ def _two_rankings(
     r1 = 2.0 - pd[0] - pd[1] - _ALIGNMENT_WEIGHT * aligned
     r2 = 2.0 - k[0] - k[1] + c_a + c_b - np.abs(c_a - c_b)
     return r1, r2
+
+
+def _length(vectors: Float64) -> Float64:
+    """(...,) float64, of vectors (..., 3)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
