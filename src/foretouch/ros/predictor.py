@@ -9,6 +9,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.conversions import (
@@ -19,7 +20,7 @@ from foretouch.ros.conversions import (
     refusal_to_msg,
 )
 from foretouch.ros.warm_up import tabletop
-from foretouch.types import Grasp
+from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
 
@@ -64,7 +65,7 @@ class Predictor:
         targets: Sequence[FoundObject],
         grasps: Sequence[GraspMsg],
         header: Header,
-        posing: Pipeline | None = None,
+        posing: GeoGraspConfig | None = None,
     ) -> TouchPredictionArray:
         """A prediction or a refusal for every grasp, in order.
 
@@ -72,7 +73,7 @@ class Predictor:
             targets: The objects; features are computed once for each that has grasps.
             grasps: Each on the object that it names, or on the only one.
             header: Of the cloud.
-            posing: Poses grasps without an orientation on the target's table; None refuses them.
+            posing: Settings to pose grasps without an orientation with, on the target's table; None refuses them.
 
         Returns:
             Status OK where any prediction is, else that of the first.
@@ -111,16 +112,17 @@ class Predictor:
         return message
 
     def _on_target(
-        self, target: FoundObject, grasps: Sequence[GraspMsg], header: Header, posing: Pipeline | None
+        self, target: FoundObject, grasps: Sequence[GraspMsg], header: Header, posing: GeoGraspConfig | None
     ) -> list[TouchPrediction]:
         model = self.model
         if model is None:
             return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
         answers: list[TouchPrediction | None] = []
         posed: list[Grasp] = []
+        poser = _Poser(target, posing)
         for grasp in grasps:
             try:
-                posed.append(_core_grasp(grasp, target, posing))
+                posed.append(poser.grasp(grasp))
                 answers.append(None)
             except (GraspError, CloudError) as err:
                 answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
@@ -132,13 +134,24 @@ class Predictor:
         return [old or prediction_to_msg(next(predicted), g, header) for g, old in zip(grasps, answers, strict=True)]
 
 
-def _core_grasp(grasp: GraspMsg, target: FoundObject, posing: Pipeline | None) -> Grasp:
-    if has_orientation(grasp):
-        return grasp_from_msg(grasp)
-    if posing is None:
-        raise GraspError("pose: no orientation, and no table to compute it with")
-    contacts = [(p.x, p.y, p.z) for p in (grasp.g1, grasp.g2)]
-    return posing.grasp_between(target, *map(np.array, contacts))
+class _Poser:
+    """Poses the hand at given contacts as `Pipeline.grasp_between` does, with one search for the object's axis."""
+
+    def __init__(self, target: FoundObject, config: GeoGraspConfig | None) -> None:
+        self._target = target
+        self._config = config
+        self._axis: Float64 | None = None
+
+    def grasp(self, message: GraspMsg) -> Grasp:
+        """The grasp of a message, turned if the message leaves that open."""
+        if has_orientation(message):
+            return grasp_from_msg(message)
+        if self._config is None:
+            raise GraspError("pose: no orientation, and no table to compute it with")
+        unturned = grasp_from_msg(message, np.eye(3))
+        if self._axis is None:
+            self._axis, _ = object_axis(self._target.cloud, self._target.plane, self._config)
+        return grasp_from_msg(message, hand_rotation(unturned.g1, unturned.g2, self._axis))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:

@@ -137,7 +137,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self.statistics.use(job.arrived, age_s)
         self._outcomes[status_name(status)] += 1
         self._last_reason = reason
-        if reason:
+        if status not in (Status.OK, Status.INITIAL_POINTS):
             self.get_logger().warning(f"{status_name(status)}: {reason}", throttle_duration_sec=5.0)
 
     def _answer_or_refuse(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:

@@ -23,7 +23,7 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch.config import setting
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline, PipelineConfig
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.conversions import stamp_ns
 from foretouch.ros.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.inputs import check_frames, read_plane, read_targets
@@ -142,7 +142,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
-        self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: Pipeline | None
+        self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: GeoGraspConfig | None
     ) -> TouchPredictionArray:
         predictor = self._loaded()
         message = predictor.array(targets, grasps, header, posing)
@@ -168,7 +168,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         targets = read_targets(request.cloud, table or ASSUMED_TABLE)
         if not request.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
-        posing = Pipeline(PipelineConfig(grasp=self.config.grasp)) if table else None
+        posing = self.config.grasp if table else None
         return self._predict(targets, request.grasps, header, posing)
 
     # The action.
