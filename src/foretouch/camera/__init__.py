@@ -1,6 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth cameras: a RealSense that is plugged in, recorded or fed with synthetic frames."""
+"""Depth cameras: a RealSense that is plugged in, recorded, or fed with synthetic frames, on one code path."""
 
+from foretouch.camera.config import FilterConfig, RealSenseConfig, TimeoutConfig
 from foretouch.camera.deproject import Deprojector, pinhole_matrix
+from foretouch.camera.device import DeviceSource, FileSource, LiveSource, list_devices
+from foretouch.camera.realsense import RealSenseCamera, open_camera
+from foretouch.camera.status import CameraState, CameraStatus
+from foretouch.camera.synthetic import SyntheticCamera, SyntheticFrame
 
-__all__ = ["Deprojector", "pinhole_matrix"]
+__all__ = [
+    "CameraState",
+    "CameraStatus",
+    "Deprojector",
+    "DeviceSource",
+    "FileSource",
+    "FilterConfig",
+    "LiveSource",
+    "RealSenseCamera",
+    "RealSenseConfig",
+    "SyntheticCamera",
+    "SyntheticFrame",
+    "TimeoutConfig",
+    "list_devices",
+    "open_camera",
+    "pinhole_matrix",
+]

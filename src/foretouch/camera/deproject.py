@@ -8,6 +8,7 @@ the same in float32 throughout; the two differ by float32 rounding only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ from foretouch.types import Float32, Float64
 
 __all__ = ["Deprojector", "pinhole_matrix"]
 
+_MODELS = ("brown_conrady", "inverse_brown_conrady")
+_ITERATIONS = 10  # librealsense's number
+
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
     """(3, 3) float64 intrinsics of square pixels and a centred axis; 65 degrees are the D415's.
@@ -27,7 +31,8 @@ def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
         height: [px]
         hfov_deg: Horizontal field of view [deg]; f = W / (2 tan(HFOV / 2)).
     """
-    focal = width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))
+    # Rounded to float32 as a device stores it, so that frames sent through one come out bit-equal.
+    focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
 
@@ -45,17 +50,32 @@ class Deprojector:
 
     @classmethod
     def pinhole(cls, matrix: Float64, width: int, height: int) -> Deprojector:
-        """Of a lens without distortion.
+        """Of a lens without distortion (see `of_lens`)."""
+        return cls.of_lens(matrix, width, height)
+
+    @classmethod
+    def of_lens(
+        cls, matrix: Float64, width: int, height: int, model: str = "none", coefficients: Sequence[float] = (0.0,) * 5
+    ) -> Deprojector:
+        """Of a lens as librealsense describes it.
 
         Args:
             matrix: (3, 3) float64 [px]: fx, fy on the diagonal, cx, cy in the last column.
             width: [px]
             height: [px]
+            model: `none`, `brown_conrady` or `inverse_brown_conrady`.
+            coefficients: k1, k2, p1, p2, k3 of Brown's model.
+
+        Raises:
+            CameraError: If another model has coefficients that are not zero.
         """
-        columns = (np.arange(width) - matrix[0, 2]) / matrix[0, 0]
-        rows = (np.arange(height) - matrix[1, 2]) / matrix[1, 1]
-        x, y = np.broadcast_arrays(columns[None, :].astype(np.float32), rows[:, None].astype(np.float32))
-        return cls(np.ascontiguousarray(x), np.ascontiguousarray(y))
+        x = np.broadcast_to((np.arange(width) - matrix[0, 2]) / matrix[0, 0], (height, width))
+        y = np.broadcast_to(((np.arange(height) - matrix[1, 2]) / matrix[1, 1])[:, None], (height, width))
+        if model != "none" and any(coefficients):
+            if model not in _MODELS:
+                raise CameraError(f"distortion model {model}: cannot be deprojected, only {', '.join(_MODELS)}")
+            x, y = _undistort(x, y, np.asarray(coefficients, np.float64), scaled_shift=model == "inverse_brown_conrady")
+        return cls(x.astype(np.float32, order="C"), y.astype(np.float32, order="C"))
 
     def points(self, depth: npt.NDArray[np.uint16], scale_m: float = 0.001) -> Float32:
         """Points of a depth image.
@@ -80,3 +100,25 @@ class Deprojector:
         np.multiply(self.y, z, out=xyz[..., 1])
         xyz[..., 2] = z
         return xyz
+
+
+def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tuple[Float64, Float64]:
+    """Straight normalised coordinates of distorted ones by fixed-point iteration, as librealsense's rsutil.h.
+
+    Args:
+        x: (H, W) float64.
+        y: (H, W) float64.
+        k: (5,) float64, k1, k2, p1, p2, k3.
+        scaled_shift: Whether the tangential shift takes the point times its radial factor. This is all that
+            the library's two models differ in.
+    """
+    straight_x, straight_y = x, y
+    for _ in range(_ITERATIONS):
+        r2 = straight_x * straight_x + straight_y * straight_y
+        radial = 1.0 + ((k[4] * r2 + k[1]) * r2 + k[0]) * r2
+        scale = radial if scaled_shift else 1.0
+        at_x, at_y = straight_x * scale, straight_y * scale
+        shift_x = 2.0 * k[2] * at_x * at_y + k[3] * (r2 + 2.0 * at_x * at_x)
+        shift_y = 2.0 * k[3] * at_x * at_y + k[2] * (r2 + 2.0 * at_y * at_y)
+        straight_x, straight_y = (x - shift_x) / radial, (y - shift_y) / radial
+    return straight_x, straight_y

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a device comes from: the bus, a recording, or a program that feeds the library's software device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.library import realsense
+from foretouch.errors import CameraError, FileError
+
+__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "source_of"]
+
+
+class DeviceSource(Protocol):
+    """Something that a device can be asked of, again and again."""
+
+    def find(self) -> Any:
+        """The `pyrealsense2.device`.
+
+        Raises:
+            CameraError: If it is not there now; it may be later.
+        """
+
+    def present(self, device: Any) -> bool:
+        """Whether a device found earlier is still there."""
+
+    def ended(self, device: Any) -> bool:
+        """Whether it will never send another frame."""
+
+
+class LiveSource:
+    """A device on the USB bus.
+
+    Args:
+        serial: Its serial number; empty for the first depth camera found.
+    """
+
+    def __init__(self, serial: str = "") -> None:
+        self._serial = serial
+        self._context = realsense().context()
+
+    def find(self) -> Any:
+        """See `DeviceSource`."""
+        rs = realsense()
+        devices = list(self._context.query_devices())
+        serials = [_info(device, rs.camera_info.serial_number) for device in devices]
+        if not devices:
+            raise CameraError(f"{self._wanted()}: no RealSense device is connected")
+        if not self._serial:
+            return devices[0]
+        if self._serial not in serials:
+            raise CameraError(f"{self._wanted()}: is not connected; connected: {', '.join(serials)}")
+        return devices[serials.index(self._serial)]
+
+    def present(self, device: Any) -> bool:
+        """See `DeviceSource`."""
+        return bool(device.is_connected())
+
+    def ended(self, device: Any) -> bool:  # noqa: ARG002
+        """Never."""
+        return False
+
+    def _wanted(self) -> str:
+        return f"camera {self._serial}" if self._serial else "camera"
+
+
+class FileSource:
+    """A file of the library's own recorder.
+
+    Args:
+        path: `.db3`, or `.bag` of older versions.
+        real_time: Whether it plays at its pace; if not, the reader sets the pace and no frame is lost.
+
+    Raises:
+        FileError: If there is no such file.
+    """
+
+    def __init__(self, path: str | Path, *, real_time: bool = True) -> None:
+        self._path = Path(path)
+        self._real_time = real_time
+        if not self._path.is_file():
+            raise FileError(self._path, "no such file")
+
+    def find(self) -> Any:
+        """See `DeviceSource`.
+
+        Raises:
+            FileError: If it is no recording of the library's.
+        """
+        rs = realsense()
+        try:
+            # A context of its own: one context refuses to load the same file twice.
+            playback = rs.context().load_device(str(self._path))
+        except RuntimeError as err:
+            raise FileError(self._path, f"not a RealSense recording: {err}") from err
+        playback.set_real_time(self._real_time)
+        return playback
+
+    def present(self, device: Any) -> bool:  # noqa: ARG002
+        """See `DeviceSource`."""
+        return self._path.is_file()
+
+    def ended(self, device: Any) -> bool:
+        """Whether the last frame was played."""
+        return bool(device.current_status() == realsense().playback_status.stopped)
+
+
+def source_of(config: RealSenseConfig) -> DeviceSource:
+    """The source that the settings name.
+
+    Raises:
+        FileError: If they name a file that is absent.
+    """
+    if config.file:
+        return FileSource(config.file, real_time=config.real_time)
+    return LiveSource(config.serial)
+
+
+def list_devices() -> list[str]:
+    """Name and serial number of each device on the bus.
+
+    Raises:
+        MissingDependencyError: If pyrealsense2 or libusb is missing.
+    """
+    return [describe(device) for device in realsense().context().query_devices()]
+
+
+def describe(device: Any) -> str:
+    """Name and serial number, for people."""
+    info = realsense().camera_info
+    return f"{_info(device, info.name)} {_info(device, info.serial_number)}".strip()
+
+
+def _info(device: Any, what: Any) -> str:
+    return str(device.get_info(what)) if device.supports(what) else ""

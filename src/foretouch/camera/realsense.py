@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A RealSense camera that says what it is doing and comes back by itself.
+
+Threads: one thread reads (and so drives the opening, the waiting and the reopening; there is no
+thread inside); any thread may ask for `status`, which is replaced as a whole and never changed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.device import DeviceSource, describe, source_of
+from foretouch.camera.status import CameraState, CameraStatus, Watchdog
+from foretouch.camera.stream import FrameStream
+from foretouch.errors import CameraError, FileError
+from foretouch.types import Cloud
+
+__all__ = ["RealSenseCamera", "open_camera"]
+
+_LOG = logging.getLogger(__name__)
+_SLICE_S = 0.05  # longest uninterrupted wait inside the library
+
+
+def open_camera(config: RealSenseConfig | None = None, source: DeviceSource | None = None) -> RealSenseCamera:
+    """A camera as a context manager and an iterator of organised clouds.
+
+    Args:
+        config: The settings; defaults for None.
+        source: Where the device comes from, instead of what the settings name.
+
+    Raises:
+        FileError: If the settings name a recording that is absent, or a file to record to that exists.
+        MissingDependencyError: If pyrealsense2 is missing.
+    """
+    return RealSenseCamera(config or RealSenseConfig(), source)
+
+
+class RealSenseCamera:
+    """See `open_camera`. A device that is absent, unplugged or silent is told by `status` and tried again."""
+
+    def __init__(self, config: RealSenseConfig, source: DeviceSource | None = None) -> None:
+        self._config = config
+        self._source = source_of(config) if source is None else source
+        if config.record_to and Path(config.record_to).exists():
+            raise FileError(config.record_to, "exists; a recording is never overwritten")
+        self._device: Any = None
+        self._stream: FrameStream | None = None
+        self._watchdog = Watchdog(config.timeouts)
+        self._dropped: Counter[str] = Counter()
+        self._last_number: int | None = None
+        self._frame_at_s: float | None = None
+        self._status = CameraStatus()
+
+    @property
+    def config(self) -> RealSenseConfig:
+        """The settings."""
+        return self._config
+
+    @property
+    def status(self) -> CameraStatus:
+        """What it is doing, why, and the counts so far."""
+        heard = self._frame_at_s
+        since = None if heard is None else time.monotonic() - heard
+        return dataclasses.replace(self._status, since_frame_s=since)
+
+    def read(self, timeout_s: float) -> Cloud | None:
+        """The next cloud.
+
+        Args:
+            timeout_s: Longest wait; opening a device may take longer [s].
+
+        Returns:
+            The cloud, or None if there was none in time: `status` tells why.
+
+        Raises:
+            CameraError: If the camera does not offer what the settings ask for.
+            FileError: If the recording is none.
+        """
+        deadline = time.monotonic() + timeout_s
+        while self._status.state not in {"ended", "closed"}:
+            left = deadline - time.monotonic()
+            if self._stream is None:
+                self._try_to_open(max(0.0, left))
+            else:
+                cloud = self._wait(self._stream, min(_SLICE_S, max(0.001, left)))
+                if cloud is not None:
+                    return cloud
+            if time.monotonic() >= deadline:
+                break
+        return None
+
+    def __iter__(self) -> Iterator[Cloud]:
+        """Clouds until the recording ends or the camera is closed.
+
+        Raises:
+            CameraError: If nothing came for `timeouts.give_up_s`.
+        """
+        limit = self._config.timeouts.give_up_s
+        last = time.monotonic()
+        while self._status.state not in {"ended", "closed"}:
+            cloud = self.read(_SLICE_S)
+            if cloud is not None:
+                yield cloud
+                last = time.monotonic()
+            elif limit and time.monotonic() - last > limit:
+                raise CameraError(f"no frame for {limit:g} s: {self._status.state}: {self._status.reason}")
+
+    def close(self) -> None:
+        """Release the device; nothing can be read afterwards."""
+        self._release()
+        if self._status.state != "ended":
+            self._tell("closed", "closed by the user")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def _try_to_open(self, patience_s: float) -> None:
+        """Open the device if the pause since the last attempt is over; else pause."""
+        pause = self._watchdog.next_attempt_s - time.monotonic()
+        if pause > 0.0:
+            time.sleep(min(pause, patience_s, _SLICE_S))
+            return
+        try:
+            self._device = self._source.find()
+        except CameraError as err:
+            self._retry_later("absent", str(err))
+            return
+        try:
+            self._stream = FrameStream(self._device, self._config_of_this_opening())
+        except RuntimeError as err:
+            self._device = None
+            self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
+            return
+        self._last_number = None
+        self._watchdog.opened(time.monotonic())
+        self._update(opened=self._status.opened + 1, device=describe(self._device))
+        self._tell("reconnecting", "opened, waiting for the first frame")
+
+    def _config_of_this_opening(self) -> RealSenseConfig:
+        """Each opening records to a file of its own: the library would start the same one anew."""
+        path, opened = Path(self._config.record_to), self._status.opened
+        if not self._config.record_to or not opened:
+            return self._config
+        return self._config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
+
+    def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
+        frames = stream.wait(timeout_s)
+        now = time.monotonic()
+        if frames is None:
+            self._on_silence(now)
+            return None
+        self._watchdog.frame(now)
+        self._frame_at_s = now
+        self._count_missed(int(frames.depth.get_frame_number()))
+        if stream.wants_colour and frames.colour is None:
+            self._drop("no_colour")
+            return None
+        try:
+            cloud = stream.cloud(frames)
+        except RuntimeError as err:
+            self._drop("bad_frame")
+            _LOG.warning("camera: a frame was refused by the library: %s", err)
+            return None
+        self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
+        self._tell("streaming", "")
+        return cloud
+
+    def _on_silence(self, now: float) -> None:
+        if self._source.ended(self._device) and (self._frame_at_s is not None or self._watchdog.silent_s(now) > 1.0):
+            self._on_end()
+            return
+        verdict = self._watchdog.verdict(now)
+        silent = f"no frame for {self._watchdog.silent_s(now):.1f} s"
+        if not self._source.present(self._device):
+            self._release()
+            self._retry_later("absent", f"{self._status.device}: was unplugged")
+        elif verdict == "reopen":
+            self._release()
+            self._retry_later("reconnecting", f"{silent}, opening it again")
+        elif verdict == "stalled":
+            self._tell("stalled", silent)
+
+    def _on_end(self) -> None:
+        self._release()
+        if self._config.repeat:
+            self._tell("reconnecting", "the recording starts again")
+        else:
+            self._tell("ended", "the recording is over")
+
+    def _retry_later(self, state: CameraState, reason: str) -> None:
+        pause = self._watchdog.failed(time.monotonic())
+        self._update(failures=self._watchdog.failures)
+        self._tell(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
+
+    def _count_missed(self, number: int) -> None:
+        """Numbers skipped since the last depth frame are frames lost; an opening starts to count anew."""
+        if self._last_number is not None and number > self._last_number + 1:
+            self._drop("missed", number - self._last_number - 1)
+        self._last_number = number
+
+    def _drop(self, reason: str, count: int = 1) -> None:
+        self._dropped[reason] += count
+        self._update(received=self._status.received + count, dropped=dict(self._dropped))
+
+    def _release(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+        self._stream = self._device = None
+
+    def _update(self, **changes: Any) -> None:
+        self._status = dataclasses.replace(self._status, **changes)
+
+    def _tell(self, state: CameraState, reason: str) -> None:
+        if state != self._status.state:
+            level = logging.INFO if state in {"streaming", "ended", "closed"} else logging.WARNING
+            _LOG.log(level, "camera: %s%s", state, f": {reason}" if reason else "")
+        self._update(state=state, reason=reason, failures=self._watchdog.failures)

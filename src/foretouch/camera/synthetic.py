@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""librealsense's own software device, fed with frames that a program made.
+
+It stands where a D415 would: all that follows, from the library's syncer, filters and recorder to
+the cloud, is the code that a real camera runs.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.camera.library import realsense
+from foretouch.errors import CameraError
+from foretouch.types import Float64
+
+__all__ = ["SyntheticCamera", "SyntheticFrame"]
+
+_BASELINE_MM = 55.0  # the D415's; the library's disparity filters ask for it
+_DEPTH_UNIT_M = 0.001
+
+
+class SyntheticFrame(Protocol):
+    """What is fed, such as a `foretouch.simulation.DepthImage`."""
+
+    @property
+    def depth_mm(self) -> npt.NDArray[np.uint16]:
+        """(H, W) uint16 [mm], 0 where there is none."""
+
+    @property
+    def rgb(self) -> npt.NDArray[np.uint8]:
+        """(H, W, 3) uint8, in the same view."""
+
+    @property
+    def K(self) -> Float64:  # noqa: N802
+        """(3, 3) float64, intrinsics [px]."""
+
+
+class SyntheticCamera:
+    """A `DeviceSource` that can be fed, paused, unplugged and plugged in again.
+
+    Args:
+        frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
+        fps: Frames per second of `start` [Hz].
+        serial: Its serial number.
+
+    Attributes:
+        colour: Whether the colour sensor sends.
+
+    Used as a context manager, it feeds from a thread of its own while inside.
+    """
+
+    def __init__(
+        self,
+        frames: Callable[[int], SyntheticFrame] | Sequence[SyntheticFrame],
+        fps: int = 30,
+        serial: str = "synthetic",
+    ) -> None:
+        self._frame = frames if callable(frames) else _repeated(frames)
+        self._fps = fps
+        first = self._frame(0)
+        self._shape = first.depth_mm.shape
+        self._device, self._sensors, self._profiles = _software_device(first, fps, serial)
+        self.colour = True
+        self._number = 0
+        self._plugged = True
+        self._feeding = threading.Event()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def find(self) -> Any:
+        """See `foretouch.camera.device.DeviceSource`."""
+        if not self._plugged:
+            raise CameraError("synthetic camera: is unplugged")
+        return self._device
+
+    def present(self, device: Any) -> bool:  # noqa: ARG002
+        """See `foretouch.camera.device.DeviceSource`."""
+        return self._plugged
+
+    def ended(self, device: Any) -> bool:  # noqa: ARG002
+        """Never."""
+        return False
+
+    @property
+    def number(self) -> int:
+        """How many frames were fed."""
+        return self._number
+
+    def feed(self) -> int:
+        """Feed one frame now, stamped with the time of day; returns its number.
+
+        Raises:
+            CameraError: If the frame has another size than the first.
+        """
+        with self._lock:
+            number = self._number
+            frame = self._frame(number)
+            if frame.depth_mm.shape != self._shape:
+                raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
+            if self._plugged:
+                self._send(frame, number, time.time_ns() / 1e6)
+            self._number += 1
+            return number
+
+    def start(self) -> None:
+        """Feed at the rate, from a thread."""
+        self._feeding.set()
+        if self._thread is None:
+            self._stopping.clear()
+            self._thread = threading.Thread(target=self._run, name="synthetic-camera", daemon=True)
+            self._thread.start()
+
+    def pause(self) -> None:
+        """Stay silent, as a stalled camera does, until `start`."""
+        self._feeding.clear()
+
+    def unplug(self) -> None:
+        """Be absent until `plug`."""
+        self._plugged = False
+
+    def plug(self) -> None:
+        """Be there again."""
+        self._plugged = True
+
+    def close(self) -> None:
+        """Stop the thread."""
+        self._stopping.set()
+        self._feeding.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def _send(self, frame: SyntheticFrame, number: int, stamp_ms: float) -> None:
+        images: tuple[npt.NDArray[Any], ...] = (frame.depth_mm, frame.rgb) if self.colour else (frame.depth_mm,)
+        for sensor, profile, image in zip(self._sensors, self._profiles, images, strict=False):
+            sensor.on_video_frame(_video_frame(profile, image, number, stamp_ms))
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stopping.is_set():
+            self._feeding.wait()
+            self.feed()
+            # A frame that took too long to make delays the next ones; they are not made up for in a burst.
+            due = max(due + 1.0 / self._fps, time.monotonic())
+            self._stopping.wait(due - time.monotonic())
+
+
+def _repeated(frames: Sequence[SyntheticFrame]) -> Callable[[int], SyntheticFrame]:
+    if not frames:
+        raise CameraError("synthetic camera: no frames to feed")
+    return lambda number: frames[number % len(frames)]
+
+
+def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, list[Any], list[Any]]:
+    """A device with a depth and a colour sensor that share one view."""
+    rs = realsense()
+    device = rs.software_device()
+    device.register_info(rs.camera_info.name, "Synthetic D415")
+    device.register_info(rs.camera_info.serial_number, serial)
+    intrinsics = _intrinsics(frame)
+    depth_sensor = device.add_sensor("Stereo Module")
+    colour_sensor = device.add_sensor("RGB Camera")
+    depth = depth_sensor.add_video_stream(_video_stream(rs.stream.depth, rs.format.z16, 2, intrinsics, fps))
+    colour = colour_sensor.add_video_stream(_video_stream(rs.stream.color, rs.format.rgb8, 3, intrinsics, fps))
+    depth_sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
+    depth_sensor.add_read_only_option(rs.option.stereo_baseline, _BASELINE_MM)
+    same_place = rs.extrinsics()
+    same_place.rotation, same_place.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+    depth.register_extrinsics_to(colour, same_place)
+    colour.register_extrinsics_to(depth, same_place)
+    device.create_matcher(rs.matchers.default)
+    profiles = [profile.as_video_stream_profile() for profile in (depth, colour)]
+    return device, [depth_sensor, colour_sensor], profiles
+
+
+def _intrinsics(frame: SyntheticFrame) -> Any:
+    rs = realsense()
+    height, width = frame.depth_mm.shape
+    intrinsics = rs.intrinsics()
+    intrinsics.width, intrinsics.height = width, height
+    intrinsics.fx, intrinsics.fy = float(frame.K[0, 0]), float(frame.K[1, 1])
+    intrinsics.ppx, intrinsics.ppy = float(frame.K[0, 2]), float(frame.K[1, 2])
+    intrinsics.model, intrinsics.coeffs = rs.distortion.brown_conrady, [0.0] * 5
+    return intrinsics
+
+
+def _video_stream(kind: Any, pixel_format: Any, pixel_bytes: int, intrinsics: Any, fps: int) -> Any:
+    stream = realsense().video_stream()
+    stream.type, stream.index, stream.uid = kind, 0, int(kind)
+    stream.width, stream.height, stream.fps = intrinsics.width, intrinsics.height, fps
+    stream.bpp, stream.fmt, stream.intrinsics = pixel_bytes, pixel_format, intrinsics
+    return stream
+
+
+def _video_frame(profile: Any, image: npt.NDArray[Any], number: int, stamp_ms: float) -> Any:
+    rs = realsense()
+    frame = rs.software_video_frame()
+    frame.pixels = np.ascontiguousarray(image)  # the library copies it
+    frame.bpp = image.itemsize * (image.shape[2] if image.ndim == 3 else 1)
+    frame.stride = image.shape[1] * frame.bpp
+    frame.timestamp, frame.domain = stamp_ms, rs.timestamp_domain.system_time
+    frame.frame_number, frame.profile = number, profile
+    if image.dtype == np.uint16:
+        frame.depth_units = _DEPTH_UNIT_M
+    return frame

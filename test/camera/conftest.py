@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small synthetic camera on librealsense's own software device, and short timeouts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from foretouch.camera import RealSenseConfig, SyntheticCamera, TimeoutConfig
+from foretouch.simulation import DepthImage, random_scene
+
+WIDTH, HEIGHT = 424, 240
+
+if find_spec("pyrealsense2") is None:
+    collect_ignore_glob = [
+        "test_filters.py",
+        "test_realsense.py",
+        "test_recording.py",
+        "test_stream.py",
+        "test_synthetic.py",
+    ]
+
+
+@pytest.fixture(scope="session")
+def images() -> list[DepthImage]:
+    """Three frames of a scene: a still one with an object that moves."""
+    scene = random_scene(np.random.default_rng(1), WIDTH, HEIGHT)
+    return [scene.moved(0, np.array([0.01 * i, 0.0, 0.0])).render() for i in range(3)]
+
+
+@pytest.fixture
+def source(images: list[DepthImage]) -> Iterator[SyntheticCamera]:
+    """Not feeding yet: `feed()` by hand, or `start()`."""
+    camera = SyntheticCamera(images, fps=30)
+    yield camera
+    camera.close()
+
+
+@pytest.fixture
+def config() -> RealSenseConfig:
+    """The size of the images, and timeouts that a test can wait for."""
+    timeouts = TimeoutConfig(start_s=0.6, stall_s=0.2, reopen_s=0.5, backoff_min_s=0.05, backoff_max_s=0.2)
+    return RealSenseConfig(width=WIDTH, height=HEIGHT, timeouts=timeouts)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Absent, stalled, unplugged and back again, on the library's own software device."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.errors import CameraError
+from foretouch.simulation import DepthImage
+
+
+def _until(camera: RealSenseCamera, wanted: Callable[[], bool], limit_s: float = 10.0) -> None:
+    """Read, as a user would, until something holds."""
+    deadline = time.monotonic() + limit_s
+    while not wanted():
+        camera.read(0.02)
+        assert time.monotonic() < deadline, camera.status
+
+
+def test_a_running_camera_streams_organised_clouds(
+    source: SyntheticCamera, config: RealSenseConfig, images: list[DepthImage]
+) -> None:
+    with source, open_camera(config, source) as camera:
+        clouds = [cloud for cloud, _ in zip(camera, range(4), strict=False)]
+        status = camera.status
+    assert status.state == "streaming"
+    assert status.reason == ""
+    assert status.device == "Synthetic D415 synthetic"
+    assert status.delivered >= 4
+    stamps = [cloud.stamp_ns for cloud in clouds]
+    assert stamps == sorted(set(stamps))
+    truths = [image.cloud().xyz for image in images]
+    for cloud in clouds:
+        assert any(np.array_equal(cloud.xyz, truth, equal_nan=True) for truth in truths)
+    assert camera.status.state == "closed"
+
+
+@pytest.mark.parametrize("align", ["none", "colour_to_depth"])
+def test_received_is_delivered_plus_missed(align: str, source: SyntheticCamera, config: RealSenseConfig) -> None:
+    with open_camera(config.replace(align=align), source) as camera:
+        camera.read(0.0)
+        for burst in (1, 1, 4, 1, 3, 1):  # only the newest frame is kept for a late reader
+            for _ in range(burst):
+                source.feed()
+            time.sleep(0.05)
+            assert camera.read(1.0) is not None
+        status = camera.status
+    assert (status.delivered, dict(status.dropped)) == (6, {"missed": 5})
+    assert status.received == source.number == 11
+
+
+def test_depth_without_colour_of_its_time_is_dropped_and_counted(
+    images: list[DepthImage], config: RealSenseConfig
+) -> None:
+    source = SyntheticCamera(images, fps=30)
+    with open_camera(config.replace(align="colour_to_depth"), source) as camera:
+        camera.read(0.0)
+        source.feed()
+        assert camera.read(1.0) is not None
+        source.colour = False
+        time.sleep(0.05)  # more than a period: the colour frame before is of another time
+        source.feed()
+        assert camera.read(0.3) is None
+        source.colour = True
+        source.feed()
+        assert camera.read(1.0) is not None
+        status = camera.status
+    assert (status.received, status.delivered, dict(status.dropped)) == (3, 2, {"no_colour": 1})
+
+
+def test_a_stalled_camera_says_so_is_opened_again_and_recovers(
+    source: SyntheticCamera, config: RealSenseConfig, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="foretouch.camera")
+    with source, open_camera(config, source) as camera:
+        assert camera.read(2.0) is not None
+        source.pause()
+        _until(camera, lambda: camera.status.state == "stalled")
+        assert "no frame for 0." in camera.status.reason
+        _until(camera, lambda: camera.status.state == "reconnecting")
+        _until(camera, lambda: camera.status.opened >= 3)  # the second opening stays silent as well
+        assert camera.status.failures >= 2
+        source.start()
+        _until(camera, lambda: camera.status.state == "streaming")
+        assert camera.status.failures == 0
+    told = [record.getMessage() for record in caplog.records]
+    assert any("stalled: no frame for" in line for line in told)
+    assert any("reconnecting: no frame for" in line and "attempt 2 in 0.05 s" in line for line in told)
+
+
+def test_an_unplugged_camera_is_absent_until_it_is_back(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    with source, open_camera(config, source) as camera:
+        assert camera.read(2.0) is not None
+        source.unplug()
+        _until(camera, lambda: camera.status.state == "absent")
+        assert "Synthetic D415 synthetic: was unplugged; attempt 2 in 0.05 s" in camera.status.reason
+        _until(camera, lambda: camera.status.failures >= 3)
+        assert "synthetic camera: is unplugged" in camera.status.reason
+        source.plug()
+        _until(camera, lambda: camera.status.state == "streaming")
+
+
+def test_pauses_between_attempts_cost_no_processor_time(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    source.unplug()
+    with open_camera(config, source) as camera:
+        started, used = time.monotonic(), time.process_time()
+        assert camera.read(0.5) is None
+        assert time.monotonic() - started == pytest.approx(0.5, abs=0.2)
+        assert time.process_time() - used < 0.2
+        assert 2 <= camera.status.failures <= 6
+
+
+def test_iterating_gives_up_when_asked_to(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    source.unplug()
+    impatient = config.replace(timeouts=config.timeouts.replace(give_up_s=0.3))
+    with (
+        open_camera(impatient, source) as camera,
+        pytest.raises(CameraError, match=r"no frame for 0\.3 s: absent: synthetic camera: is unplugged"),
+    ):
+        next(iter(camera))
+
+
+def test_a_live_camera_that_is_not_there_is_named(config: RealSenseConfig) -> None:
+    with open_camera(config.replace(serial="000000000000")) as camera:
+        assert camera.read(0.3) is None
+        status = camera.status
+    assert status.state == "absent"
+    assert "camera 000000000000: " in status.reason
+    assert "connected" in status.reason
+    assert "attempt" in status.reason
+
+
+def test_what_the_camera_does_not_offer_is_an_error_at_once(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    with (
+        open_camera(config.replace(width=1280, height=720), source) as camera,
+        pytest.raises(CameraError, match="1280x720@30 is not offered"),
+    ):
+        camera.read(1.0)
+
+
+def test_a_closed_camera_gives_nothing(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    with source, open_camera(config, source) as camera:
+        assert camera.read(2.0) is not None
+        camera.close()
+        assert camera.read(0.5) is None
+        assert list(camera) == []
+    assert camera.status.reason == "closed by the user"

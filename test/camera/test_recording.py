@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded by the library's own recorder and played back through the same code."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.errors import FileError
+from foretouch.types import Cloud
+
+
+def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count: int) -> list[Cloud]:
+    clouds: list[Cloud] = []
+    with open_camera(config.replace(record_to=str(path)), source) as camera:
+        camera.read(0.0)
+        for _ in range(count):
+            source.feed()
+            cloud = camera.read(1.0)
+            assert cloud is not None, camera.status
+            clouds.append(cloud)
+            time.sleep(1.0 / config.fps)  # colour is told apart by its time
+    return clouds
+
+
+def _playing(path: Path, config: RealSenseConfig, **changes: object) -> RealSenseConfig:
+    return config.replace(file=str(path), real_time=False, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("align", ["none", "colour_to_depth"])
+def test_a_recording_plays_back_bit_for_bit(
+    align: str, tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    path = tmp_path / "seen.db3"
+    config = config.replace(align=align)
+    recorded = _record(path, source, config, 5)
+    with open_camera(_playing(path, config)) as camera:
+        played = {cloud.stamp_ns: cloud for cloud in camera}
+        status = camera.status
+    assert status.state == "ended"
+    assert status.reason == "the recording is over"
+    assert status.device == "Synthetic D415 synthetic"
+    assert list(played) == [cloud.stamp_ns for cloud in recorded]
+    assert dict(status.dropped) == {}
+    for cloud in recorded:
+        twin = played[cloud.stamp_ns]
+        assert np.array_equal(twin.xyz, cloud.xyz, equal_nan=True)
+        assert cloud.rgb is None or (twin.rgb is not None and np.array_equal(twin.rgb, cloud.rgb))
+        assert twin.frame_id == cloud.frame_id
+
+
+def test_a_slow_reader_of_a_recording_loses_nothing(
+    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    path = tmp_path / "seen.db3"
+    recorded = _record(path, source, config, 6)
+    played = []
+    with open_camera(_playing(path, config)) as camera:
+        for cloud in camera:
+            time.sleep(0.05)
+            played.append(cloud.stamp_ns)
+    assert played == [cloud.stamp_ns for cloud in recorded]
+    assert camera.status.dropped == {}
+
+
+def test_in_real_time_the_pace_is_that_of_the_recording(
+    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    path = tmp_path / "seen.db3"
+    with open_camera(config.replace(record_to=str(path)), source) as camera:
+        camera.read(0.0)
+        for _ in range(4):
+            source.feed()
+            camera.read(1.0)
+            time.sleep(0.2)
+    with open_camera(_playing(path, config).replace(real_time=True)) as camera:
+        arrived = [time.monotonic() for _ in camera]
+    # The library may hand out the first frame late while it starts; from then on it keeps the pace.
+    assert 3 <= len(arrived) <= 4
+    assert arrived[-1] - arrived[-3] == pytest.approx(0.4, abs=0.15)
+
+
+def test_a_recording_repeats_when_asked_to(tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig) -> None:
+    path = tmp_path / "seen.db3"
+    recorded = _record(path, source, config, 3)
+    with open_camera(_playing(path, config, repeat=True)) as camera:
+        stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(7), strict=False)]
+    first = [cloud.stamp_ns for cloud in recorded]
+    assert stamps == [*first, *first, first[0]]
+
+
+def test_a_reconnected_camera_records_to_the_next_file(
+    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    path = tmp_path / "seen.db3"
+    with open_camera(config.replace(record_to=str(path)), source) as camera:
+        for opening in range(2):
+            while camera.status.opened == opening:
+                camera.read(0.01)
+            source.feed()
+            assert camera.read(1.0) is not None
+            source.unplug()
+            while camera.status.state != "absent":
+                camera.read(0.05)
+            source.plug()
+    for name in ("seen.db3", "seen-2.db3"):
+        with open_camera(_playing(tmp_path / name, config)) as camera:
+            assert len(list(camera)) == 1
+
+
+def test_files_that_cannot_be_played_are_named(tmp_path: Path, config: RealSenseConfig) -> None:
+    with pytest.raises(FileError, match=r"gone\.db3: no such file"):
+        open_camera(_playing(tmp_path / "gone.db3", config))
+    for name in ("bad.db3", "bad.bag"):
+        path = tmp_path / name
+        path.write_bytes(b"no recording" * 100)
+        with (
+            open_camera(_playing(path, config)) as camera,
+            pytest.raises(FileError, match=rf"{name}: not a RealSense recording"),
+        ):
+            camera.read(1.0)
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig) -> None:
+    path = tmp_path / "precious.db3"
+    path.write_bytes(b"precious")
+    with pytest.raises(FileError, match=r"precious\.db3: exists"):
+        open_camera(config.replace(record_to=str(path)), source)
+    assert path.read_bytes() == b"precious"

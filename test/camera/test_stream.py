@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames to clouds on the software device: bit-equal points, colour, stamps, refusals."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera.library import realsense
+from foretouch.camera.stream import Frames, FrameStream
+from foretouch.errors import CameraError
+from foretouch.simulation import DepthImage
+from foretouch.types import Cloud
+
+
+def _next(source: SyntheticCamera, stream: FrameStream) -> Frames:
+    source.feed()
+    frames = stream.wait(1.0)
+    assert frames is not None
+    assert (frames.colour is not None) == stream.wants_colour
+    return frames
+
+
+def _cloud(source: SyntheticCamera, config: RealSenseConfig) -> Cloud:
+    stream = FrameStream(source.find(), config)
+    try:
+        return stream.cloud(_next(source, stream))
+    finally:
+        stream.close()
+
+
+def test_points_are_those_of_the_scene_bit_for_bit(images: list[DepthImage], config: RealSenseConfig) -> None:
+    cloud = _cloud(SyntheticCamera(images[:1]), config)
+    assert cloud.rgb is None
+    assert cloud.frame_id == "camera_depth_optical_frame"
+    assert np.array_equal(cloud.xyz, images[0].cloud().xyz, equal_nan=True)
+
+
+@pytest.mark.parametrize("align", ["none", "colour_to_depth", "depth_to_colour"])
+def test_points_are_those_of_the_librarys_own_pointcloud(
+    align: str, images: list[DepthImage], config: RealSenseConfig
+) -> None:
+    rs = realsense()
+    source = SyntheticCamera(images[:1])
+    stream = FrameStream(source.find(), config.replace(align=align))
+    frames = _next(source, stream)
+    ours = stream.cloud(frames).xyz
+    joined = stream._join.make(*(frame for frame in (frames.depth, frames.colour) if frame is not None))
+    depth = (joined if stream._align is None else stream._align.process(joined)).get_depth_frame()
+    theirs = np.asanyarray(rs.pointcloud().calculate(depth).get_vertices(2)).reshape(ours.shape)
+    stream.close()
+    seen = np.isfinite(ours).all(axis=-1)
+    assert np.array_equal(seen, theirs[..., 2] > 0.0)
+    assert seen.mean() > 0.5
+    assert np.abs(ours[seen] - theirs[seen]).max() <= 2.4e-7  # an ulp of 2 m
+
+
+def test_colour_comes_with_its_pixels(images: list[DepthImage], config: RealSenseConfig) -> None:
+    cloud = _cloud(SyntheticCamera(images[:1]), config.replace(align="colour_to_depth"))
+    assert cloud.rgb is not None
+    same = (cloud.rgb == images[0].rgb).all(axis=-1)[images[0].depth_mm > 0]
+    assert same.mean() > 0.98  # the library rounds to the neighbour now and then
+
+
+def test_depth_brought_to_colour_is_in_the_colour_frame(images: list[DepthImage], config: RealSenseConfig) -> None:
+    cloud = _cloud(SyntheticCamera(images[:1]), config.replace(align="depth_to_colour"))
+    assert cloud.frame_id == "camera_color_optical_frame"
+    assert cloud.rgb is not None
+    assert np.array_equal(cloud.rgb, images[0].rgb)
+
+
+def test_colour_outlives_its_frame(images: list[DepthImage], config: RealSenseConfig) -> None:
+    source = SyntheticCamera(images[:1])
+    stream = FrameStream(source.find(), config.replace(align="colour_to_depth"))
+    cloud = stream.cloud(_next(source, stream))
+    assert cloud.rgb is not None
+    before = cloud.rgb.copy()
+    for _ in range(40):  # more than the library's pool holds
+        stream.cloud(_next(source, stream))
+    stream.close()
+    assert np.array_equal(cloud.rgb, before)
+
+
+def test_a_stamp_is_the_time_of_feeding_or_of_arrival(images: list[DepthImage], config: RealSenseConfig) -> None:
+    for rule in ("auto", "frame", "arrival"):
+        before = time.time_ns()
+        cloud = _cloud(SyntheticCamera(images[:1]), config.replace(stamp=rule))
+        # The library keeps milliseconds since 1970 in a double: 244 ns a step.
+        assert before - 500 <= cloud.stamp_ns <= time.time_ns()
+
+
+def test_a_size_that_is_not_offered_is_named_with_those_that_are(
+    source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    with pytest.raises(CameraError, match="depth stream: 640x480@30 is not offered; offered: 424x240@30"):
+        FrameStream(source.find(), config.replace(width=640, height=480))
+
+
+def test_closing_twice_and_opening_again_is_fine(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    for _ in range(3):
+        stream = FrameStream(source.find(), config)
+        assert _next(source, stream) is not None
+        stream.close()
+        stream.close()
+
+
+def test_a_refused_stream_leaves_the_device_free(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    wrong = config.replace(width=640, height=480)
+    with pytest.raises(CameraError):
+        FrameStream(source.find(), wrong)
+    stream = FrameStream(source.find(), config)
+    assert _next(source, stream) is not None
+    stream.close()
+    assert open_camera(config, source).status.opened == 0
