@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Definitions of message types, found without ROS: a recording holds them beside the messages.
+
+Looked up in this order: ROS 2 Kilted as `rosbags` knows it, the texts that foretouch carries (copies of those
+in `foretouch_msgs`, so that a dataset can be read where ROS is absent), then every installed message package
+on `AMENT_PREFIX_PATH` and in the Python environment.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from foretouch.errors import DatasetError
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+__all__ = ["Definitions"]
+
+_OWN: Final = Path(__file__).parent / "definitions"
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
+
+
+class Definitions:
+    """Message types, found as they are asked for.
+
+    Attributes:
+        store: Those known so far; it serialises them.
+    """
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
+
+    def learn(self, type_name: str, text: str) -> None:
+        """Make a type known by its definition.
+
+        Args:
+            type_name: Such as `foretouch_msgs/msg/Biotac`.
+            text: Of its `.msg` file; definitions of the types in it may follow, as MCAP separates them.
+
+        Raises:
+            DatasetError: If the text is no definition, or another one is known already.
+        """
+        from rosbags.typesys import TypesysError, get_types_from_msg
+
+        try:
+            self.store.register(get_types_from_msg(text, type_name))
+        except TypesysError as err:
+            raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
+
+    def text(self, type_name: str) -> str:
+        """The definition with those of all types in it, as MCAP holds them (`ros2msg`).
+
+        Raises:
+            DatasetError: If the type, or one in it, is found nowhere.
+        """
+        self._require(type_name)
+        return self.store.generate_msgdef(type_name, ros_version=2)[0]
+
+    def _require(self, type_name: str) -> None:
+        if type_name not in self.store.fielddefs:
+            if not _TYPE_NAME.fullmatch(type_name):
+                raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
+            self.learn(type_name, _find(type_name))
+        for needed in _types_in(self.store, type_name):
+            self._require(needed)
+
+
+def _find(type_name: str) -> str:
+    package, _, name = type_name.split("/")
+    if package == "foretouch_msgs" and (_OWN / f"{name}.msg").is_file():
+        return (_OWN / f"{name}.msg").read_text(encoding="utf-8")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    for prefix in prefixes:
+        file = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if file.is_file():
+            return file.read_text(encoding="utf-8")
+    raise DatasetError(f"{type_name}: no definition is known, and {package} is not installed")
+
+
+def _types_in(store: Typestore, type_name: str) -> Iterator[str]:
+    from rosbags.interfaces import Nodetype
+
+    for _, field in store.fielddefs[type_name][1]:
+        kind, detail = cast("tuple[Any, Any]", field)
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (kind, detail), _ = detail
+        if kind == Nodetype.NAME:
+            yield detail

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Walks through the bytes of a recording and believes none of its lengths.
+
+The file is mapped into memory, so nothing is copied but what is asked for, and no length in it can make us take
+more memory than the file is large. A walk goes from record to record; where one cannot be right it says so with
+the place, and can go on at the next chunk that proves itself by its checksum.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from foretouch.dataset.recording.mcap_file import MAGIC
+from foretouch.errors import FileError
+
+__all__ = [
+    "Chunk",
+    "Damage",
+    "Place",
+    "RawMessage",
+    "RawRecord",
+    "chunk_at",
+    "mapped",
+    "messages_of",
+    "next_chunk",
+    "parse",
+    "records",
+    "sample_ids",
+    "sample_places",
+]
+
+_HEAD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
+_P = TypeVar("_P", Schema, Channel, Metadata)
+
+
+class Damage(NamedTuple):
+    """Something that cannot be right.
+
+    Attributes:
+        offset: Where in the file [bytes].
+        rule: What it breaks, in words.
+    """
+
+    offset: int
+    rule: str
+
+    def error(self, path: Path) -> FileError:
+        """As an error that names file and place."""
+        return FileError(path, self.rule, field=f"byte {self.offset}")
+
+
+class RawRecord(NamedTuple):
+    """One record: its opcode, where it begins, and where its body begins and ends."""
+
+    opcode: int
+    offset: int
+    start: int
+    end: int
+
+
+class Chunk(NamedTuple):
+    """A chunk whose sizes fit: where its data begin and end, and the checksum that they should have."""
+
+    offset: int
+    start: int
+    end: int
+    crc: int
+
+    def intact(self, data: memoryview) -> bool:
+        """Whether the data have the checksum."""
+        return zlib.crc32(data[self.start : self.end]) == self.crc
+
+
+class RawMessage(NamedTuple):
+    """A message in a chunk: `start` and `end` of its CDR in the file."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    start: int
+    end: int
+
+
+class Place(NamedTuple):
+    """Where the CDR of a sample lies in its file."""
+
+    start: int
+    end: int
+    log_time_ns: int
+
+
+@contextmanager
+def mapped(path: Path) -> Iterator[memoryview]:
+    """The bytes of a file, read from the disk as they are looked at.
+
+    Raises:
+        FileError: If it cannot be read, or does not begin as an MCAP file does.
+    """
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as bytes_:
+            view = memoryview(bytes_)
+            try:
+                if bytes(view[: len(MAGIC)]) != MAGIC:
+                    raise FileError(path, "is no MCAP file: it does not begin as one", field="byte 0")
+                yield view
+            finally:
+                view.release()
+    except ValueError as err:
+        if path.stat().st_size:
+            raise
+        raise FileError(path, "is empty", field="byte 0") from err
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+
+
+def records(data: memoryview, start: int, end: int | None = None) -> Iterator[RawRecord | Damage]:
+    """The records from `start` on; a `Damage` ends the walk.
+
+    The footer and what follows it belong to the last record of a file: the walk ends behind the footer.
+
+    Args:
+        data: The file.
+        start: Of a record.
+        end: Where they must end; by default the end of the file.
+    """
+    end = len(data) if end is None else end
+    while start < end:
+        if end - start < _HEAD.size:
+            yield Damage(start, f"cut off: {end - start} bytes are no record")
+            return
+        opcode, length = _HEAD.unpack_from(data, start)
+        if length > end - start - _HEAD.size:
+            left = end - start - _HEAD.size
+            yield Damage(start, f"cut off or damaged: a record of {length} bytes, {left} are left")
+            return
+        if opcode == 0:
+            yield Damage(start, "damaged: no record has the number 0")
+            return
+        record = RawRecord(opcode, start, start + _HEAD.size, start + _HEAD.size + length)
+        yield record
+        if opcode == Opcode.FOOTER:
+            return
+        start = record.end
+
+
+def chunk_at(data: memoryview, record: RawRecord) -> Chunk | Damage:
+    """The chunk in a record; ours are not compressed."""
+    if record.end - record.start < _CHUNK.size:
+        return Damage(record.offset, "damaged: a chunk too short for its head")
+    _, _, size, crc, compression, data_size = _CHUNK.unpack_from(data, record.start)
+    if compression:
+        return Damage(record.offset, "damaged, or compressed, which foretouch does not")
+    if not size == data_size == record.end - record.start - _CHUNK.size:
+        return Damage(record.offset, "damaged: the sizes of a chunk do not add up")
+    return Chunk(record.offset, record.start + _CHUNK.size, record.end, crc)
+
+
+def next_chunk(data: memoryview, start: int) -> Chunk | None:
+    """The first chunk from `start` on that has its checksum, wherever it begins; None if there is none."""
+    for match in _CHUNK_START.finditer(data, start):
+        found = next(records(data, match.start()))
+        if isinstance(found, RawRecord):
+            chunk = chunk_at(data, found)
+            if isinstance(chunk, Chunk) and chunk.intact(data):
+                return chunk
+    return None
+
+
+def messages_of(data: memoryview, start: int, end: int) -> Iterator[RawMessage | RawRecord | Damage]:
+    """What a chunk's data hold: messages, and the records of schemas and channels."""
+    for record in records(data, start, end):
+        if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE:
+            yield record
+        elif record.end - record.start < _MESSAGE.size:
+            yield Damage(record.offset, "damaged: a message too short for its head")
+        else:
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, record.start)
+            yield RawMessage(channel, sequence, log_time, publish_time, record.start + _MESSAGE.size, record.end)
+
+
+def parse(kind: type[_P], data: memoryview, record: RawRecord) -> _P | Damage:
+    """The content of a record."""
+    stream = ReadDataStream(BytesIO(data[record.start : record.end]))
+    try:
+        content: _P = kind.read(stream)
+    except (McapError, ValueError, struct.error, EOFError, OverflowError) as err:
+        return Damage(
+            record.offset, f"damaged: no {kind.__name__.lower()}: {' '.join(str(err).split()) or type(err).__name__}"
+        )
+    if stream.count != record.end - record.start:
+        return Damage(record.offset, f"damaged: bytes behind a {kind.__name__.lower()}")
+    return content
+
+
+def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Place]:
+    """The samples of a file in order, up to its end or to where it is cut off.
+
+    Args:
+        path: For messages.
+        data: The file.
+        type_name: Of the samples' messages.
+
+    Raises:
+        FileError: At the first record that cannot be right, unless the file just ends within it.
+    """
+    schemas: set[int] = set()
+    channels: set[int] = set()
+    for record in records(data, len(MAGIC)):
+        if isinstance(record, Damage):
+            if record.rule.startswith("cut off"):
+                return
+            raise record.error(path)
+        if record.opcode == Opcode.DATA_END:
+            return
+        if record.opcode == Opcode.CHUNK:
+            chunk = chunk_at(data, record)
+            if isinstance(chunk, Damage):
+                raise chunk.error(path)
+            yield from _samples_of(path, data, chunk, channels)
+        else:
+            _declare(path, data, record, type_name, schemas, channels)
+
+
+def sample_ids(path: Path) -> list[str]:
+    """The ids in a file, up to where it is cut off (raises as `sample_places`)."""
+    from foretouch.dataset.recording.messages import SAMPLE_TYPE
+
+    with mapped(path) as data:
+        return [_id_of(path, data, place) for place in sample_places(path, data, SAMPLE_TYPE)]
+
+
+def _samples_of(path: Path, data: memoryview, chunk: Chunk, channels: set[int]) -> Iterator[Place]:
+    for message in messages_of(data, chunk.start, chunk.end):
+        if isinstance(message, Damage):
+            raise message.error(path)
+        if isinstance(message, RawMessage) and message.channel in channels:
+            yield Place(message.start, message.end, message.log_time_ns)
+
+
+def _declare(
+    path: Path, data: memoryview, record: RawRecord, type_name: str, schemas: set[int], channels: set[int]
+) -> None:
+    kind = (
+        {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(Opcode(record.opcode)) if record.opcode in (3, 4) else None
+    )
+    if kind is None:
+        return
+    content = parse(kind, data, record)
+    if isinstance(content, Damage):
+        raise content.error(path)
+    if isinstance(content, Schema) and content.name == type_name:
+        schemas.add(content.id)
+    if isinstance(content, Channel) and content.schema_id in schemas:
+        channels.add(content.id)
+
+
+def _id_of(path: Path, data: memoryview, place: Place) -> str:
+    """The id in a serialised sample: behind the header (stamp, frame) and the schema version."""
+    try:
+        at = place.start + 4  # the encapsulation, from which CDR aligns
+        (frame,) = struct.unpack_from("<I", data, at + 8)
+        offset = 12 + frame
+        offset += -offset % 2 + 2  # the schema version
+        offset += -offset % 4
+        (length,) = struct.unpack_from("<I", data, at + offset)
+        begin = at + offset + 4
+        if begin + length > place.end:
+            raise ValueError("an id longer than its message")
+        return bytes(data[begin : begin + length]).rstrip(b"\0").decode()
+    except (struct.error, ValueError) as err:
+        raise FileError(
+            path, f"damaged: the id of a sample cannot be read: {err}", field=f"byte {place.start}"
+        ) from err
