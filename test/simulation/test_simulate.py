@@ -113,7 +113,7 @@ TOUCH = ("touch.e_th", "touch.e_mf", "touch.pdc_th")
         ({"fingers": {"noise": {}}}, (*CLOUD, "targets", "readings")),
         ({"fingers": {"drift": {}}}, (*CLOUD, "targets", "readings")),
         ({"fingers": {"timeline": {}}}, (*CLOUD, *TOUCH, "targets")),
-        ({"grasps": {"error": {}}}, (*CLOUD, "targets")),
+        ({"grasps": {"error": {}}}, CLOUD),
         ({"objects": [CAN | {"colour": [9, 9, 9]}]}, (*CLOUD, *TOUCH, "depth", "targets")),
         ({"objects": [CAN | {"surface": {}}]}, (*CLOUD, "depth", "targets")),
         ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "targets")),
@@ -166,6 +166,7 @@ def test_a_repeated_grasp_differs_by_hand_and_sensor_only() -> None:
     first, again = replay(config, SampleKey(0, 0)), replay(config, SampleKey(0, 0, repeat=1))
     np.testing.assert_array_equal(first.cloud.xyz, again.cloud.xyz)
     np.testing.assert_array_equal(first.grasp.g1, again.grasp.g1)
-    np.testing.assert_array_equal(first.targets, again.targets)
+    assert again.targets[0] == pytest.approx(first.targets[0], rel=0.5)
+    assert again.targets[0] != first.targets[0]
     assert not np.array_equal(first.touch.e_th, again.touch.e_th)
     assert not np.array_equal(first.fingers[0].origin, again.fingers[0].origin)

@@ -41,7 +41,7 @@ class SampleState:
         plan: What GeoGrasp found.
         grasp: The grasp that is executed, in the camera frame.
         fingers: Where thumb and middle finger close, in the world.
-        targets: (2,) float64: what thumb and middle finger aim at, [N] or [m] by the scene's `control`.
+        targets: (2,) float64: what thumb and middle finger reach, [N] or [m] by the scene's `control`.
         axial_load_n: How much more the middle finger pushes than the thumb [N].
         weight: What the object's weight asks of the fingers.
         postures: Of each fingertip: where on its skin the hand aims with, and its axes as columns in the world, (3, 3).

@@ -49,7 +49,7 @@ def test_volumes_of_known_solids() -> None:
 def test_the_centroid_moves_with_the_mesh() -> None:
     mesh = unit_mesh("minion")
     moved = TriangleMesh(mesh.vertices + np.array([0.3, -0.2, 0.1]), mesh.faces)
-    np.testing.assert_allclose(moved.centroid() - mesh.centroid(), [0.3, -0.2, 0.1], atol=1e-9)
+    np.testing.assert_allclose(moved.centroid - mesh.centroid, [0.3, -0.2, 0.1], atol=1e-9)
 
 
 def test_members_of_the_family_differ_and_come_back() -> None:

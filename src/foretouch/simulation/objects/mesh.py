@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +42,7 @@ class TriangleMesh:
         a, b, c = self.corners()
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
+    @cached_property
     def centroid(self) -> Float64:
         """(3,) float64, centre of the enclosed volume."""
         a, b, c = self.corners()

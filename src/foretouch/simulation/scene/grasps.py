@@ -28,10 +28,16 @@ class TargetConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutionErrorConfig(Settings):
-    """The hand does not go exactly where it is sent."""
+    """The hand does not go exactly where it is sent, nor press exactly as hard."""
 
     position_m: float = setting(0.001, "Standard deviation along each tangent", unit="m", minimum=0.0, maximum=0.05)
     angle_deg: float = setting(1.0, "Standard deviation about each axis", unit="deg", minimum=0.0, maximum=30.0)
+    target_share: float = setting(
+        0.1,
+        "Standard deviation of the force or depth that is reached, relative to its target",
+        minimum=0.0,
+        maximum=0.3,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ def _weight(job: Job, state: SampleState) -> None:
     if gravity is None or mass is None:
         return
     body = state.bodies[0]
-    centre = body.position + (body.mesh.centroid() * body.size) @ body.rotation.T
+    centre = body.position + (body.mesh.centroid * body.size) @ body.rotation.T
     thumb, middle = state.touches
     state.weight = weigh(np.array([0.0, 0.0, -mass * gravity.m_s2]), thumb.origin, middle.origin, centre)
     if job.scene.grasps.balanced:

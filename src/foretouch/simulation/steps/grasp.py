@@ -57,7 +57,7 @@ def _fingers(job: Job, state: SampleState) -> None:
 
 
 def _execution_error(job: Job, state: SampleState) -> None:
-    """Both fingers are on one hand, so they are shifted and turned about their middle as one."""
+    """Both fingers are on one hand, so they are shifted and turned about their middle as one, and press alike."""
     error = job.scene.grasps.error
     if error is None:
         return
@@ -70,6 +70,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
         FingerFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
     )
+    state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, error.target_share))
 
 
 def _small_rotation(vector: Float64) -> Float64:
@@ -100,7 +101,7 @@ EFFECTS = (
         _execution_error,
         lambda scene, _item: "grasps.error" if scene.grasps.error is not None else None,
         off="no grasps.error",
-        modifies=keys("fingers"),
+        modifies=keys("fingers", "targets"),
         again=True,
     ),
     Effect("targets", _targets, always("grasps"), writes=keys("targets", "axial_load_n")),

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Is the simulated world like the measured one?
+
+Prints one table: what was found in the scenes of this repository, and what it must be. The bounds were measured on
+real recordings: 400 grasps of rigid objects, 22 steady touches, and the clouds of the first paper.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scenes import engine, keys, scene, simulate
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.fingertip import steady_noise
+from foretouch.types import GraspSample
+
+Array = npt.NDArray[np.float64]
+Row = tuple[str, float, float, float]  # what, found, least, most
+
+_NOT_BOUND = (-np.inf, np.inf)
+_TH_MF = (("TH", slice(2, 26), 0), ("MF", slice(26, 50), 1))
+
+
+def camera() -> Iterator[Row]:
+    """Noise of planes in 10 mm patches of a flat box, and the step of depth."""
+    config = scene("rigid", camera__holes=None, camera__flying_pixels=None, objects=[_FLAT])
+    made, rng = engine(config, "cloud"), np.random.default_rng(0)
+    clouds = [made.run(key).cloud.xyz.astype(np.float64) for key in keys(config, 10)]
+    rms = [value for cloud in clouds for value in _plane_rms(cloud, rng)]
+    yield "plane-fit RMS of 10 mm patches at 1.2 m, median [mm]", 1e3 * float(np.median(rms)), 0.64, 1.05
+    steps = np.unique(np.diff(np.unique(np.round(1e6 * clouds[0][:, 2]))))
+    yield "step of z [mm]", 1e-3 * float(steps[steps > 1].min()), 0.999, 1.001
+
+
+_FLAT = {"name": "flat", "shape": "box", "size_m": [0.12, 0.16, 0.05], "pose": {"yaw_deg": [0, 0]}}
+
+
+def _plane_rms(cloud: Array, rng: np.random.Generator) -> Iterator[float]:
+    for centre in cloud[rng.integers(0, len(cloud), 60)]:
+        patch = cloud[(np.abs(cloud[:, :2] - centre[:2]) < 0.005).all(axis=1)]
+        if len(patch) >= 16:
+            design = np.column_stack([patch[:, :2], np.ones(len(patch))])
+            yield float(np.std(patch[:, 2] - design @ np.linalg.lstsq(design, patch[:, 2], rcond=None)[0]))
+
+
+def sensor() -> Iterator[Row]:
+    """Noise of electrodes in a steady hold at 100 Hz."""
+    fingers = {"timeline": {"hold_s": 3.0}, "noise": {}, "scan": {}}
+    config = scene("clean", fingers=fingers)
+    made, found = engine(config, "series", "load"), []
+    for key in keys(config, 8):
+        state = made.run(key)
+        found += [np.rint(state.series[state.load == 1.0][1:, finger, 1:]) for finger in range(2)]
+    noise = steady_noise(found)
+    yield "electrode noise, sd [counts]", noise.sd, 3.9, 4.9
+    yield "electrode noise, repeated share", noise.repeated, 0.30, 0.40
+    yield "electrode noise, lag-1 correlation", noise.lag1, 0.30, 0.46
+
+
+_DROPS = {"TH": ((78, 176), (657, 1479)), "MF": ((48, 108), (461, 1037))}
+
+
+def counts(samples: list[GraspSample]) -> Iterator[Row]:
+    """Spread of the counts over grasps of rigid objects."""
+    touches = np.array([s.touch.vector() for s in samples if s.touch is not None])
+    for name, columns, pdc in _TH_MF:
+        electrodes = touches[:, columns]
+        drop = np.percentile(electrodes, 95, axis=0) - electrodes
+        variances = np.linalg.svd(electrodes - electrodes.mean(axis=0), compute_uv=False) ** 2
+        median, most = _DROPS[name]
+        yield f"rigid {name}: drop of an electrode, median [counts]", float(np.median(drop)), *median
+        yield f"rigid {name}: drop, 99 % [counts]", float(np.percentile(drop, 99)), *most
+        share = float(variances[:4].sum() / variances.sum())
+        yield f"rigid {name}: share of the first 4 components", share, 0.65, 0.85
+        correlation = float(np.corrcoef(touches[:, pdc], electrodes.mean(axis=1))[0, 1])
+        yield f"rigid {name}: corr(PDC, mean electrode)", correlation, -0.4, 0.4
+
+
+def forces(name: str, count: int) -> Iterator[Row]:
+    """Balance of the fingers, and the sum of pressure against the commanded force."""
+    config = scene(name)
+    made, balance, sums = engine(config, "contacts", "targets", "pads"), [], []
+    for key in keys(config, count):
+        try:
+            state = made.run(key)
+        except SimulationError:
+            continue
+        thumb, middle = (
+            c.pressure.sum() * (p.x[0, 1] - p.x[0, 0]) ** 2 for c, p in zip(state.contacts, state.pads, strict=True)
+        )
+        balance.append(abs(thumb - middle) / thumb)
+        sums.append(abs(thumb - state.targets[0]) / state.targets[0])
+    yield f"{name}: imbalance of the two fingers, largest", max(balance), 0.0, 1e-3
+    yield f"{name}: Σ p·A against the command, largest", max(sums), 0.0, 1e-3
+
+
+def repeats(name: str, slots: int, times: int) -> Iterator[Row]:
+    """How far repeats of one grasp lie apart: what no model can learn away."""
+    config = scene(name, grasps__error={})
+    made, spreads = engine(config, "touch"), []
+    for key in keys(config, slots):
+        try:
+            touches = [made.run(replace(key, repeat=k)).touch.vector() for k in range(times)]
+        except SimulationError:
+            continue
+        spreads.append(np.ptp(touches, axis=0))
+    ranges = np.array(spreads)
+    for modality, columns in (
+        ("PDC_TH", slice(0, 1)),
+        ("PDC_MF", slice(1, 2)),
+        ("E_TH", slice(2, 26)),
+        ("E_MF", slice(26, 50)),
+    ):
+        for told, value in zip(
+            ("median", "largest"), (np.median(ranges[:, columns]), ranges[:, columns].max()), strict=True
+        ):
+            yield f"{name}: {times} repeats of a grasp, range of {modality}, {told} [counts]", float(value), *_NOT_BOUND
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-n", type=int, default=400, help="grasps of rigid objects")
+    arguments = parser.parse_args()
+    rigid = simulate(scene("rigid"), arguments.n)
+    layer_calls = rigid.simulation.timings["contact_layer"].calls
+    rows = [*camera(), *sensor(), *counts(rigid.samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
+    rows += [*forces("rigid", 60), *forces("deformables", 60), *repeats("rigid", 40, 4), *repeats("deformables", 40, 4)]
+    print("| what | found | must | |\n|---|---|---|---|")
+    for what, found, least, most in rows:
+        bounds = "" if np.isinf(least) else f"{least:g} to {most:g}"
+        verdict = "" if not bounds else "ok" if least <= found <= most else "**no**"
+        print(f"| {what} | {found:.3g} | {bounds} | {verdict} |")
+    print(f"\nFailed tries in {arguments.n} rigid grasps: {rigid.simulation.failures_by_reason or 'none'}")
+    sys.exit(any(not least <= found <= most for _, found, least, most in rows))
+
+
+if __name__ == "__main__":
+    main()
