@@ -151,3 +151,28 @@ def test_a_closed_camera_gives_nothing(source: SyntheticCamera, config: RealSens
         assert camera.read(0.5) is None
         assert list(camera) == []
     assert camera.status.reason == "closed by the user"
+
+
+def test_filters_can_be_changed_while_it_streams(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    with open_camera(config, source) as camera:
+        camera.read(0.0)
+        source.feed()
+        before = camera.read(1.0)
+        halved = config.filters.replace(decimation=config.filters.decimation.replace(enabled=True))
+        camera.reconfigure(config.replace(filters=halved, width=1280))
+        source.feed()
+        after = camera.read(1.0)
+    assert before is not None
+    assert after is not None
+    assert (before.xyz.shape, after.xyz.shape) == ((240, 424, 3), (120, 212, 3))
+    assert camera.config.width == 424  # what needs another opening is left alone
+
+
+def test_each_change_of_state_is_told_once(source: SyntheticCamera, config: RealSenseConfig) -> None:
+    told: list[str] = []
+    with source, open_camera(config, source, lambda status: told.append(status.state)) as camera:
+        for _ in range(3):
+            assert camera.read(2.0) is not None
+        source.unplug()
+        _until(camera, lambda: camera.status.failures >= 3)
+    assert told == ["streaming", "absent", "closed"]

@@ -11,12 +11,13 @@ import dataclasses
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.device import DeviceSource, describe, source_of
+from foretouch.camera.filters import FilterChain
 from foretouch.camera.status import CameraState, CameraStatus, Watchdog
 from foretouch.camera.stream import FrameStream
 from foretouch.errors import CameraError, FileError
@@ -28,25 +29,33 @@ _LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait inside the library
 
 
-def open_camera(config: RealSenseConfig | None = None, source: DeviceSource | None = None) -> RealSenseCamera:
+def open_camera(
+    config: RealSenseConfig | None = None,
+    source: DeviceSource | None = None,
+    on_change: Callable[[CameraStatus], None] | None = None,
+) -> RealSenseCamera:
     """A camera as a context manager and an iterator of organised clouds.
 
     Args:
         config: The settings; defaults for None.
         source: Where the device comes from, instead of what the settings name.
+        on_change: Called by the reading thread when the state is another; logs it if None.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
         MissingDependencyError: If pyrealsense2 is missing.
     """
-    return RealSenseCamera(config or RealSenseConfig(), source)
+    return RealSenseCamera(config or RealSenseConfig(), source, on_change or _log)
 
 
 class RealSenseCamera:
     """See `open_camera`. A device that is absent, unplugged or silent is told by `status` and tried again."""
 
-    def __init__(self, config: RealSenseConfig, source: DeviceSource | None = None) -> None:
+    def __init__(
+        self, config: RealSenseConfig, source: DeviceSource | None, on_change: Callable[[CameraStatus], None]
+    ) -> None:
         self._config = config
+        self._on_change = on_change
         self._source = source_of(config) if source is None else source
         if config.record_to and Path(config.record_to).exists():
             raise FileError(config.record_to, "exists; a recording is never overwritten")
@@ -62,6 +71,14 @@ class RealSenseCamera:
     def config(self) -> RealSenseConfig:
         """The settings."""
         return self._config
+
+    def reconfigure(self, config: RealSenseConfig) -> None:
+        """Take over other filters and timeouts, from any thread; the rest needs a new camera."""
+        self._config = self._config.replace(filters=config.filters, timeouts=config.timeouts)
+        self._watchdog.config = config.timeouts
+        stream = self._stream
+        if stream is not None:
+            stream.filters = FilterChain(config.filters)
 
     @property
     def status(self) -> CameraStatus:
@@ -169,7 +186,7 @@ class RealSenseCamera:
             cloud = stream.cloud(frames)
         except RuntimeError as err:
             self._drop("bad_frame")
-            _LOG.warning("camera: a frame was refused by the library: %s", err)
+            _LOG.warning("camera: a frame was refused by the library: %s", " ".join(str(err).split()))
             return None
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
         self._tell("streaming", "")
@@ -221,7 +238,12 @@ class RealSenseCamera:
         self._status = dataclasses.replace(self._status, **changes)
 
     def _tell(self, state: CameraState, reason: str) -> None:
-        if state != self._status.state:
-            level = logging.INFO if state in {"streaming", "ended", "closed"} else logging.WARNING
-            _LOG.log(level, "camera: %s%s", state, f": {reason}" if reason else "")
+        changed = state != self._status.state
         self._update(state=state, reason=reason, failures=self._watchdog.failures)
+        if changed:
+            self._on_change(self._status)
+
+
+def _log(status: CameraStatus) -> None:
+    level = logging.INFO if status.is_well else logging.WARNING
+    _LOG.log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")

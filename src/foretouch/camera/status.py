@@ -43,18 +43,25 @@ class CameraStatus:
     failures: int = 0
     since_frame_s: float | None = None
 
+    @property
+    def is_well(self) -> bool:
+        """Whether frames arrive, or none are to be expected yet or any more."""
+        return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
+
 
 class Watchdog:
     """Decides from times alone whether to wait, to call the camera stalled, or to open it again.
 
-    Args:
-        config: The timeouts.
+    Attributes:
+        config: The timeouts; may be replaced.
+        failures: Attempts in a row that brought no frame.
+        next_attempt_s: When the pause after a failed attempt is over.
 
     All times are seconds of one monotonic clock.
     """
 
     def __init__(self, config: TimeoutConfig) -> None:
-        self._config = config
+        self.config = config
         self._heard_at = 0.0  # last frame, or the opening
         self._streaming = False
         self.failures = 0
@@ -71,7 +78,7 @@ class Watchdog:
 
     def failed(self, now_s: float) -> float:
         """An attempt brought nothing; returns the pause before the next [s], twice the last one."""
-        pause = min(self._config.backoff_min_s * 2.0 ** min(self.failures, 60), self._config.backoff_max_s)
+        pause = min(self.config.backoff_min_s * 2.0 ** min(self.failures, 60), self.config.backoff_max_s)
         self.failures += 1
         self.next_attempt_s = now_s + pause
         return pause
@@ -84,7 +91,7 @@ class Watchdog:
         """What to make of a device that is open and silent."""
         silent = self.silent_s(now_s)
         if not self._streaming:
-            return "reopen" if silent > self._config.start_s else "wait"
-        if silent > self._config.reopen_s:
+            return "reopen" if silent > self.config.start_s else "wait"
+        if silent > self.config.reopen_s:
             return "reopen"
-        return "stalled" if silent > self._config.stall_s else "wait"
+        return "stalled" if silent > self.config.stall_s else "wait"

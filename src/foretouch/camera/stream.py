@@ -44,6 +44,9 @@ class FrameStream:
         device: A `pyrealsense2.device` that nobody else streams from.
         config: Image size, alignment and filters.
 
+    Attributes:
+        filters: Applied to each frame; may be replaced between frames.
+
     Raises:
         CameraError: If it has no such stream.
         RuntimeError: From the library, if it cannot be opened.
@@ -53,7 +56,7 @@ class FrameStream:
         rs = realsense()
         self._config = config
         self._device = rs.recorder(config.record_to, device) if config.record_to else device
-        self._filters = FilterChain(config.filters)
+        self.filters = FilterChain(config.filters)
         self._align = _aligner(config)
         self._join = FramesetMaker()
         self._lens: tuple[str, Deprojector] | None = None
@@ -100,7 +103,7 @@ class FrameStream:
         """
         stamp_ns = self._stamp_ns(frames.depth, time.time_ns())
         parts = [frames.depth] if frames.colour is None else [frames.depth, frames.colour]
-        frameset = self._filters.process(self._join.make(*parts))
+        frameset = self.filters.process(self._join.make(*parts))
         if self._align is not None:
             frameset = self._align.process(frameset)
         depth = frameset.get_depth_frame()
