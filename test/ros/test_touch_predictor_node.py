@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from sensor_msgs.msg import PointCloud2
 
@@ -237,3 +239,17 @@ def test_without_a_cloud_the_latest_object_is_sampled(graph, model_card, target)
     result = Sampler(graph).sample(SampleGrasps.Goal(count=2))
     assert result.grasp_state == "success"
     assert result.grasp_candidates[0].header == header
+
+
+def test_cleaning_up_and_configuring_again_restores_service_and_action(graph, model_card, target, plan):
+    graph.add("touch_predictor", model=model_card)
+    assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
+    for transition in ("deactivate", "cleanup"):
+        request = ChangeState.Request(transition=Transition(label=transition))
+        assert graph.call(ChangeState, "touch_predictor/change_state", request).success
+    graph.until(lambda: not graph.probe.count_services("/foretouch/predict_touch"))
+    for transition in ("configure", "activate"):
+        request = ChangeState.Request(transition=Transition(label=transition))
+        assert graph.call(ChangeState, "touch_predictor/change_state", request).success
+    assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
+    assert Sampler(graph).sample(goal_of(target)).grasp_state == "success"
