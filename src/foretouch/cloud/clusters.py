@@ -12,7 +12,7 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.types import Float32, Plane
 
-__all__ = ["ClusterConfig", "Clusters", "HeightCut", "Heights"]
+__all__ = ["ClusterConfig", "Clusters", "HeightCut"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
@@ -98,34 +98,24 @@ class HeightCut(NamedTuple):
     noise_per_m: float
     high_m: float
 
-    def split(self, xyz: Float32, z: Float32) -> Heights:
-        """Sort points by their height; those without depth are in no class.
+    def at(self, z: Float32) -> Float32:
+        """The least height of points of a depth (...), float32 [m]."""
+        cut: Float32 = z * np.float32(self.noise_per_m)
+        cut *= z
+        return np.maximum(cut, np.float32(self.low_m), out=cut)
+
+    def measure(self, xyz: Float32, z: Float32) -> tuple[Float32, Bool]:
+        """How high points are, and whether they stand out.
 
         Args:
             xyz: (..., 3) float32 [m].
             z: (...), its depths; contiguous, they are read faster than from `xyz`.
+
+        Returns:
+            (...) float32 [m], not finite without depth, and (...) bool, false there.
         """
         with np.errstate(invalid="ignore", over="ignore"):
-            height = self.plane.height(xyz)
-            cut = z * np.float32(self.noise_per_m)
-            cut *= z
-            np.maximum(cut, np.float32(self.low_m), out=cut)
-            above = height > cut
+            height: Float32 = self.plane.height(xyz).astype(np.float32, copy=False)
+            above = height > self.at(z)
             above &= height < np.float32(self.high_m)
-            return Heights(height, above, height <= cut, cut)
-
-
-class Heights(NamedTuple):
-    """Points by their height above the table; all of the same shape (...).
-
-    Attributes:
-        height: float32 [m], not finite without depth.
-        above: bool, what stands out.
-        below: bool, the table and what lies under it.
-        cut: float32 [m], the border between both at each point.
-    """
-
-    height: Float32
-    above: Bool
-    below: Bool
-    cut: Float32
+            return height, above

@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError
-from foretouch.types import Cloud
+from foretouch.types import Cloud, Float32
 
-__all__ = ["CropConfig", "crop_box", "crop_range", "in_range"]
+__all__ = ["CropConfig", "count_range", "crop_box", "crop_range", "in_range"]
+
+_CHUNK = 131_072  # points counted at once: their depths stay in the cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,24 @@ def in_range(z: npt.NDArray[np.float32], config: CropConfig) -> npt.NDArray[np.b
         config: The range, its ends included.
     """
     return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))
+
+
+def count_range(xyz: Float32, config: CropConfig) -> tuple[int, int]:
+    """How many points have a finite depth, and how many of them are in range.
+
+    Judged by depth alone: a pixel without depth has no z, and one number is read in a third of the time of three.
+
+    Args:
+        xyz: (N, 3) or (H, W, 3) float32 [m].
+        config: The range.
+    """
+    rows = max(1, _CHUNK // max(1, xyz[0].size // 3)) if len(xyz) else 1
+    finite = within = 0
+    for start in range(0, len(xyz), rows):
+        z = np.ascontiguousarray(xyz[start : start + rows, ..., 2])
+        finite += int(np.count_nonzero(np.isfinite(z)))
+        within += int(np.count_nonzero(in_range(z, config)))
+    return finite, within
 
 
 def crop_range(cloud: Cloud, config: CropConfig) -> Cloud:

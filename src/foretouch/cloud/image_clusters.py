@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut, Heights
+from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut
+from foretouch.cloud.crop import CropConfig, in_range
 from foretouch.types import Float32
 
 __all__ = ["label_image"]
@@ -37,16 +38,18 @@ class _Window(NamedTuple):
 
     Attributes:
         z: (h, w) float32 [m].
-        heights: (h, w) each.
-        above: (h, w), in range and above the table.
+        height: (h, w) float32, above the table [m].
+        above: (h, w) bool, in range and standing out from the table.
+        cut: What is table.
         stride: Of the coarse grid [px].
         pitch: Lateral distance of neighbouring pixels per depth.
         config: What is one object.
     """
 
     z: Float32
-    heights: Heights
+    height: Float32
     above: Bool
+    cut: HeightCut
     stride: int
     pitch: float
     config: ClusterConfig
@@ -70,32 +73,31 @@ class _Window(NamedTuple):
 
 
 def label_image(
-    xyz: Float32, coarse: Float32, z: Float32, in_range: Bool, cut: HeightCut, config: ClusterConfig, stride: int
+    xyz: Float32, coarse: Float32, stride: int, crop: CropConfig, cut: HeightCut, config: ClusterConfig
 ) -> Clusters | None:
     """Label an organised cloud.
 
     Args:
         xyz: (H, W, 3) float32 [m], camera optical frame.
         coarse: Every `stride`-th of its rows and columns, contiguous.
-        z: (H, W), its depths, contiguous.
-        in_range: (H, W), pixels that count.
+        stride: Of the coarse grid [px].
+        crop: Depths that count.
         cut: What is table.
         config: What is one object.
-        stride: Of the coarse grid [px].
 
     Returns:
         The labelled part of the image, None where nothing stands out. The labels still hold small clusters.
     """
-    grid = (slice(None, None, stride), slice(None, None, stride))
     min_nodes = max(1, config.min_points // (2 * stride * stride))
-    rough = cut.split(coarse, coarse[..., 2])
-    candidates = _candidates(rough.above & in_range[grid], rough.height > config.min_top_m, min_nodes)
+    height, above = cut.measure(coarse, coarse[..., 2])
+    candidates = _candidates(above & in_range(coarse[..., 2], crop), height > config.min_top_m, min_nodes)
     if not candidates.any():
         return None
     part = _around(candidates, stride)
-    fine = cut.split(xyz[part], z[part])
-    pitch = _pixel_pitch(coarse) / stride
-    window = _Window(np.ascontiguousarray(z[part]), fine, fine.above & in_range[part], stride, pitch, config)
+    z = np.ascontiguousarray(xyz[part][..., 2])
+    height, above = cut.measure(xyz[part], z)
+    above &= in_range(z, crop)
+    window = _Window(z, height, above, cut, stride, _pixel_pitch(coarse) / stride, config)
     with np.errstate(invalid="ignore"):
         nodes = _label_grid(window, min_nodes)
         labels = _grow(nodes, window)
@@ -167,11 +169,10 @@ def _linked(window: _Window, axis: int) -> Bool:
     """
     stride = window.stride
     lines = (slice(None), slice(None, None, stride))
-    z, height, cut = (
-        (part if axis == 0 else part.T)[lines] for part in (window.z, window.heights.height, window.heights.cut)
-    )
+    z, height = ((part if axis == 0 else part.T)[lines] for part in (window.z, window.height))
     span = (len(z) - 1) // stride * stride
-    z, below = z[: span + 1], (height <= cut)[: span + 1]
+    z = z[: span + 1]
+    below = height[: span + 1] <= window.cut.at(z)
     reach = window.reach(z[:-1])
     broken = np.abs(z[1:] - z[:-1]) > reach
     broken |= below[:-1]
@@ -245,10 +246,11 @@ def _flying(labels: Int32, window: _Window, z: Float32) -> Index:
     # A cheap superset first: pixels beside any step that could be too much at the least depth.
     limit = window.near(np.fmin.reduce(window.z, axis=None, keepdims=True)).item()
     suspect = np.zeros(labels.shape, np.bool_)
-    down, right = np.abs(window.z[1:] - window.z[:-1]) > limit, np.abs(window.z[:, 1:] - window.z[:, :-1]) > limit
-    for side in (np.s_[:-1], np.s_[1:]):
-        suspect[side] |= down
-        suspect[:, side] |= right
+    for image, mask in ((window.z, suspect), (window.z.T, suspect.T)):
+        step = image[1:] - image[:-1]
+        jump = np.abs(step, out=step) > limit
+        mask[:-1] |= jump
+        mask[1:] |= jump
     suspect &= labels > 0
     pixels = np.flatnonzero(suspect)
     own = window.z.take(pixels)
@@ -274,9 +276,12 @@ def _feet(solid: Bool, window: _Window, z: Float32, trusted: Int32) -> tuple[Ind
     wide = beside.copy()
     wide[:, 1:] |= beside[:, :-1]
     wide[:, :-1] |= beside[:, 1:]
-    pixels = np.flatnonzero(wide & window.heights.below)
-    pixels = pixels[window.heights.height.take(pixels) > window.heights.cut.take(pixels) * np.float32(_FOOT)]
-    own = window.z.take(pixels)
+    wide &= ~window.above
+    pixels = np.flatnonzero(wide)
+    own, height = window.z.take(pixels), window.height.take(pixels)
+    cut = window.cut.at(own)
+    low = (height > cut * np.float32(_FOOT)) & (height <= cut)
+    pixels, own = pixels[low], own[low]
     near = window.near(own)
     claimed = np.zeros(len(pixels), np.int32)
     for owner, depth in zip(_neighbours(trusted, pixels), _neighbours(z, pixels), strict=True):

@@ -91,4 +91,5 @@ def _one_a_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generator
         if len(first) >= n:
             return shuffled[rng.choice(first, n, replace=False)].astype(np.int64)
     rest = np.setdiff1d(np.arange(len(xyz)), first)
-    return shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])].astype(np.int64)
+    chosen: npt.NDArray[np.int64] = shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])]
+    return chosen

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.clusters import ClusterConfig, HeightCut
-from foretouch.cloud.crop import CropConfig, in_range
+from foretouch.cloud.crop import CropConfig, count_range, in_range
 from foretouch.cloud.image_clusters import label_image
 from foretouch.cloud.objects import ObjectSegment, gather_objects
 from foretouch.cloud.plane import PlaneConfig, fit_plane
@@ -95,12 +95,6 @@ class _Ledger:
         yield
         self.ms[name] = (time.perf_counter() - start) * 1e3
 
-    def count_range(self, z: Float32, kept: npt.NDArray[np.bool_]) -> int:
-        """Note what the crop dropped, judged by depth alone (a pixel without depth has no z); what is left."""
-        finite, left = int(np.count_nonzero(np.isfinite(z))), int(np.count_nonzero(kept))
-        self.counts |= {"not_finite": z.size - finite, "out_of_range": finite - left}
-        return left
-
 
 def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
     """Find the table and the objects on it.
@@ -127,28 +121,26 @@ _Outcome = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outcome:
-    labels = np.zeros(cloud.xyz.shape[:-1], np.int32)
+    xyz = cloud.xyz
+    labels = np.zeros(xyz.shape[:-1], np.int32)
     with ledger.stage("crop"):
-        z = np.ascontiguousarray(cloud.xyz[..., 2])
-        kept = in_range(z, config.crop)
-        usable = ledger.count_range(z, kept)
+        finite, usable = count_range(xyz, config.crop)
+        ledger.counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     if usable == 0:
-        return "empty_cloud", _why_empty(z, config.crop), None, (), labels
+        return "empty_cloud", _why_empty(xyz[..., 2], config.crop), None, (), labels
     if usable < config.min_points:
         return "too_few_points", f"{usable} points in range, fewer than {config.min_points}", None, (), labels
     with ledger.stage("plane"):
-        stride = _stride(kept) if cloud.organised else 1
-        grid = (slice(None, None, stride),) * z.ndim
-        coarse = np.ascontiguousarray(cloud.xyz[grid])
-        fit = fit_plane(_sample(coarse, kept[grid]), config.plane)
+        coarse, stride = _coarse(xyz, config.crop)
+        fit = fit_plane(_sample(coarse, config.crop), config.plane)
     if fit.plane is None:
         return "no_plane", fit.reason, None, (), labels
     with ledger.stage("clusters"):
         cut = _height_cut(fit.plane, fit.noise_per_m, config.clusters)
         if cloud.organised:
-            clusters = label_image(cloud.xyz, coarse, z, kept, cut, config.clusters, stride)
+            clusters = label_image(xyz, coarse, stride, config.crop, cut, config.clusters)
         else:
-            clusters = label_points(cloud.xyz, z, kept, cut, config.clusters)
+            clusters = label_points(xyz, config.crop, cut, config.clusters)
     if clusters is None:
         return "no_object", _why_no_object(0, config.clusters), fit.plane, (), labels
     with ledger.stage("objects"):
@@ -159,20 +151,25 @@ def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outc
     return "ok", "", fit.plane, gathered.objects, labels
 
 
-def _sample(xyz: Float32, kept: npt.NDArray[np.bool_]) -> Float32:
-    """Finite points of those kept, evenly spread over them, as many as the plane needs; (n, 3)."""
-    index = np.flatnonzero(kept)
+def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int]:
+    """An image of 480 rows or more is looked at every fourth pixel, unless few of them are in range."""
+    if xyz.ndim == 2:
+        return xyz, 1
+    stride = int(np.clip(min(xyz.shape[:2]) // _GRID_ROWS, 1, 8))
+    coarse = np.ascontiguousarray(xyz[::stride, ::stride])
+    if stride == 1 or np.count_nonzero(in_range(coarse[..., 2], config)) >= _SPARSE:
+        return coarse, stride
+    return np.ascontiguousarray(xyz), 1
+
+
+def _sample(xyz: Float32, config: CropConfig) -> Float32:
+    """Finite points in range, evenly spread over them, as many as the plane needs; (n, 3)."""
+    index = np.flatnonzero(in_range(xyz[..., 2], config))
     if len(index) > _PLANE_POINTS:
         index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
     points: Float32 = xyz.reshape(-1, 3).take(index, axis=0)
     good = np.isfinite(points).all(axis=1)
     return points if good.all() else points[good]
-
-
-def _stride(kept: npt.NDArray[np.bool_]) -> int:
-    """Of the coarse grid: an image of 480 rows or more is looked at every fourth pixel."""
-    stride = int(np.clip(min(kept.shape) // _GRID_ROWS, 1, 8))
-    return stride if np.count_nonzero(kept[::stride, ::stride]) >= _SPARSE else 1
 
 
 def _height_cut(plane: Plane, noise_per_m: float, config: ClusterConfig) -> HeightCut:

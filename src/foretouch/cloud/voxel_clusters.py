@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut
+from foretouch.cloud.crop import CropConfig, in_range
 from foretouch.types import Float32
 
 __all__ = ["label_points"]
@@ -19,20 +20,20 @@ Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
 
 
-def label_points(xyz: Float32, z: Float32, in_range: Bool, cut: HeightCut, config: ClusterConfig) -> Clusters | None:
+def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: ClusterConfig) -> Clusters | None:
     """Label a cloud without order: points in touching voxels belong together.
 
     Args:
         xyz: (N, 3) float32 [m].
-        z: (N,), its depths, contiguous.
-        in_range: (N,), points that count.
+        crop: Depths that count.
         cut: What is table.
         config: What is one object.
 
     Returns:
         One label a point, None where nothing stands out. The labels still hold small clusters.
     """
-    above = np.flatnonzero(cut.split(xyz, z).above & in_range)
+    z = np.ascontiguousarray(xyz[:, 2])
+    above = np.flatnonzero(cut.measure(xyz, z)[1] & in_range(z, crop))
     if not len(above):
         return None
     cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
