@@ -14,6 +14,7 @@ __all__ = [
     "CloudError",
     "ConfigError",
     "ContactError",
+    "ConvergenceError",
     "DatasetError",
     "FileError",
     "ForetouchError",
@@ -39,6 +40,10 @@ class CloudError(ForetouchError):
 
 class ContactError(ForetouchError):
     """A contact that cannot be solved: no surface, a layer pressed through, no convergence."""
+
+
+class ConvergenceError(ContactError):
+    """A contact whose solver has not come close enough to its solution."""
 
 
 class GraspError(ForetouchError):

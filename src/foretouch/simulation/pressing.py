@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from foretouch.errors import ContactError, ConvergenceError, SimulationError
 from foretouch.simulation.body import Body
 from foretouch.simulation.contact import (
     Command,
@@ -18,7 +19,7 @@ from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.types import Float64
 
-__all__ = ["command_of", "contact_problem", "layers_of", "pad_of", "surface_behind"]
+__all__ = ["command_of", "contact_failure", "contact_problem", "layers_of", "pad_of", "surface_behind"]
 
 _BACK_M = 0.03  # how far in front of the tangent plane the rays start
 
@@ -56,3 +57,8 @@ def contact_problem(scene: SceneConfig, item: ObjectConfig, window: PadWindow, b
     """
     gap = gap_field(window.depth, -behind)
     return ContactProblem(gap, pad_of(scene, item).step_m, layers_of(scene, item))
+
+
+def contact_failure(message: str, error: ContactError) -> SimulationError:
+    """The failure of a sample whose contact cannot be solved, and whether it is the solver that failed."""
+    return SimulationError(message, "not_converged" if isinstance(error, ConvergenceError) else "contact")

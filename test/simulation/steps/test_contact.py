@@ -74,3 +74,10 @@ def test_a_skin_that_is_pressed_through_is_named() -> None:
     with pytest.raises(SimulationError, match=r"can: .*max_strain") as caught:
         run(config, "contacts")
     assert caught.value.reason == "contact"
+
+
+def test_a_solver_that_does_not_converge_is_counted_apart() -> None:
+    config = scene(SPONGE, fingers={"contact": {"tolerance": 1e-12, "max_iterations": 2}})
+    with pytest.raises(SimulationError, match=r"sponge: elastic layer: no convergence after") as caught:
+        run(config, "contacts")
+    assert caught.value.reason == "not_converged"

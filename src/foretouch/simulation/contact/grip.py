@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from foretouch.errors import ContactError
+from foretouch.errors import ContactError, ConvergenceError
 from foretouch.simulation.contact.level import Level, solve_contact
 from foretouch.simulation.contact.problem import DEFAULT_CONFIG, Command, ContactConfig, ContactProblem, ContactSolution
 
@@ -132,6 +132,6 @@ def _at_closing(
         force *= math.exp(min(max(-error / power, -math.log(_STEEPEST)), math.log(_STEEPEST)))
         if not low < force < high:
             force = (low + high) / 2.0 if math.isfinite(high) else 2.0 * low
-    raise ContactError(
+    raise ConvergenceError(
         f"grip: a closing of {closing:g} m is not met after {_MAX_STEPS} forces, the last {force:g} N at {reached:g} m"
     )

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from foretouch.errors import ContactError
+from foretouch.errors import ConvergenceError
 from foretouch.simulation.contact.descent import Descent
 from foretouch.simulation.contact.footprint import Box, expected_pressure
 from foretouch.simulation.contact.influence import Complex128, convolve, influence_spectrum
@@ -45,7 +45,8 @@ def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig
         config: Tolerance and limits.
 
     Raises:
-        ContactError: If it does not converge in `max_iterations`, or a layer is compressed beyond `max_strain`.
+        ConvergenceError: If it does not converge in `max_iterations`.
+        ContactError: If a layer is compressed beyond `max_strain`.
     """
     if command.idle:
         return no_contact(problem, command.depth_m or 0.0)
@@ -81,7 +82,7 @@ def _solve_in_window(
     end = _descend(problem, command, config, gap, even)
     end.iterations += spent
     if end.residual >= config.tolerance:
-        raise ContactError(
+        raise ConvergenceError(
             f"elastic layer: no convergence after {end.iterations} iterations on {gap.shape[0]}^2 cells, "
             f"{np.count_nonzero(end.pressure)} of them in contact: "
             f"residual {end.residual:.3g}, tolerance {config.tolerance:g}"

@@ -10,7 +10,7 @@ import numpy as np
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip, weigh
 from foretouch.simulation.effects import Effect, Job, keys
-from foretouch.simulation.pressing import command_of, contact_problem, layers_of
+from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.state import SampleState
 
@@ -45,7 +45,7 @@ def _solve(level: Level) -> Callable[[Job, SampleState], None]:
                 config=scene.fingers.contact,
             )
         except ContactError as err:
-            raise SimulationError(f"{item.name}: {err}", "contact") from err
+            raise contact_failure(f"{item.name}: {err}", err) from err
         state.contacts = grip.first, grip.second
 
     return run

@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from foretouch.errors import ContactError, SimulationError
+from foretouch.errors import ContactError
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
 from foretouch.simulation.effects import Effect, Job, Needed, always, keys
 from foretouch.simulation.fingertip import (
@@ -25,7 +25,7 @@ from foretouch.simulation.fingertip import (
     warming,
     white_noise,
 )
-from foretouch.simulation.pressing import command_of, contact_problem, pad_of, surface_behind
+from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, pad_of, surface_behind
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
@@ -101,7 +101,7 @@ def _felt_after(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
             problem, target, "auto" if scene.fidelity == "auto" else _level(scene), scene.fingers.contact
         )
     except ContactError as err:
-        raise SimulationError(f"{job.item.name}: after a slip of {slid_m * 1e3:.1f} mm: {err}", "contact") from err
+        raise contact_failure(f"{job.item.name}: after a slip of {slid_m * 1e3:.1f} mm: {err}", err) from err
     return _felt(job, job.world.fingers[k], window, contact)
 
 
