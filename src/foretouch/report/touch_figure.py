@@ -74,7 +74,7 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
     """
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
-        near, far = np.nanpercentile(depth, [1, 95])
+        near, far = np.nanpercentile(depth, [0.1, 99])
         axes.imshow(depth, cmap="Greys", vmin=near, vmax=far)
         tint = np.full(depth.shape, np.nan)
         tint[np.divmod(target.pixels, target.image_shape[1])] = 1.0
