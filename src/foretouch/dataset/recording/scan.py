@@ -9,19 +9,20 @@ the place, and can go on at the next chunk that proves itself by its checksum.
 from __future__ import annotations
 
 import mmap
+import os
 import re
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, McapRecord, Metadata, Schema
 
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
@@ -29,10 +30,13 @@ from foretouch.errors import FileError
 __all__ = [
     "Chunk",
     "Damage",
+    "Declaration",
     "Place",
     "RawMessage",
     "RawRecord",
     "chunk_at",
+    "declaration",
+    "magic_damage",
     "mapped",
     "messages_of",
     "next_chunk",
@@ -42,11 +46,13 @@ __all__ = [
     "sample_places",
 ]
 
+Declaration: TypeAlias = Schema | Channel | Metadata
+
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
-_P = TypeVar("_P", Schema, Channel, Metadata)
+_P = TypeVar("_P", bound=McapRecord)
 
 
 class Damage(NamedTuple):
@@ -111,23 +117,23 @@ def mapped(path: Path) -> Iterator[memoryview]:
     """The bytes of a file, read from the disk as they are looked at.
 
     Raises:
-        FileError: If it cannot be read, or does not begin as an MCAP file does.
+        FileError: If it cannot be read.
     """
-    try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as bytes_:
-            view = memoryview(bytes_)
-            try:
-                if bytes(view[: len(MAGIC)]) != MAGIC:
-                    raise FileError(path, "is no MCAP file: it does not begin as one", field="byte 0")
-                yield view
-            finally:
-                view.release()
-    except ValueError as err:
-        if path.stat().st_size:
-            raise
-        raise FileError(path, "is empty", field="byte 0") from err
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(path.open("rb"))
+            size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
+            data = stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)) if size else b""
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+        yield stack.enter_context(memoryview(data))
+
+
+def magic_damage(data: memoryview) -> Damage | None:
+    """What is wrong with the first bytes, if anything is."""
+    if len(data) == 0:
+        return Damage(0, "is empty")
+    return None if bytes(data[: len(MAGIC)]) == MAGIC else Damage(0, "is no MCAP file: it does not begin as one")
 
 
 def records(data: memoryview, start: int, end: int | None = None) -> Iterator[RawRecord | Damage]:
@@ -198,8 +204,9 @@ def messages_of(data: memoryview, start: int, end: int) -> Iterator[RawMessage |
 def parse(kind: type[_P], data: memoryview, record: RawRecord) -> _P | Damage:
     """The content of a record."""
     stream = ReadDataStream(BytesIO(data[record.start : record.end]))
+    reader: Any = kind
     try:
-        content: _P = kind.read(stream)
+        content: _P = reader.read(stream)
     except (McapError, ValueError, struct.error, EOFError, OverflowError) as err:
         return Damage(
             record.offset, f"damaged: no {kind.__name__.lower()}: {' '.join(str(err).split()) or type(err).__name__}"
@@ -207,6 +214,15 @@ def parse(kind: type[_P], data: memoryview, record: RawRecord) -> _P | Damage:
     if stream.count != record.end - record.start:
         return Damage(record.offset, f"damaged: bytes behind a {kind.__name__.lower()}")
     return content
+
+
+def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | None:
+    """What a record declares, if it is one that does."""
+    if record.opcode == Opcode.SCHEMA:
+        return parse(Schema, data, record)
+    if record.opcode == Opcode.CHANNEL:
+        return parse(Channel, data, record)
+    return parse(Metadata, data, record) if record.opcode == Opcode.METADATA else None
 
 
 def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Place]:
@@ -222,6 +238,9 @@ def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Plac
     """
     schemas: set[int] = set()
     channels: set[int] = set()
+    damage = magic_damage(data)
+    if damage is not None and len(data) >= len(MAGIC):
+        raise damage.error(path)
     for record in records(data, len(MAGIC)):
         if isinstance(record, Damage):
             if record.rule.startswith("cut off"):
@@ -235,7 +254,7 @@ def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Plac
                 raise chunk.error(path)
             yield from _samples_of(path, data, chunk, channels)
         else:
-            _declare(path, data, record, type_name, schemas, channels)
+            _declare(path, declaration(data, record), type_name, schemas, channels)
 
 
 def sample_ids(path: Path) -> list[str]:
@@ -255,14 +274,9 @@ def _samples_of(path: Path, data: memoryview, chunk: Chunk, channels: set[int]) 
 
 
 def _declare(
-    path: Path, data: memoryview, record: RawRecord, type_name: str, schemas: set[int], channels: set[int]
+    path: Path, content: Declaration | Damage | None, type_name: str, schemas: set[int], channels: set[int]
 ) -> None:
-    kind = (
-        {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}.get(Opcode(record.opcode)) if record.opcode in (3, 4) else None
-    )
-    if kind is None:
-        return
-    content = parse(kind, data, record)
+    """Learn which channels hold the samples."""
     if isinstance(content, Damage):
         raise content.error(path)
     if isinstance(content, Schema) and content.name == type_name:

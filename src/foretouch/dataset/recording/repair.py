@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes a whole recording of an unfinished or damaged one, and keeps the original.
+
+All that proves itself is kept: every chunk that has its checksum, and out of damaged ones every sample that has its
+own. What is lost is told with its place. The repaired file takes the place of the original in one step, and the
+original stays beside it under `<name>.before-repair`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from foretouch import __version__
+from foretouch.dataset.recording.accounts import Accounts, TopicAccount
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files, sync_folder
+from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
+from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample, is_intact
+from foretouch.dataset.recording.scan import (
+    Chunk,
+    Damage,
+    Declaration,
+    RawMessage,
+    RawRecord,
+    chunk_at,
+    declaration,
+    magic_damage,
+    mapped,
+    messages_of,
+    next_chunk,
+    records,
+)
+from foretouch.dataset.recording.verify import verify_file
+from foretouch.dataset.recording.writer import ABOUT, ACCOUNTS, SAMPLE_TOPIC
+from foretouch.errors import DatasetError, FileError
+
+__all__ = ["RepairReport", "repair_dataset", "repair_file"]
+
+_KEPT: Final = ".before-repair"
+_LOST: Final = "lost before repair"
+_HEAD = 31  # bytes of a message's record before its CDR
+_MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
+
+
+@dataclass(eq=False)
+class RepairReport:
+    """What was done to one file.
+
+    Attributes:
+        path: The file.
+        changed: False where there was nothing to do.
+        samples: Samples in it now.
+        messages: Messages in it now, samples included.
+        original: Where the original is kept, or None.
+        lost: What was not kept, by place in the original.
+    """
+
+    path: Path
+    changed: bool = False
+    samples: int = 0
+    messages: int = 0
+    original: Path | None = None
+    lost: list[Damage] = field(default_factory=list)
+
+
+def repair_dataset(path: str | Path) -> list[RepairReport]:
+    """Repair every recording of a dataset that needs it, or a single file.
+
+    Raises:
+        FileError: If another process records into the dataset, or its manifest is damaged or of another version.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [repair_file(path)]
+    if not is_dataset(path):
+        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
+    read_identity(path)
+    with lock(path):
+        return [repair_file(file) for file in session_files(path)]
+
+
+def repair_file(path: str | Path) -> RepairReport:
+    """Repair one recording; a clean one is left alone, so that repairing twice is repairing once.
+
+    Raises:
+        FileError: If it cannot be read or is no MCAP file, or there is no room for the repaired one.
+    """
+    path = Path(path)
+    found = verify_file(path)
+    report = RepairReport(path, samples=len(found.ids), messages=found.messages.total())
+    if found.clean:
+        return report
+    report.changed = True
+    part = path.with_name(f"{path.name}.repairing")
+    part.unlink(missing_ok=True)
+    try:
+        with mapped(path) as data:
+            if len(data) and magic_damage(data) and next_chunk(data, 0) is None:
+                raise FileError(path, "is no MCAP file, and holds no part of one")
+            _write_repaired(part, data, report)
+        report.original = _replace(path, part)
+    finally:
+        part.unlink(missing_ok=True)
+    return report
+
+
+def _replace(path: Path, repaired: Path) -> Path:
+    """Put the repaired file in the original's place, which is under another name before it loses its own."""
+    kept = path.with_name(path.name + _KEPT)
+    number = 2
+    while kept.exists():
+        kept = path.with_name(f"{path.name}{_KEPT}-{number}")
+        number += 1
+    try:
+        try:
+            os.link(path, kept)
+        except OSError:
+            path.rename(kept)  # a file system without links: for an instant nothing has the original's name
+        repaired.replace(path)
+        sync_folder(path.parent)
+    except OSError as err:
+        raise FileError(path, f"cannot be replaced: {err.strerror or err} (errno {err.errno})") from err
+    return kept
+
+
+def _write_repaired(part: Path, data: memoryview, report: RepairReport) -> None:
+    declared = _Declarations(data)
+    file = McapFile(part, f"foretouch {__version__}")
+    try:
+        copy = _Copy(file, declared, report)
+        file.write_metadata(ABOUT, {**declared.about, "repaired_by": f"foretouch {__version__}"})
+        for item in _walk(data):
+            copy.take(data, item)
+        report.messages = file.message_count
+        file.write_metadata(ACCOUNTS, copy.accounts().to_mapping())
+        file.finish()
+    finally:
+        file.abandon()
+
+
+def _walk(data: memoryview) -> Iterator[Chunk | RawRecord | Damage]:
+    """All that can be found, in order; a `Damage` stands for bytes that are skipped."""
+    start = len(MAGIC)
+    while start < len(data):
+        for record in records(data, start):
+            start = record.offset
+            if isinstance(record, Damage):
+                yield record
+                break
+            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            item = chunk_at(data, record) if record.opcode == Opcode.CHUNK else record
+            if isinstance(item, Damage) or not 0 < record.opcode <= Opcode.DATA_END:
+                yield item if isinstance(item, Damage) else Damage(record.offset, "damaged: an unknown record")
+                break
+            yield item
+            start = record.end
+        else:
+            return
+        following = next_chunk(data, start + 1)
+        start = len(data) if following is None else following.offset
+
+
+class _Declarations:
+    """Schemas, channels and metadata of a file, wherever an intact copy of them stands."""
+
+    def __init__(self, data: memoryview) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.about: dict[str, str] = {}
+        self.accounts = Accounts()
+        proven: list[Schema | Channel] = []
+        for item in _walk(data):
+            if isinstance(item, RawRecord):
+                self._take(declaration(data, item))
+            elif isinstance(item, Chunk) and item.intact(data):
+                inside = messages_of(data, item.start, item.end)
+                contents = (declaration(data, record) for record in inside if isinstance(record, RawRecord))
+                proven += [content for content in contents if isinstance(content, (Schema, Channel))]
+        for content in proven:  # those under a checksum come last, and so count
+            self._take(content)
+
+    def _take(self, content: Declaration | Damage | None) -> None:
+        if isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif isinstance(content, Metadata) and content.name == ABOUT:
+            self.about = content.metadata
+        elif isinstance(content, Metadata) and content.name == ACCOUNTS:
+            try:
+                self.accounts = Accounts.from_mapping(content.metadata)
+            except DatasetError:
+                return  # the one before counts
+
+
+class _Copy:
+    """Copies what is intact into a new file."""
+
+    def __init__(self, file: McapFile, declared: _Declarations, report: RepairReport) -> None:
+        self._file = file
+        self._declared = declared
+        self._report = report
+        self._numbers: dict[int, int] = {}
+        self._topics: dict[str, int] = {}
+        self._written: Counter[str] = Counter()
+        self._chunk_end: int | None = None
+        definition = Definitions().text(SAMPLE_TYPE)  # our own: the file's copy may be damaged
+        self._add(SAMPLE_TOPIC, SAMPLE_TYPE, definition, "")
+        for number, channel in sorted(declared.channels.items()):
+            schema = declared.schemas.get(channel.schema_id)
+            if schema is not None and channel.message_encoding == "cdr" and schema.encoding == "ros2msg":
+                qos = channel.metadata.get("offered_qos_profiles", "")
+                text = definition if schema.name == SAMPLE_TYPE else schema.data.decode("utf-8", "replace")
+                self._numbers[number] = self._add(channel.topic, schema.name, text, qos)
+
+    def take(self, data: memoryview, item: Chunk | RawRecord | Damage) -> None:
+        """Copy one thing that the walk found."""
+        if isinstance(item, Chunk):
+            if item.intact(data):
+                self._copy_chunk(data, item)
+            else:
+                self._report.lost.append(Damage(item.offset, "damaged: a chunk without its checksum"))
+                self._rescue(data, item.start, item.end)
+        elif isinstance(item, Damage):
+            self._report.lost.append(item)
+            following = next_chunk(data, item.offset + 1)
+            self._rescue(data, item.offset, len(data) if following is None else following.offset)
+
+    def accounts(self) -> Accounts:
+        """The last accounts of the file, made to agree with what is in the new one."""
+        result = Accounts()
+        for topic in sorted(self._declared.accounts.topics.keys() | self._written.keys()):
+            old = self._declared.accounts.topics.get(topic, TopicAccount())
+            written, dropped = self._written[topic], Counter(old.dropped)
+            lost = old.received - written - dropped.total()
+            if lost > 0:
+                dropped[_LOST] += lost
+            result.topics[topic] = TopicAccount(written + dropped.total(), written, dropped)
+        return result
+
+    def _add(self, topic: str, type_name: str, definition: str, qos: str) -> int:
+        if topic not in self._topics:
+            self._topics[topic] = self._file.add_channel(topic, type_name, definition, qos)
+        return self._topics[topic]
+
+    def _copy_chunk(self, data: memoryview, chunk: Chunk) -> None:
+        kept: list[McapMessage] = []
+        topics: list[str] = []
+        names = {number: topic for topic, number in self._topics.items()}
+        for item in messages_of(data, chunk.start, chunk.end):
+            if isinstance(item, Damage):
+                self._report.lost.append(item)
+            elif isinstance(item, RawMessage):
+                number = self._numbers.get(item.channel)
+                cdr = data[item.start : item.end]
+                if number is None and is_intact(cdr):
+                    number = self._topics[SAMPLE_TOPIC]
+                if number is None or (number == self._topics[SAMPLE_TOPIC] and not _readable(cdr)):
+                    self._report.lost.append(Damage(item.start, "a message whose declaration or content is damaged"))
+                    continue
+                kept.append(McapMessage(number, cdr, item.log_time_ns, item.publish_time_ns, item.sequence))
+                topics.append(names[number])
+        self._write(kept, topics)
+
+    def _rescue(self, data: memoryview, start: int, end: int) -> None:
+        """Keep the samples in bytes that are damaged somewhere: each is proven by its own checksum."""
+        for cdr in _samples_in(data, start, end):
+            stamp_ns = decode_sample(bytes(cdr)).record.sample.stamp_ns
+            number = self._topics[SAMPLE_TOPIC]
+            self._write([McapMessage(number, cdr, stamp_ns, stamp_ns, self._report.samples)], [SAMPLE_TOPIC])
+
+    def _write(self, messages: list[McapMessage], topics: list[str]) -> None:
+        self._file.write_chunk(messages)
+        self._written.update(topics)
+        self._report.samples = self._written[SAMPLE_TOPIC]
+
+
+def _samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
+    """Intact samples between two places, whatever of the records around them is damaged."""
+    at = start
+    for match in _MESSAGE_START.finditer(data, start, end):
+        if match.start() < at:
+            continue
+        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
+        for stop in {match.start() + 9 + length, end}:
+            cdr = data[match.start() + _HEAD : stop]
+            if stop <= end and _readable(cdr):
+                yield cdr
+                at = stop
+                break
+    if at == start and _readable(data[start + _HEAD : end]):
+        yield data[start + _HEAD : end]
+
+
+def _readable(cdr: memoryview) -> bool:
+    if not is_intact(cdr):
+        return False
+    try:
+        decode_sample(bytes(cdr))
+    except DatasetError:
+        return False
+    return True

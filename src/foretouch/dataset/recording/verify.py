@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proves that a recording is what was written: every byte of it stands under a checksum.
+
+Chunks have a CRC-32 each, the whole data section another, index and summary a third; each sample carries its own
+SHA-256, and the manifest too. Beyond the bytes: samples can be decoded, ids are given once, the index leads to
+the chunks, and the accounts agree with what is there.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
+
+from foretouch.dataset.recording.accounts import Accounts
+from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
+from foretouch.dataset.recording.mcap_file import MAGIC
+from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.scan import (
+    Damage,
+    RawMessage,
+    RawRecord,
+    chunk_at,
+    declaration,
+    magic_damage,
+    mapped,
+    messages_of,
+    parse,
+    records,
+)
+from foretouch.dataset.recording.writer import ABOUT, ACCOUNTS
+from foretouch.errors import DatasetError, FileError
+
+__all__ = ["FileReport", "verify_dataset", "verify_file"]
+
+_DATA_RECORDS: Final = {
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.METADATA,
+}
+_FOOTER = struct.Struct("<QQI")
+_MAX_FAULTS: Final = 100  # of one file that are kept
+
+
+@dataclass(eq=False)
+class FileReport:
+    """What was found in one file.
+
+    Attributes:
+        path: The file.
+        size: Of it [bytes].
+        finished: Whether it was closed.
+        ids: Of its samples, in order.
+        messages: Messages by topic.
+        accounts: The last in the file; None if there is none.
+        about: Schema version, hand, camera and so on, as text.
+        faults: What is wrong, by place.
+    """
+
+    path: Path
+    size: int = 0
+    finished: bool = False
+    ids: list[str] = field(default_factory=list)
+    messages: Counter[str] = field(default_factory=Counter)
+    accounts: Accounts | None = None
+    about: dict[str, str] = field(default_factory=dict)
+    faults: list[Damage] = field(default_factory=list)
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.faults
+
+    def told(self) -> list[str]:
+        """The faults, one line each, with file and place."""
+        return [str(fault.error(self.path)) for fault in self.faults]
+
+
+def verify_dataset(path: str | Path) -> list[FileReport]:
+    """Verify the manifest and every recording of a dataset, or a single recording.
+
+    Returns:
+        A report for the manifest (of a dataset) and one a file; an id that two samples share is a fault of the later.
+
+    Raises:
+        FileError: If there is nothing of the kind, or the dataset is of another schema version.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [verify_file(path)]
+    if not is_dataset(path):
+        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
+    read_identity(path)
+    reports = [verify_file(file) for file in session_files(path)]
+    owners: dict[str, Path] = {}
+    for report in reports:
+        for sample_id in report.ids:
+            if sample_id in owners:
+                report.faults.append(Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
+            owners.setdefault(sample_id, report.path)
+    return reports
+
+
+def verify_file(path: str | Path) -> FileReport:
+    """Verify one recording.
+
+    Raises:
+        FileError: If it cannot be read.
+    """
+    report = FileReport(Path(path))
+    with mapped(report.path) as data:
+        report.size = len(data)
+        _Verification(report, data).run()
+    del report.faults[_MAX_FAULTS:]
+    return report
+
+
+class _Verification:
+    """One pass over one file."""
+
+    def __init__(self, report: FileReport, data: memoryview) -> None:
+        self.report = report
+        self.data = data
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.chunks: list[int] = []
+
+    def run(self) -> None:
+        damage = magic_damage(self.data)
+        if damage is not None:
+            self.report.faults.append(damage)
+        end = self._data_section()
+        if end is not None:
+            self._summary(end)
+        if not self.report.finished and self.report.clean:
+            self._fault(len(self.data), "not finished: no index; repair makes one")
+        for number, count in self.counts.items():
+            self.report.messages[self.channels[number].topic] += count
+        self._accounts()
+
+    def _fault(self, offset: int, rule: str) -> None:
+        self.report.faults.append(Damage(offset, rule))
+
+    def _data_section(self) -> RawRecord | None:
+        """Up to the record that ends the data; None where there is none."""
+        for number, record in enumerate(records(self.data, len(MAGIC))):
+            if isinstance(record, Damage):
+                self.report.faults.append(record)
+                return None
+            if number == 0 and not self._is_header(record):
+                self._fault(record.offset, "damaged: no header of a ROS 2 recording")
+            if record.opcode == Opcode.DATA_END:
+                self._check_data_crc(record)
+                return record
+            if record.opcode not in _DATA_RECORDS:
+                self._fault(record.offset, f"damaged: a record of number {record.opcode} has no place here")
+            elif record.opcode == Opcode.CHUNK:
+                self._chunk(record)
+            else:
+                self._declaration(record)
+        return None
+
+    def _is_header(self, record: RawRecord) -> bool:
+        header = parse(Header, self.data, record) if record.opcode == Opcode.HEADER else None
+        return isinstance(header, Header) and header.profile == "ros2"
+
+    def _check_data_crc(self, record: RawRecord) -> None:
+        stored = int.from_bytes(self.data[record.start : record.end], "little")
+        if stored != zlib.crc32(self.data[: record.offset]) or record.end - record.start != 4:
+            self._fault(record.offset, "damaged: the bytes before are not those of which this checksum was taken")
+
+    def _chunk(self, record: RawRecord) -> None:
+        chunk = chunk_at(self.data, record)
+        if isinstance(chunk, Damage):
+            self.report.faults.append(chunk)
+            return
+        if not chunk.intact(self.data):
+            self._fault(chunk.offset, "damaged: a chunk's bytes are not those of which its checksum was taken")
+            return
+        self.chunks.append(chunk.offset)
+        for item in messages_of(self.data, chunk.start, chunk.end):
+            if isinstance(item, Damage):
+                self.report.faults.append(item)
+            elif isinstance(item, RawMessage):
+                self._message(item)
+            else:
+                self._declaration(item)
+
+    def _declaration(self, record: RawRecord) -> None:
+        content = declaration(self.data, record)
+        if isinstance(content, Damage):
+            self.report.faults.append(content)
+        elif isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif isinstance(content, Metadata):
+            self._metadata(record, content)
+
+    def _metadata(self, record: RawRecord, content: Metadata) -> None:
+        if content.name == ABOUT:
+            self.report.about = content.metadata
+        elif content.name == ACCOUNTS:
+            try:
+                self.report.accounts = Accounts.from_mapping(content.metadata)
+            except DatasetError as err:
+                self._fault(record.offset, str(err))
+
+    def _message(self, message: RawMessage) -> None:
+        channel = self.channels.get(message.channel)
+        schema = None if channel is None else self.schemas.get(channel.schema_id)
+        if channel is None or schema is None:
+            self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
+            return
+        self.counts[message.channel] += 1
+        if schema.name != SAMPLE_TYPE:
+            return
+        try:
+            stored = decode_sample(bytes(self.data[message.start : message.end]))
+        except DatasetError as err:
+            self._fault(message.start, f"sample: {err}")
+        else:
+            self.report.ids.append(stored.record.sample.id)
+
+    def _summary(self, data_end: RawRecord) -> None:
+        chunks: list[int] = []
+        for record in records(self.data, data_end.end):
+            if isinstance(record, Damage):
+                self.report.faults.append(record)
+                return
+            if record.opcode == Opcode.CHUNK_INDEX:
+                index = parse(ChunkIndex, self.data, record)
+                chunks += [index.chunk_start_offset] if isinstance(index, ChunkIndex) else []
+            elif record.opcode == Opcode.STATISTICS:
+                self._statistics(record)
+            elif record.opcode == Opcode.FOOTER:
+                self._footer(data_end.end, record)
+                if self.report.clean and chunks != self.chunks:
+                    self._fault(data_end.end, f"the index leads to {len(chunks)} chunks, {len(self.chunks)} are there")
+                return
+        self._fault(len(self.data), "cut off: no footer")
+
+    def _statistics(self, record: RawRecord) -> None:
+        statistics = parse(Statistics, self.data, record)
+        if self.report.clean and isinstance(statistics, Statistics) and statistics.message_count != self.counts.total():
+            self._fault(record.offset, f"tells of {statistics.message_count} messages, {self.counts.total()} are there")
+
+    def _footer(self, summary: int, record: RawRecord) -> None:
+        self.report.finished = True
+        if record.end - record.start != _FOOTER.size:
+            self._fault(record.offset, "damaged: a footer of another size")
+            return
+        start, _, crc = _FOOTER.unpack_from(self.data, record.start)
+        if start != summary or crc != zlib.crc32(self.data[summary : record.end - 4]):
+            self._fault(record.offset, "damaged: the summary is not that of which this checksum was taken")
+        if bytes(self.data[record.end :]) != MAGIC:
+            self._fault(record.end, "damaged: the file does not end as an MCAP file")
+
+    def _accounts(self) -> None:
+        report = self.report
+        if not (report.finished and report.clean):
+            return
+        if report.accounts is None:
+            self._fault(0, "holds no accounts")
+            return
+        for rule in self._account_faults(report.accounts):
+            self._fault(0, rule)
+
+    def _account_faults(self, accounts: Accounts) -> Iterator[str]:
+        yield from accounts.faults()
+        for topic in sorted(accounts.topics.keys() | self.report.messages.keys()):
+            booked = accounts.topics[topic].written if topic in accounts.topics else 0
+            if booked != self.report.messages[topic]:
+                yield f"{topic}: {booked} messages are booked as written, {self.report.messages[topic]} are there"
