@@ -3,9 +3,12 @@
 
 import numpy as np
 import pytest
+import torch
 
 from foretouch.models.settings import ModelConfig
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
+
+torch.set_num_threads(1)  # networks this small only lose time to more
 
 SMALL = ModelConfig(
     n_points=48, tnet=False, trunk_widths=(16, 32), head_widths=(32, 16), metric_inputs=True, sampler_seed=3

@@ -11,6 +11,8 @@ from foretouch.models.regressor import TouchNet
 from foretouch.models.settings import ModelConfig
 from foretouch.types import Cloud, Grasp
 
+torch.set_num_threads(1)  # networks this small only lose time to more
+
 SMALL = ModelConfig(
     n_points=64,
     trunk_widths=(8, 16, 32),

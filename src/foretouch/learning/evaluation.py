@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.learning.baselines import BASELINES, training_mean
+from foretouch.learning.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.metrics import Score, score
 from foretouch.learning.splits import Fold, group_folds, random_folds, time_folds
 from foretouch.learning.train import TrainConfig, predict_set, train_network
@@ -55,9 +55,15 @@ def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fo
 
 
 def evaluate(
-    samples: Sequence[GraspSample], data: TrainingSet, config: TrainConfig, split: str, *, workers: int = 1
+    samples: Sequence[GraspSample],
+    data: TrainingSet,
+    config: TrainConfig,
+    split: str,
+    *,
+    workers: int = 1,
+    baselines: Mapping[str, Baseline] = BASELINES,
 ) -> dict[str, Scores]:
-    """Score a network and every baseline on the folds of one split.
+    """Score a network and the baselines on the folds of one split.
 
     Args:
         samples: All samples.
@@ -65,6 +71,7 @@ def evaluate(
         config: How the network of each fold is trained.
         split: Out of `SPLITS`.
         workers: Processes that share the folds out. The scores do not depend on their number.
+        baselines: By name; all by default.
 
     Returns:
         Scores by modality, of `network` and of each baseline.
@@ -76,7 +83,7 @@ def evaluate(
         raise DatasetError(f"outputs: {list(data.config.outputs)} are not all modalities, {', '.join(MODALITIES)}")
     folds = make_folds(samples, split, config.seed)
     predictors: dict[str, Predictor] = {NETWORK: partial(_network, data, config)}
-    for name, baseline in BASELINES.items():
+    for name, baseline in baselines.items():
         predictors[name] = partial(_baseline, samples, data.labels, baseline, config.seed)
     with _mapper(workers) as run:
         predicted = {name: _gather(folds, run(predictor, folds)) for name, predictor in predictors.items()}
@@ -90,9 +97,7 @@ def _network(data: TrainingSet, config: TrainConfig, fold: Fold) -> Float64:
     return predict_set(train_network(data, fold.train, config), data, fold.test)
 
 
-def _baseline(
-    samples: Sequence[GraspSample], labels: Float64, baseline: Callable[..., Float64], seed: int, fold: Fold
-) -> Float64:
+def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
     train = [samples[i] for i in fold.train]
     return baseline(train, labels[fold.train], [samples[i] for i in fold.test], seed)
 

@@ -43,6 +43,7 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
     part = weights.with_name(weights.name + ".part")
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
     save_file(tensors, part)
+    part.chmod(0o644)  # safetensors leaves it to its owner alone
     part.replace(weights)
     empty: dict[str, Any] = {
         "summary": "",
