@@ -48,6 +48,8 @@ class SyntheticCamera:
         frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
+        stamp_ns: When the n-th frame was taken [ns since 1970], asked for once the frame is made; by default
+            when it is fed. The library counts milliseconds in double precision.
 
     Attributes:
         colour: Whether the colour sensor sends.
@@ -60,8 +62,10 @@ class SyntheticCamera:
         frames: Callable[[int], SyntheticFrame] | Sequence[SyntheticFrame],
         fps: int = 30,
         serial: str = "synthetic",
+        stamp_ns: Callable[[int], int] | None = None,
     ) -> None:
         self._frame = frames if callable(frames) else _repeated(frames)
+        self._stamp_ns = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self._frame(0)
         self._shape = first.depth_mm.shape
@@ -94,7 +98,7 @@ class SyntheticCamera:
         return self._number
 
     def feed(self) -> int:
-        """Feed one frame now, stamped with the time of day; returns its number.
+        """Feed one frame now; returns its number.
 
         Raises:
             CameraError: If the frame has another size than the first.
@@ -105,7 +109,7 @@ class SyntheticCamera:
             if frame.depth_mm.shape != self._shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
             if self._plugged:
-                self._send(frame, number, time.time_ns() / 1e6)
+                self._send(frame, number, self._stamp_ns(number) / 1e6)
             self._number += 1
             return number
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage
@@ -27,19 +29,21 @@ class FrameMaker:
     def __init__(self, scene: SceneConfig) -> None:
         self.scene = scene
         self._world = World.of(scene)
-        self._engine = Engine(scene, (*place.EFFECTS, *view.FRAME_EFFECTS), ("depth", "labels", "normals"))
+        seeing = [replace(effect, again=True) for effect in view.FRAME_EFFECTS]
+        self._engine = Engine(scene, (*place.EFFECTS, *seeing), ("depth", "labels", "normals"))
 
-    def frame(self, slot: int, attempt: int = 0) -> DepthImage:
+    def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
         """One image.
 
         Args:
             slot: Which sample of the scene.
             attempt: Which try at it.
+            repeat: How often it was seen before: objects stay, the camera's noise is another.
 
         Raises:
             SimulationError: If clutter finds no place.
         """
-        state = self._engine.run(SampleKey(self.scene.seed, slot, attempt))
+        state = self._engine.run(SampleKey(self.scene.seed, slot, attempt, repeat))
         millimetres = np.where(np.isfinite(state.depth), np.rint(state.depth * 1000.0), 0.0)
         depth_mm = np.where((millimetres > 0.0) & (millimetres < 65536.0), millimetres, 0.0).astype(np.uint16)
         colours = _GREY[np.minimum(state.labels, FIRST_OBJECT)]
@@ -50,3 +54,10 @@ class FrameMaker:
         rgb = (colours * shade[..., None]).astype(np.uint8)
         view_ = self._world.view
         return DepthImage(depth_mm, rgb, state.labels, view_.matrix, self._world.plane.coefficients)
+
+    def nothing(self) -> DepthImage:
+        """An image without depth, and black."""
+        view_ = self._world.view
+        depth = np.zeros((view_.height, view_.width), np.uint16)
+        rgb, labels = np.zeros((*depth.shape, 3), np.uint8), np.zeros(depth.shape, np.int32)
+        return DepthImage(depth, rgb, labels, view_.matrix, self._world.plane.coefficients)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong with messages between a sensor and those who listen: for tests of what must survive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+
+__all__ = ["FaultConfig", "MessageFaults"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultConfig(Settings):
+    """Faults that are put in on purpose; by default there are none."""
+
+    jitter_s: float = setting(0.0, "Largest error of a stamp, to either side", unit="s", minimum=0.0, maximum=10.0)
+    skew_s: float = setting(
+        0.0, "How much the sensor's clock is ahead of the robot's", unit="s", minimum=-3600.0, maximum=3600.0
+    )
+    drop_share: float = setting(0.0, "Part of the messages that are not sent", minimum=0.0, maximum=1.0)
+    seed: int = setting(0, "Decides which stamps and messages are hit", minimum=0)
+
+
+class MessageFaults:
+    """Spoils stamps and takes messages away, and counts both.
+
+    Attributes:
+        passed: Messages that were let through.
+        dropped: Messages that were taken away.
+        moved: Messages let through whose stamp is not the true one.
+    """
+
+    def __init__(self, config: FaultConfig) -> None:
+        self._config = config
+        self._rng = np.random.default_rng(config.seed)
+        self.passed = self.dropped = self.moved = 0
+
+    def stamp(self, true_ns: int) -> int | None:
+        """The stamp that a message carries, or None for one that is lost.
+
+        Both draws are made for every message, so that one fault does not move the other's numbers.
+
+        Args:
+            true_ns: When it was measured [ns].
+        """
+        fate, error = self._rng.random(), self._rng.uniform(-1.0, 1.0)
+        if fate < self._config.drop_share:
+            self.dropped += 1
+            return None
+        shift_ns = round((self._config.skew_s + self._config.jitter_s * error) * 1e9)
+        self.passed += 1
+        self.moved += shift_ns != 0
+        return max(0, true_ns + shift_ns)
