@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera, list_devices, open_camera
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage
 
@@ -176,3 +176,7 @@ def test_each_change_of_state_is_told_once(source: SyntheticCamera, config: Real
         source.unplug()
         _until(camera, lambda: camera.status.failures >= 3)
     assert told == ["streaming", "absent", "closed"]
+
+
+def test_devices_on_the_bus_are_listed_and_software_devices_are_not_on_it(source: SyntheticCamera) -> None:
+    assert not any("Synthetic" in device for device in list_devices())
