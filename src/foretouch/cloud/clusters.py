@@ -66,7 +66,7 @@ class ClusterConfig(Settings):
 
 
 class Clusters(NamedTuple):
-    """Labels of a part of the cloud.
+    """Labels of a window of the cloud.
 
     Attributes:
         labels: (h, w) or (n,) int32; 0 is none.

@@ -74,7 +74,7 @@ class _Window(NamedTuple):
 
 def label_image(
     xyz: Float32, coarse: Float32, stride: int, crop: CropConfig, cut: HeightCut, config: ClusterConfig
-) -> Clusters | None:
+) -> list[Clusters]:
     """Label an organised cloud.
 
     Args:
@@ -86,46 +86,59 @@ def label_image(
         config: What is one object.
 
     Returns:
-        The labelled part of the image, None where nothing stands out. The labels still hold small clusters.
+        Labelled windows of the image, one around each patch that stands out. They may overlap as rectangles, but
+        no pixel has a label in two of them. The labels still hold small clusters.
     """
+    from scipy.ndimage import find_objects
+
     min_nodes = max(1, config.min_points // (2 * stride * stride))
     height, above = cut.measure(coarse, coarse[..., 2])
-    candidates = _candidates(above & in_range(coarse[..., 2], crop), height > config.min_top_m, min_nodes)
-    if not candidates.any():
-        return None
-    part = _around(candidates, stride)
-    z = np.ascontiguousarray(xyz[part][..., 2])
-    height, above = cut.measure(xyz[part], z)
-    above &= in_range(z, crop)
-    window = _Window(z, height, above, cut, stride, _pixel_pitch(coarse) / stride, config)
-    with np.errstate(invalid="ignore"):
-        nodes = _label_grid(window, min_nodes)
+    patches = _patches(above & in_range(coarse[..., 2], crop), height > config.min_top_m, min_nodes)
+    pitch = _pixel_pitch(coarse) / stride
+    found: list[Clusters] = []
+    taken = np.zeros(xyz.shape[:2], np.bool_)
+    for number, box in enumerate(find_objects(patches), 1):
+        rows, columns = (slice(max(span.start - 1, 0), span.stop + 1) for span in box)  # a margin of one cell
+        part = tuple(slice(span.start * stride, span.stop * stride) for span in (rows, columns))
+        z = np.ascontiguousarray(xyz[part][..., 2])
+        height, above = cut.measure(xyz[part], z)
+        above &= in_range(z, crop)
+        window = _Window(z, height, above, cut, stride, pitch, config)
+        labels, solid, count = _label_window(window, patches[rows, columns] == number, min_nodes)
+        labels *= ~taken[part]  # a foot may lie between two patches: the first has it
+        solid &= labels > 0
+        taken[part] |= solid
+        found.append(Clusters(labels, solid, count, part[0].start, part[1].start))
+    return found
+
+
+def _label_window(window: _Window, patch: Bool, min_nodes: int) -> tuple[Int32, Bool, int]:
+    """Labels of one window, which pixels are solid, and the largest label."""
+    with np.errstate(invalid="ignore"):  # pixels without depth compare as false
+        nodes = _label_grid(window, patch, min_nodes)
         labels = _grow(nodes, window)
         solid = _trim(labels, window)
-    return Clusters(labels, solid, int(nodes.max(initial=0)), part[0].start, part[1].start)
+    return labels, solid, int(nodes.max(initial=0))
 
 
-def _candidates(above: Bool, tall: Bool, min_nodes: int) -> Bool:
-    """Without the speckle that noise lifts out of the table: patches too small, or nowhere tall."""
+def _patches(above: Bool, tall: Bool, min_nodes: int) -> Int32:
+    """Patches of the grid that stand out, numbered from 1, without what noise lifts: too small, or nowhere tall.
+
+    Diagonal neighbours are of one patch, hence no cell of the grid touches two.
+    """
     from scipy.ndimage import label
 
-    labels = label(above)[0]
+    labels = label(above, np.ones((3, 3)))[0]
     keep = np.bincount(labels.ravel()) >= min_nodes
     tops = np.zeros(len(keep), np.bool_)
     tops[labels[tall]] = True
-    keep &= tops
+    return _renumbered(labels, keep & tops)
+
+
+def _renumbered(labels: Int32, keep: Bool) -> Int32:
+    """Only the labels to keep, from 1 without gaps; the others are 0."""
     keep[0] = False
-    result: Bool = keep[labels]
-    return result
-
-
-def _around(above: Bool, stride: int) -> tuple[slice, slice]:
-    """The part of the image around all that stands out on the grid, with a margin of one cell."""
-    spans = []
-    for axis in (0, 1):
-        hit = np.flatnonzero(above.any(axis=1 - axis))
-        spans.append(slice(max(int(hit[0]) - 1, 0) * stride, (int(hit[-1]) + 2) * stride))
-    return spans[0], spans[1]
+    return np.where(keep, np.cumsum(keep), 0).astype(np.int32)[labels]
 
 
 def _pixel_pitch(xyz: Float32) -> float:
@@ -138,25 +151,21 @@ def _pixel_pitch(xyz: Float32) -> float:
     return float(np.median(steps)) if steps.size else 0.0
 
 
-def _label_grid(window: _Window, min_nodes: int) -> Int32:
-    """Components of the coarse grid, small ones dropped.
+def _label_grid(window: _Window, patch: Bool, min_nodes: int) -> Int32:
+    """Components of one patch of the coarse grid, small ones dropped.
 
     Nodes and the links between them are drawn into an image of twice the size, whose 4-connected
     components are those of the graph.
     """
     from scipy.ndimage import label
 
-    nodes = window.above[window.grid]
+    nodes = window.above[window.grid] & patch
     picture = np.zeros((2 * nodes.shape[0] - 1, 2 * nodes.shape[1] - 1), np.bool_)
     picture[::2, ::2] = nodes
     picture[1::2, ::2] = nodes[:-1] & nodes[1:] & _linked(window, axis=0)
     picture[::2, 1::2] = nodes[:, :-1] & nodes[:, 1:] & _linked(window, axis=1).T
     labels: Int32 = label(picture)[0][::2, ::2]
-    sizes = np.bincount(labels.ravel())
-    keep = sizes >= min_nodes
-    keep[0] = False
-    renumbered = np.where(keep, np.cumsum(keep), 0).astype(np.int32)
-    return renumbered[labels]
+    return _renumbered(labels, np.bincount(labels.ravel()) >= min_nodes)
 
 
 def _linked(window: _Window, axis: int) -> Bool:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -53,14 +54,23 @@ class GatheredObjects(NamedTuple):
     counts: dict[str, int]
 
 
+class _Candidate(NamedTuple):
+    """A cluster on its way to an object; the order of the fields is that of the objects."""
+
+    distance_m: float
+    window: int
+    cluster: int
+    segment: ObjectSegment
+
+
 def gather_objects(
-    cloud: Cloud, clusters: Clusters, plane: Plane, config: ClusterConfig, labels: Int32
+    cloud: Cloud, windows: Sequence[Clusters], plane: Plane, config: ClusterConfig, labels: Int32
 ) -> GatheredObjects:
     """Clusters of a sensible size as objects.
 
     Args:
         cloud: The whole cloud.
-        clusters: Of it.
+        windows: Of it, labelled.
         plane: The table.
         config: What is too small or too large.
         labels: (H, W) or (N,) int32, zeros; the ids are written into it.
@@ -68,27 +78,42 @@ def gather_objects(
     Returns:
         Objects in order of the distance of their centroid from the camera, ties by place in the image, and counts.
     """
-    pixels, ends = _members(clusters, labels.shape)
-    points = cloud.take(pixels)
-    starts = np.append(0, ends[:-1])
-    found: list[tuple[float, int, ObjectSegment]] = []
+    # Once, not for each window: where rows are padded this is a copy.
+    rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)
+    flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
+    found: list[_Candidate] = []
     rejected = []
-    for cluster in np.flatnonzero(ends > starts).tolist():
-        candidate = _object(points, pixels, slice(int(starts[cluster]), int(ends[cluster])))
-        if _plausible(candidate, plane, config):
-            found.append((candidate.distance_m, cluster, candidate))
-        else:
-            rejected.append(candidate.n_points)
-    found.sort(key=lambda entry: entry[:2])
-    ids = np.zeros(len(ends), np.int32)
-    for number, (_, cluster, _) in enumerate(found, 1):
-        ids[cluster] = number
-    placed = _part(labels, clusters)
-    np.take(ids, clusters.labels, out=placed, mode="clip")
-    used = sum(candidate.n_points for _, _, candidate in found)
-    flying = int(np.count_nonzero(placed)) - used
-    counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": flying}
-    return GatheredObjects(tuple(replace(entry[2], id=number) for number, entry in enumerate(found, 1)), counts)
+    for index, window in enumerate(windows):
+        for cluster, segment in _segments(flat, window, labels.shape):
+            if _plausible(segment, plane, config):
+                found.append(_Candidate(segment.distance_m, index, cluster, segment))
+            else:
+                rejected.append(segment.n_points)
+    found.sort(key=lambda candidate: candidate[:3])
+    objects = tuple(replace(candidate.segment, id=number) for number, candidate in enumerate(found, 1))
+    labelled = 0
+    for index, window in enumerate(windows):
+        ids = np.zeros(window.n_labels + 1, np.int32)
+        for number, candidate in enumerate(found, 1):
+            if candidate.window == index:
+                ids[candidate.cluster] = number
+        placed = ids.take(window.labels)
+        labelled += int(np.count_nonzero(placed))
+        np.copyto(_part(labels, window), placed, where=placed > 0)
+    used = sum(segment.n_points for segment in objects)
+    counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
+    return GatheredObjects(objects, counts)
+
+
+def _segments(flat: Cloud, window: Clusters, shape: tuple[int, ...]) -> Iterator[tuple[int, ObjectSegment]]:
+    """The clusters of a window that hold solid points, by number."""
+    pixels, ends = _members(window, shape)
+    points = flat.take(pixels)
+    start = 0
+    for cluster, end in enumerate(ends.tolist()):
+        if end > start:
+            yield cluster, _object(points, pixels, slice(start, end))
+        start = end
 
 
 def _object(points: Cloud, pixels: npt.NDArray[np.int64], span: slice) -> ObjectSegment:

@@ -138,13 +138,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, ledger: _Ledger) -> _Outc
     with ledger.stage("clusters"):
         cut = _height_cut(fit.plane, fit.noise_per_m, config.clusters)
         if cloud.organised:
-            clusters = label_image(xyz, coarse, stride, config.crop, cut, config.clusters)
+            windows = label_image(xyz, coarse, stride, config.crop, cut, config.clusters)
         else:
-            clusters = label_points(xyz, config.crop, cut, config.clusters)
-    if clusters is None:
-        return "no_object", _why_no_object(0, config.clusters), fit.plane, (), labels
+            windows = label_points(xyz, config.crop, cut, config.clusters)
     with ledger.stage("objects"):
-        gathered = gather_objects(cloud, clusters, fit.plane, config.clusters, labels)
+        gathered = gather_objects(cloud, windows, fit.plane, config.clusters, labels)
         ledger.counts |= gathered.counts
     if not gathered.objects:
         return "no_object", _why_no_object(ledger.counts["n_rejected"], config.clusters), fit.plane, (), labels

@@ -20,7 +20,7 @@ Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
 
 
-def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: ClusterConfig) -> Clusters | None:
+def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: ClusterConfig) -> list[Clusters]:
     """Label a cloud without order: points in touching voxels belong together.
 
     Args:
@@ -30,17 +30,17 @@ def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: Cluster
         config: What is one object.
 
     Returns:
-        One label a point, None where nothing stands out. The labels still hold small clusters.
+        The one window that holds all points, none where nothing stands out. The labels still hold small clusters.
     """
     z = np.ascontiguousarray(xyz[:, 2])
     above = np.flatnonzero(cut.measure(xyz, z)[1] & in_range(z, crop))
     if not len(above):
-        return None
+        return []
     cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
     component, count = _label_voxels(cells)
     labels = np.zeros(len(xyz), np.int32)
     labels[above] = component
-    return Clusters(labels, labels > 0, count)
+    return [Clusters(labels, labels > 0, count)]
 
 
 def _label_voxels(cells: npt.NDArray[np.int64]) -> tuple[Int32, int]:
