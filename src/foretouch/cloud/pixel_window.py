@@ -15,6 +15,7 @@ are assumed: a wrong pixel index can only make the proof fail, never make it wro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -26,7 +27,9 @@ from foretouch.types import Float32, Float64
 
 __all__ = ["PixelGrid", "window_mean_distance"]
 
-_BLOCK_PAIRS = 30_000  # distances at a time: they fit the cache
+_BAND_PLACES = 8192  # pixels at a time: their windows take 4 MB
+_BLOCK_POINTS = 250
+_FAR_M = 1e18  # whose square float32 still holds
 _ROUNDING = 1.0 - 1e-5  # float32 distances are good to 1e-6 of their size
 _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its column or row
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
@@ -34,9 +37,9 @@ _LATTICE_SIZE = 1e5  # columns or rows of any camera
 _LATTICE_CELLS = 64  # cells a point; a sparser image is no object seen by one camera
 
 
-# Pixels from the middle of a window to its edge, tried in turn on the points that are not proven yet. On a surface
-# seen head-on 50 neighbours reach 4 pixels far; slants, rims and holes need more.
-_REACHES = (5, 8)
+# Pixels from the middle of the window to its edge. On a surface seen head-on 50 neighbours reach 4 pixels far, at
+# its rim 6; a wider window costs more than the tree takes for what this one leaves unproven.
+_REACH = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,95 +126,95 @@ def window_mean_distance(xyz: Float32, grid: PixelGrid, k: int) -> tuple[Float32
     """
     mean = np.zeros(len(xyz), np.float32)
     proven = np.zeros(len(xyz), np.bool_)
-    if not xyz[:, 2].min() > 0.0:
+    if k >= (2 * _REACH + 1) ** 2 or not xyz[:, 2].min() > 0.0:
         return mean, proven
-    sides = _half_spaces(xyz, grid)
-    image = _PaddedImage(xyz, grid, max(_REACHES))
-    for reach in (r for r in _REACHES if (2 * r + 1) ** 2 > k):
-        offsets = image.offsets(reach)
-        rows = max(1, _BLOCK_PAIRS // len(offsets))
-        pending = np.flatnonzero(~proven)
-        clearance = _squared_clearance(sides, pending, reach)
-        for start in range(0, len(pending), rows):
-            part = pending[start : start + rows]
-            squared = image.squared_distances(xyz, part, offsets)
+    clearance = _squared_clearance(xyz, grid)
+    image = _PaddedImage(xyz, grid)
+    for band in image.bands():
+        window = image.squared_distances(band)
+        for part in np.array_split(band.points, len(band.points) // _BLOCK_POINTS + 1):
+            squared = np.ascontiguousarray(window.take(image.place[part] - band.start, axis=1).T)
             squared.partition(k, axis=1)  # the point itself, at distance 0, is among the k + 1 nearest
-            proven[part] = squared[:, k] <= clearance[start : start + rows]
+            proven[part] = squared[:, k] <= clearance[part]
             # Sums of a few float32 are exact in float64: their order, in which the tree's differs, has no effect.
             mean[part] = np.sqrt(squared[:, : k + 1]).sum(axis=1, dtype=np.float64) / k
     return mean, proven
 
 
-class _PaddedImage:
-    """x, y and z at each pixel, infinite where there is no point and around the image."""
-
-    def __init__(self, xyz: Float32, grid: PixelGrid, margin: int) -> None:
-        self._width = grid.width + 2 * margin
-        self._flat = (grid.row + margin) * self._width + grid.column + margin
-        self._channels = np.full((3, (grid.height + 2 * margin) * self._width), np.inf, np.float32)
-        self._channels[:, self._flat] = xyz.T
-
-    def offsets(self, reach: int) -> npt.NDArray[np.int64]:
-        """((2 reach + 1)²,) int64: from a pixel to those of its window, itself among them."""
-        steps = np.arange(-reach, reach + 1)
-        return (steps[:, None] * self._width + steps).reshape(-1)
-
-    def squared_distances(self, xyz: Float32, query: npt.NDArray[np.int64], offsets: npt.NDArray[np.int64]) -> Float32:
-        """(Q, K) float32 [m²]: from each point to those of its window, infinite at pixels without one."""
-        index = self._flat[query, None] + offsets
-        squares = []
-        for axis, channel in enumerate(self._channels):
-            difference = channel.take(index)
-            difference -= xyz[query, axis, None]
-            difference *= difference
-            squares.append(difference)
-        total, *others = squares
-        for square in others:
-            total += square
-        return total
-
-
 @dataclass(frozen=True, eq=False)
-class _HalfSpaces:
-    """For one direction in the image: which half-space holds all points that are farther along it.
+class _Band:
+    """Consecutive places of an image, `start` ... `stop` - 1, and the indices of the points there."""
+
+    start: int
+    stop: int
+    points: npt.NDArray[np.int64]
+
+
+class _PaddedImage:
+    """x, y and z at each pixel, row after row, far away where there is no point.
+
+    The padding to the right of a row is also that to the left of the next, so that a window is the same list of steps
+    from any place, and the points at one step are the image itself, shifted.
 
     Attributes:
-        place: (N,) int64, how many pixels each point is along the direction.
-        along: (N,) float64 [m], coordinate in that direction: x, y or their negatives.
-        z: (N,) float64 [m].
-        least: (size + margin,) float64, least `along` / z of the points at this place and farther on.
+        place: (N,) int64, where each point is.
     """
 
-    place: npt.NDArray[np.int64]
-    along: Float64
-    z: Float64
-    least: Float64
+    def __init__(self, xyz: Float32, grid: PixelGrid) -> None:
+        width = grid.width + _REACH
+        self._margin = _REACH * width + _REACH
+        self.place = self._margin + grid.row * width + grid.column
+        self._channels = np.full((3, grid.height * width + 2 * self._margin), _FAR_M, np.float32)
+        self._channels[:, self.place] = xyz.T
+        steps = np.arange(-_REACH, _REACH + 1)
+        self._steps = (steps[:, None] * width + steps).reshape(-1)
+
+    def bands(self) -> Iterator[_Band]:
+        """The image in pieces of which all windows fit the cache; those without points are left out."""
+        order = np.argsort(self.place)
+        starts = np.arange(self._margin, self._channels.shape[1] - self._margin, _BAND_PLACES)
+        for start, points in zip(starts, np.split(order, np.searchsorted(self.place[order], starts[1:])), strict=True):
+            if len(points):
+                stop = min(int(start) + _BAND_PLACES, self._channels.shape[1] - self._margin)
+                yield _Band(int(start), stop, points)
+
+    def squared_distances(self, band: _Band) -> Float32:
+        """((2 reach + 1)², stop - start) float32 [m²]: from each place to those of its window.
+
+        The distance a step ahead of one place is that a step behind of another, so half of the steps are worked out.
+        """
+        size = band.stop - band.start
+        result = np.zeros((len(self._steps), size), np.float32)
+        squares = np.empty((3, size + self._margin), np.float32)
+        middle = len(self._steps) // 2
+        for i in range(1, middle + 1):
+            step = int(self._steps[middle + i])
+            here, there = slice(band.start - step, band.stop), slice(band.start, band.stop + step)
+            square = squares[:, : size + step]
+            np.subtract(self._channels[:, there], self._channels[:, here], out=square)
+            np.multiply(square, square, out=square)
+            x, y, z = square
+            x += y
+            x += z
+            result[middle + i] = x[step:]
+            result[middle - i] = x[:size]
+        return result
 
 
-def _half_spaces(xyz: Float32, grid: PixelGrid) -> list[_HalfSpaces]:
-    """Right, left, down and up."""
+def _squared_clearance(xyz: Float32, grid: PixelGrid) -> Float64:
+    """(N,) float64 [m²]: no point outside of the window is nearer; -1 where nothing is known."""
     x, y, z = xyz.T.astype(np.float64)
-    margin = max(_REACHES) + 1
-    sides = []
+    clearance = np.full(len(xyz), np.inf)
     for place, along, size in ((grid.column, x, grid.width), (grid.row, y, grid.height)):
-        ray = along / z
         for sign, index in ((1.0, place), (-1.0, size - 1 - place)):
-            least = np.full(size + margin, np.inf)
-            np.minimum.at(least, index, sign * ray)
-            least = np.minimum.accumulate(least[::-1])[::-1]
-            sides.append(_HalfSpaces(index, sign * along, z, least))
-    return sides
-
-
-def _squared_clearance(sides: list[_HalfSpaces], query: npt.NDArray[np.int64], reach: int) -> Float64:
-    """(Q,) float64 [m²]: no point outside of the window is nearer; -1 where nothing is known."""
-    clearance = np.full(len(query), np.inf)
-    for side in sides:
-        t = side.least[side.place[query] + reach + 1]
-        beyond = np.flatnonzero(np.isfinite(t))  # elsewhere no point lies farther in this direction
-        t, point = t[beyond], query[beyond]
-        distance = (t * side.z[point] - side.along[point]) / np.sqrt(1.0 + t * t)
-        clearance[beyond] = np.minimum(clearance[beyond], distance)
+            least = np.full(size + _REACH + 1, np.inf)
+            np.minimum.at(least, index, sign * along / z)
+            least = np.minimum.accumulate(least[::-1])[::-1]  # of the rays of this and all farther columns or rows
+            t = least[index + _REACH + 1]
+            beyond = np.flatnonzero(np.isfinite(t))  # elsewhere no point lies farther in this direction
+            t = t[beyond]
+            distance = (t * z[beyond] - sign * along[beyond]) / np.sqrt(1.0 + t * t)
+            clearance[beyond] = np.minimum(clearance[beyond], distance)
     return np.where(clearance > 0.0, (clearance * _ROUNDING) ** 2, -1.0)
 
 
