@@ -84,6 +84,29 @@ def test_in_real_time_the_pace_is_that_of_the_recording(
     assert arrived[-1] - arrived[-3] == pytest.approx(0.4, abs=0.15)
 
 
+def test_a_gap_in_a_recording_is_told_and_waited_for(
+    tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
+) -> None:
+    path = tmp_path / "seen.db3"
+    recorded = []
+    patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
+    with open_camera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
+        camera.read(0.0)
+        for pause_s in (0.1, 0.1, 1.0, 0.1):  # the longest is more than `reopen_s` of the player
+            time.sleep(pause_s)
+            source.feed()
+            cloud = camera.read(1.0)
+            assert cloud is not None
+            recorded.append(cloud.stamp_ns)
+    told: list[str] = []
+    playing = _playing(path, config).replace(real_time=True)
+    with open_camera(playing, on_change=lambda status: told.append(status.state)) as camera:
+        played = [cloud.stamp_ns for cloud in camera]
+    assert played[-3:] == recorded[-3:]
+    assert told == ["streaming", "stalled", "streaming", "ended"]
+    assert camera.status.opened == 1
+
+
 def test_a_recording_repeats_when_asked_to(tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig) -> None:
     path = tmp_path / "seen.db3"
     recorded = _record(path, source, config, 3)

@@ -16,6 +16,10 @@ __all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices
 class DeviceSource(Protocol):
     """Something that a device can be asked of, again and again."""
 
+    @property
+    def reopens(self) -> bool:
+        """Whether opening a silent device again may mend it; a recording would only begin anew."""
+
     def find(self) -> Any:
         """The `pyrealsense2.device`.
 
@@ -36,6 +40,8 @@ class LiveSource:
     Args:
         serial: Its serial number; empty for the first depth camera found.
     """
+
+    reopens = True
 
     def __init__(self, serial: str = "") -> None:
         self._serial = serial
@@ -76,6 +82,8 @@ class FileSource:
     Raises:
         FileError: If there is no such file.
     """
+
+    reopens = False
 
     def __init__(self, path: str | Path, *, real_time: bool = True) -> None:
         self._path = Path(path)

@@ -26,7 +26,8 @@ from foretouch.types import Cloud
 __all__ = ["RealSenseCamera", "open_camera"]
 
 _LOG = logging.getLogger(__name__)
-_SLICE_S = 0.05  # longest uninterrupted wait inside the library
+_SLICE_S = 0.05  # longest uninterrupted wait for a frame
+_START_OF_PLAY_S = 1.0
 
 
 def open_camera(
@@ -174,38 +175,42 @@ class RealSenseCamera:
         frames = stream.wait(timeout_s)
         now = time.monotonic()
         if frames is None:
-            self._on_silence(now)
+            self._on_silence(now, "no frame")
             return None
-        self._watchdog.frame(now)
         self._frame_at_s = now
         self._count_missed(int(frames.depth.get_frame_number()))
         if stream.wants_colour and frames.colour is None:
             self._drop("no_colour")
+            self._on_silence(now, "depth without colour")
             return None
         try:
             cloud = stream.cloud(frames)
         except RuntimeError as err:
             self._drop("bad_frame")
-            _LOG.warning("camera: a frame was refused by the library: %s", " ".join(str(err).split()))
+            self._on_silence(now, f"frames are refused by the library ({' '.join(str(err).split())})")
             return None
+        self._watchdog.frame(now)
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
         self._tell("streaming", "")
         return cloud
 
-    def _on_silence(self, now: float) -> None:
-        if self._source.ended(self._device) and (self._frame_at_s is not None or self._watchdog.silent_s(now) > 1.0):
+    def _on_silence(self, now: float, what: str) -> None:
+        """Decide what to make of having no cloud, and tell `what` there is instead."""
+        silent_s = self._watchdog.silent_s(now)
+        # A recording that was only just started may not call itself playing yet.
+        if self._source.ended(self._device) and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
             self._on_end()
             return
         verdict = self._watchdog.verdict(now)
-        silent = f"no frame for {self._watchdog.silent_s(now):.1f} s"
+        told = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
             self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif verdict == "reopen":
+        elif verdict == "reopen" and self._source.reopens:
             self._release()
-            self._retry_later("reconnecting", f"{silent}, opening it again")
-        elif verdict == "stalled":
-            self._tell("stalled", silent)
+            self._retry_later("reconnecting", f"{told}, opening it again")
+        elif verdict != "wait":
+            self._tell("stalled", told)
 
     def _on_end(self) -> None:
         self._release()

@@ -19,7 +19,7 @@ class CameraStatus:
     """A snapshot.
 
     Attributes:
-        state: `streaming`: frames arrive. `stalled`: the device is there, frames are not. `absent`: no such device.
+        state: `streaming`: frames arrive. `stalled`: the device is there, clouds are not. `absent`: no such device.
             `reconnecting`: it is being opened, or was and has sent nothing yet. `ended`: the recording is over.
             `closed`: by the user.
         reason: Why, in words; empty while streaming.
@@ -72,7 +72,7 @@ class Watchdog:
         self._heard_at, self._streaming = now_s, False
 
     def frame(self, now_s: float) -> None:
-        """A frame came: all is well again."""
+        """A frame came that a cloud could be made of: all is well again."""
         self._heard_at, self._streaming = now_s, True
         self.failures = 0
 

@@ -57,6 +57,8 @@ class SyntheticCamera:
     Used as a context manager, it feeds from a thread of its own while inside.
     """
 
+    reopens = True
+
     def __init__(
         self,
         frames: Callable[[int], SyntheticFrame] | Sequence[SyntheticFrame],
