@@ -92,8 +92,8 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
     ends = np.stack([grasp.g1, grasp.g2])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
-    for name, end in zip(("TH", "MF"), ends, strict=True):
-        axes.scatter(end[0], end[1], s=70, color=FINGER_COLOURS[name], edgecolors="white", zorder=3, label=name)
+    for (name, contact), end in zip((("TH", "g1"), ("MF", "g2")), ends, strict=True):
+        axes.scatter(end[0], end[1], s=70, color=FINGER_COLOURS[name], edgecolors="white", zorder=3, label=contact)
     axes.legend(loc="upper right", fontsize=8)
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 
