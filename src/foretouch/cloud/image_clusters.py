@@ -3,73 +3,26 @@
 
 Points above the plane are first labelled on a coarse grid of pixels. Two neighbours of the grid belong
 together unless the pixels between them fall to the table or jump in depth, so that an object in front of
-another one is not merged with it. The labels then grow to full resolution.
-
-Flying pixels lie in the air between an object and what is behind it, since the camera mixed both. They are
-recognised by having few neighbours at their own depth. Those next to solid pixels of the object are its
-outline: they keep its label, but their depth is of neither surface, hence they are not `solid`.
+another one is not merged with it. The labels then grow to full resolution, and the outline is trimmed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.clusters import ClusterConfig, Clusters, HeightCut
 from foretouch.cloud.crop import CropConfig, in_range
+from foretouch.cloud.image_window import ImageWindow
+from foretouch.cloud.outline import trim_outline
 from foretouch.types import Float32
 
 __all__ = ["label_image"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
-Index = npt.NDArray[np.intp]
-
-_FOOT = 1 / 3  # of the cut: from this height a pixel beside an object may be its foot
-_SUPPORT = 4  # of eight neighbours at a pixel's own depth: a straight edge has 5, a flying pixel about 2
-_STRAIGHT = 3  # of four directions in which a steep face goes on as it came
-
-
-class _Window(NamedTuple):
-    """A part of the image, its upper left corner on the coarse grid.
-
-    Attributes:
-        z: (h, w) float32 [m].
-        height: (h, w) float32, above the table [m].
-        above: (h, w) bool, in range and standing out from the table.
-        cut: What is table.
-        stride: Of the coarse grid [px].
-        pitch: Lateral distance of neighbouring pixels per depth.
-        config: What is one object.
-    """
-
-    z: Float32
-    height: Float32
-    above: Bool
-    cut: HeightCut
-    stride: int
-    pitch: float
-    config: ClusterConfig
-
-    @property
-    def grid(self) -> tuple[slice, slice]:
-        """The pixels of the coarse grid."""
-        return (slice(None, None, self.stride), slice(None, None, self.stride))
-
-    def reach(self, z: Float32) -> Float32:
-        """Depth by which connected neighbours of a pixel may differ [m]."""
-        return self._step(z, self.config.max_slope)
-
-    def near(self, z: Float32) -> Float32:
-        """Depth by which neighbours that support a pixel may differ [m]."""
-        return self._step(z, self.config.flying_slope)
-
-    def _step(self, z: Float32, slope: float) -> Float32:
-        step: Float32 = np.maximum(z * np.float32(slope * self.pitch), np.float32(self.config.gap_m))
-        return step
 
 
 def label_image(
@@ -103,7 +56,7 @@ def label_image(
         z = np.ascontiguousarray(xyz[part][..., 2])
         height, above = cut.measure(xyz[part], z)
         above &= in_range(z, crop)
-        window = _Window(z, height, above, cut, stride, pitch, config)
+        window = ImageWindow(z, height, above, cut, stride, pitch, config)
         labels, solid, count = _label_window(window, patches[rows, columns] == number, min_nodes)
         labels *= ~taken[part]  # a foot may lie between two patches: the first has it
         solid &= labels > 0
@@ -112,12 +65,12 @@ def label_image(
     return found
 
 
-def _label_window(window: _Window, patch: Bool, min_nodes: int) -> tuple[Int32, Bool, int]:
+def _label_window(window: ImageWindow, patch: Bool, min_nodes: int) -> tuple[Int32, Bool, int]:
     """Labels of one window, which pixels are solid, and the largest label."""
     with np.errstate(invalid="ignore"):  # pixels without depth compare as false
         nodes = _label_grid(window, patch, min_nodes)
         labels = _grow(nodes, window)
-        solid = _trim(labels, window)
+        solid = trim_outline(labels, window)
     return labels, solid, int(nodes.max(initial=0))
 
 
@@ -151,7 +104,7 @@ def _pixel_pitch(xyz: Float32) -> float:
     return float(np.median(steps)) if steps.size else 0.0
 
 
-def _label_grid(window: _Window, patch: Bool, min_nodes: int) -> Int32:
+def _label_grid(window: ImageWindow, patch: Bool, min_nodes: int) -> Int32:
     """Components of one patch of the coarse grid, small ones dropped.
 
     Nodes and the links between them are drawn into an image of twice the size, whose 4-connected
@@ -168,7 +121,7 @@ def _label_grid(window: _Window, patch: Bool, min_nodes: int) -> Int32:
     return _renumbered(labels, np.bincount(labels.ravel()) >= min_nodes)
 
 
-def _linked(window: _Window, axis: int) -> Bool:
+def _linked(window: ImageWindow, axis: int) -> Bool:
     """Whether grid neighbours along an axis are joined by a path of pixels without jump or table.
 
     Pixels without depth on the path say nothing; the ends may then differ by a single step only.
@@ -200,7 +153,7 @@ def _any(steps: Bool, stride: int) -> Bool:
     return result
 
 
-def _grow(nodes: Int32, window: _Window) -> Int32:
+def _grow(nodes: Int32, window: ImageWindow) -> Int32:
     """The labels of the grid at full resolution.
 
     Pixels of a cell take the label of its corners. Where two objects meet in a cell, each pixel takes that of
@@ -228,85 +181,8 @@ def _grow(nodes: Int32, window: _Window) -> Int32:
 
 def _corners(grid: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(4, h, w): for each cell of the grid (h, w) the values at its corners; the last row and column are repeated."""
-    padded = np.pad(grid, ((0, 1), (0, 1)), mode="edge")
+    padded = np.empty((grid.shape[0] + 1, grid.shape[1] + 1), grid.dtype)
+    padded[:-1, :-1] = grid
+    padded[-1, :-1] = grid[-1]
+    padded[:, -1] = padded[:, -2]
     return np.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]])
-
-
-def _trim(labels: Int32, window: _Window) -> Bool:
-    """Take flying pixels from the labels and give them their feet, in place; tell which pixels are solid."""
-    z = np.pad(window.z, 1, constant_values=np.nan)
-    flying = _flying(labels, window, z)
-    solid = labels > 0
-    solid.reshape(-1)[flying] = False
-    trusted = np.pad(labels * solid, 1)
-    own = labels.take(flying)
-    outline = np.zeros(len(flying), np.bool_)
-    for neighbour in _neighbours(trusted, flying):
-        outline |= neighbour == own
-    labels.reshape(-1)[flying[~outline]] = 0
-    feet, claimed = _feet(solid, window, z, trusted)
-    labels.reshape(-1)[feet] = claimed
-    solid.reshape(-1)[feet] = True
-    return solid
-
-
-def _flying(labels: Int32, window: _Window, z: Float32) -> Index:
-    """Labelled pixels, as flat indices, that lie in the air between two surfaces; `z` has a border of NaN."""
-    # A cheap superset first: pixels beside any step that could be too much at the least depth.
-    limit = window.near(np.fmin.reduce(window.z, axis=None, keepdims=True)).item()
-    suspect = np.zeros(labels.shape, np.bool_)
-    for image, mask in ((window.z, suspect), (window.z.T, suspect.T)):
-        step = image[1:] - image[:-1]
-        jump = np.abs(step, out=step) > limit
-        mask[:-1] |= jump
-        mask[1:] |= jump
-    suspect &= labels > 0
-    pixels = np.flatnonzero(suspect)
-    own = window.z.take(pixels)
-    near = window.near(own)
-    steps = np.stack(list(_neighbours(z, pixels)))
-    steps -= own
-    support = np.count_nonzero(np.abs(steps) <= near, axis=0)
-    # A steep face goes on as it came: opposite neighbours differ by the same step.
-    straight = np.count_nonzero(np.abs(steps[:4] + steps[:3:-1]) <= near, axis=0)
-    flying: Index = pixels[(support < _SUPPORT) & (straight < _STRAIGHT)]
-    return flying
-
-
-def _feet(solid: Bool, window: _Window, z: Float32, trusted: Int32) -> tuple[Index, Int32]:
-    """Low pixels that touch an object and lie at its depth: its foot is below the cut.
-
-    Returns:
-        Flat indices and the labels that claim them; `z` and `trusted` have a border of one pixel.
-    """
-    beside = solid.copy()
-    beside[1:] |= solid[:-1]
-    beside[:-1] |= solid[1:]
-    wide = beside.copy()
-    wide[:, 1:] |= beside[:, :-1]
-    wide[:, :-1] |= beside[:, 1:]
-    wide &= ~window.above
-    pixels = np.flatnonzero(wide)
-    own, height = window.z.take(pixels), window.height.take(pixels)
-    cut = window.cut.at(own)
-    low = (height > cut * np.float32(_FOOT)) & (height <= cut)
-    pixels, own = pixels[low], own[low]
-    near = window.near(own)
-    claimed = np.zeros(len(pixels), np.int32)
-    for owner, depth in zip(_neighbours(trusted, pixels), _neighbours(z, pixels), strict=True):
-        claimed = np.where((owner > 0) & (np.abs(depth - own) <= near), owner, claimed)
-    good = claimed > 0
-    return pixels[good], claimed[good]
-
-
-def _neighbours(padded: npt.NDArray[Any], pixels: Index) -> Iterator[npt.NDArray[Any]]:
-    """The eight neighbours of some pixels (n,), row by row; (n,) at a time.
-
-    Args:
-        padded: (h + 2, w + 2), the image with a border.
-        pixels: Flat indices into the image without the border.
-    """
-    width = padded.shape[1]
-    centre = pixels + 2 * (pixels // (width - 2)) + width + 1
-    for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-        yield padded.take(centre + step)
