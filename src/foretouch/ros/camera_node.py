@@ -22,6 +22,8 @@ from foretouch.errors import ForetouchError
 from foretouch.ros.clouds import cloud_to_msg
 from foretouch.ros.node_base import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
+from foretouch.simulation.scene_camera import scene_camera
+from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.swing import swinging
 from foretouch.types import Cloud
 
@@ -49,17 +51,20 @@ class CameraNodeConfig(NodeConfig):
     """Settings of the camera node."""
 
     source: str = setting(
-        "device", "`device` (as the settings of `camera` say), `synthetic`, or a recording's path", read_only=True
+        "device",
+        "`device` (as the settings of `camera` say), `synthetic`, `scene`, or a recording's path",
+        read_only=True,
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
+    scene: ShowConfig = field(default_factory=ShowConfig)
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
     """Publishes organised clouds and tells in /diagnostics what the camera is doing.
 
     Attributes:
-        synthetic: The feeder where `source` is `synthetic`; it can be paused and unplugged.
+        synthetic: The feeder where `source` is `synthetic` or `scene`; it can be paused and unplugged.
     """
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
@@ -69,6 +74,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
+        self._size: dict[str, int] = {}  # of the image, where a scene decides it
         super().__init__(name, CameraNodeConfig, **options)
 
     # Hooks of the base.
@@ -77,13 +83,17 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Render the scene of a synthetic camera and advertise the topic."""
         if self.config.source == "synthetic":
             self.synthetic = _synthetic_camera(self.config)
+        elif self.config.source == "scene":
+            scene = self.config.scene.load()
+            self._size = {"width": scene.camera.width, "height": scene.camera.height}
+            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps)
         self._points = self.advertise(PointCloud2, "points")
 
     def start(self) -> None:
         """Make the camera and read it from a thread."""
         self._failure = ""
         self._stopping.clear()
-        self._camera = open_camera(_camera_config(self.config), self.synthetic, self._tell)
+        self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._tell)
         if self.synthetic is not None:
             self.synthetic.start()
         self._thread = threading.Thread(target=self._run, args=(self._camera,), name="camera", daemon=True)
@@ -109,7 +119,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Filters and timeouts may change while it streams."""
         camera = self._camera
         if camera is not None:
-            camera.reconfigure(config.camera)
+            camera.reconfigure(config.camera.replace(**self._size))
 
     def has_ended(self) -> bool:
         """Whether a recording was played to its end."""
@@ -185,7 +195,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
 
 
 def _camera_config(config: CameraNodeConfig) -> RealSenseConfig:
-    if config.source in {"device", "synthetic"}:
+    if config.source in {"device", "synthetic", "scene"}:
         return config.camera
     return config.camera.replace(file=config.source)
 

@@ -26,6 +26,7 @@ __all__ = [
     "PERCEPTION",
     "camera",
     "grasp",
+    "hand",
     "make_nodes",
     "perception",
     "replay",
@@ -41,6 +42,7 @@ _CLASSES = {
     "grasp": ("foretouch.ros.grasp_node", "GraspNode"),
     "touch_predictor": ("foretouch.ros.touch_predictor_node", "TouchPredictorNode"),
     "replay": ("foretouch.ros.replay_node", "ReplayNode"),
+    "hand": ("foretouch.ros.hand_node", "HandNode"),
 }
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 _POLL_S = 0.2  # between looks at whether the nodes have ended
@@ -70,6 +72,11 @@ def touch_predictor() -> int:
 def replay() -> int:
     """`foretouch_replay`; ends when there is nothing more to play."""
     return run("replay")
+
+
+def hand() -> int:
+    """`foretouch_hand`."""
+    return run("hand")
 
 
 def perception() -> int:

@@ -36,11 +36,13 @@ Counts = npt.NDArray[np.int16]
 class CourseConfig(Settings):
     """A grasp in time. Whoever wants a tare finds it in the rest."""
 
-    rate_hz: float = setting(100.0, "Messages a second", unit="Hz", minimum=1.0, maximum=1000.0)
-    rest_s: float = setting(0.5, "Before the hand moves", unit="s", minimum=0.02, maximum=600.0)
-    approach_s: float = setting(0.3, "From there to first touch", unit="s", minimum=0.0, maximum=60.0)
-    close_s: float = setting(0.2, "From first touch to steady contact, and back", unit="s", minimum=0.0, maximum=60.0)
-    hold_s: float = setting(0.5, "Of steady contact", unit="s", minimum=0.02, maximum=600.0)
+    rate_hz: float = setting(100.0, "Messages a second", unit="Hz", minimum=1.0, maximum=1000.0, read_only=True)
+    rest_s: float = setting(0.5, "Before the hand moves", unit="s", minimum=0.02, maximum=600.0, read_only=True)
+    approach_s: float = setting(0.3, "From there to first touch", unit="s", minimum=0.0, maximum=60.0, read_only=True)
+    close_s: float = setting(
+        0.2, "From first touch to steady contact, and back", unit="s", minimum=0.0, maximum=60.0, read_only=True
+    )
+    hold_s: float = setting(0.5, "Of steady contact", unit="s", minimum=0.02, maximum=600.0, read_only=True)
 
     @property
     def timeline(self) -> TimelineConfig:

@@ -21,20 +21,21 @@ class FaultConfig(Settings):
         0.0, "How much the sensor's clock is ahead of the robot's", unit="s", minimum=-3600.0, maximum=3600.0
     )
     drop_share: float = setting(0.0, "Part of the messages that are not sent", minimum=0.0, maximum=1.0)
-    seed: int = setting(0, "Decides which stamps and messages are hit", minimum=0)
+    seed: int = setting(0, "Decides which stamps and messages are hit", minimum=0, read_only=True)
 
 
 class MessageFaults:
     """Spoils stamps and takes messages away, and counts both.
 
     Attributes:
+        config: May be replaced at any time; the seed counts at the beginning only.
         passed: Messages that were let through.
         dropped: Messages that were taken away.
         moved: Messages let through whose stamp is not the true one.
     """
 
     def __init__(self, config: FaultConfig) -> None:
-        self._config = config
+        self.config = config
         self._rng = np.random.default_rng(config.seed)
         self.passed = self.dropped = self.moved = 0
 
@@ -47,10 +48,10 @@ class MessageFaults:
             true_ns: When it was measured [ns].
         """
         fate, error = self._rng.random(), self._rng.uniform(-1.0, 1.0)
-        if fate < self._config.drop_share:
+        if fate < self.config.drop_share:
             self.dropped += 1
             return None
-        shift_ns = round((self._config.skew_s + self._config.jitter_s * error) * 1e9)
+        shift_ns = round((self.config.skew_s + self.config.jitter_s * error) * 1e9)
         self.passed += 1
         self.moved += shift_ns != 0
         return max(0, true_ns + shift_ns)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene seen by the camera node, grasped by the graph's own grasps, and felt by the hand."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+pytest.importorskip("libusb_package", reason="the camera's libraries are not installed")
+
+from sensor_msgs.msg import PointCloud2
+from sim_builders import CAN, scene
+
+from foretouch.ros.clouds import cloud_from_msg
+from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.show import ShowConfig
+from foretouch_msgs.msg import ExecutedGrasp, GraspArray
+
+pytestmark = pytest.mark.ros
+
+SHORT = {"course__rest_s": 0.2, "course__approach_s": 0.1, "course__close_s": 0.1, "course__hold_s": 0.2}
+
+
+def test_the_hand_holds_what_the_camera_saw(graph, tmp_path) -> None:
+    config = scene(CAN, camera={"width": 424, "height": 320})
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(config.to_mapping()), encoding="utf-8")
+    show = ShowConfig(path=str(path), dwell_s=1.5, origin_ns=time.time_ns())
+    shown = {"scene__path": show.path, "scene__dwell_s": show.dwell_s, "scene__origin_ns": show.origin_ns}
+    points, grasps = graph.listen(PointCloud2, "points", reliable=False), graph.listen(GraspArray, "grasps")
+    told = graph.listen(ExecutedGrasp, "executed_grasp")
+    graph.add("segmentation", "grasp")
+    graph.add("hand", **shown, **SHORT)
+    graph.add("camera", source="scene", camera__fps=5, **shown)
+    graph.until(lambda: len(told) >= 2, timeout_s=40.0)
+
+    assert all(report.success for report in told)
+    assert {report.grasp_id for report in told} <= {one.id for message in grasps for one in message.grasps}
+    for message in points[:3]:
+        cloud = cloud_from_msg(message)
+        expected = FrameMaker(config).frame(show.slot(cloud.stamp_ns)).cloud()
+        np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)
