@@ -23,6 +23,7 @@ COMMANDS = {
     "grasp": "Find where a hand can hold an object (GeoGrasp)",
     "predict": "Predict what the fingertips would read",
     "simulate": "Make a data set of simulated grasps from a scene",
+    "dataset": "Look into, verify, repair and convert recorded grasps",
     "run": "Run the whole ROS graph in one terminal",
     "replay": "Play a recording or a folder of clouds into the ROS graph",
     "models": "List and verify the touch models at hand",

@@ -122,10 +122,10 @@ class Store(Sequence[GraspSample]):
         Raises:
             FileError: Names the shard whose bytes, or says that the content, are not those that were written.
         """
-        for shard in self.manifest["shards"]:
-            found = hashlib.sha256((self.path / shard["file"]).read_bytes()).hexdigest()
-            if found != shard["sha256"]:
-                raise FileError(self.path / shard["file"], f"sha256 is {found}, not {shard['sha256']}")
+        for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
+            found = hashlib.sha256((self.path / part["file"]).read_bytes()).hexdigest()
+            if found != part["sha256"]:
+                raise FileError(self.path / part["file"], f"sha256 is {found}, not {part['sha256']}")
         content = hashlib.sha256()
         for sample in self:
             content.update(sample_digest(sample))

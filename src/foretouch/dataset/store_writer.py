@@ -51,6 +51,7 @@ class StoreWriter:
         self._sink: Any = None
         self._writer: Any = None
         self._in_shard = 0
+        self._files: list[dict[str, str]] = []
 
     def __enter__(self) -> Self:
         self._refuse_existing()
@@ -90,6 +91,18 @@ class StoreWriter:
         if self._in_shard == _SHARD_ROWS:
             self._end_shard()
 
+    def attach(self, name: str, text: str) -> None:
+        """Put a file with a text beside the shards, such as splits; `Store.verify` proves it too.
+
+        Raises:
+            DatasetError: If the name is taken, or not that of a file.
+        """
+        if Path(name).name != name or (self._folder / name).exists() or name == MANIFEST:
+            raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")
+        data = text.encode()
+        (self._folder / name).write_bytes(data)
+        self._files.append({"file": name, "sha256": hashlib.sha256(data).hexdigest()})
+
     def _end_batch(self) -> None:
         if not self._rows:
             return
@@ -123,6 +136,8 @@ class StoreWriter:
             "shards": self._shards,
             "about": self.about,
         }
+        if self._files:
+            manifest["files"] = self._files
         text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         with (self._folder / MANIFEST).open("w", encoding="utf-8") as file:
             file.write(text)

@@ -30,6 +30,7 @@ __all__ = [
     "MANIFEST",
     "create_manifest",
     "is_dataset",
+    "is_vacant",
     "lock",
     "new_session_path",
     "read_identity",
@@ -41,6 +42,7 @@ __all__ = [
 FORMAT: Final = "foretouch-dataset"
 MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
+_PART: Final = f"{MANIFEST}.part"
 _SESSION: Final = "session-{:04d}.mcap"
 
 
@@ -51,6 +53,12 @@ def is_dataset(path: str | Path) -> bool:
             return f'"{FORMAT}"'.encode() in file.read(65536)
     except OSError:
         return False
+
+
+def is_vacant(path: Path) -> bool:
+    """Whether a dataset can begin here: nothing is there, or what one that was killed at once has left."""
+    leftovers = {_LOCK, _PART}
+    return not path.exists() or (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir()))
 
 
 def session_files(path: Path) -> list[Path]:
@@ -77,7 +85,7 @@ def create_manifest(path: Path, identity: Identity) -> None:
         "hand": dict(sorted(identity.hand.items())),
         "camera": dict(sorted(identity.camera.items())),
     }
-    part = path / f"{MANIFEST}.part"
+    part = path / _PART
     try:
         path.mkdir(parents=True, exist_ok=True)
         with part.open("w", encoding="utf-8") as file:

@@ -40,6 +40,7 @@ from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import (
     MANIFEST,
     create_manifest,
+    is_vacant,
     lock,
     new_session_path,
     require_same,
@@ -291,11 +292,7 @@ class RecordingWriter:
 
     def _open_dataset(self, stack: ExitStack) -> None:
         """Take the lock, and make the dataset or compare it."""
-        if (
-            self.path.exists()
-            and not (self.path / MANIFEST).exists()
-            and (not self.path.is_dir() or any(self.path.iterdir()))
-        ):
+        if not (self.path / MANIFEST).exists() and not is_vacant(self.path):
             raise FileError(self.path, "exists, and is no dataset to go on with")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
