@@ -25,6 +25,12 @@ def test_the_promised_scenes_are_there() -> None:
     assert {p.stem for p in SCENES} >= {"deformables", "rigid", "clutter", "lookalikes", "clean"}
 
 
+def test_the_scene_that_models_are_trained_on_is_frozen() -> None:
+    """Renew the hash, printed by `foretouch simulate SCENE --explain --json`, only together with every model."""
+    path = next(p for p in SCENES if p.stem == "deformables")
+    assert load_scene(path).sha256() == path.with_suffix(".sha256").read_text().strip()
+
+
 def test_look_alikes_differ_in_stiffness_only() -> None:
     config = load_scene(next(p for p in SCENES if p.stem == "lookalikes"))
     first, second = (item.to_mapping() for item in config.objects)
