@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where clouds come from: a file, a folder of files or of grasp samples, a recording.
+"""Where clouds come from: a file, a folder of files or of grasp samples, a dataset of samples, a recording.
 
 `open_source` decides which by what lies at the path. Every entry becomes one `SourceItem`, in
 order; an entry that cannot be read is an item too, and tells why when its cloud is asked for, so
@@ -13,13 +13,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from foretouch.cloud.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.vision2tactile import is_sample_folder, read_sample, sample_folders
 from foretouch.errors import FileError, ForetouchError
 from foretouch.types import Cloud, GraspSample
+
+if TYPE_CHECKING:
+    from foretouch.dataset.samples import SampleSet
 
 __all__ = ["STAMP_STEP_NS", "Source", "SourceItem", "SourceKind", "open_source", "readable"]
 
@@ -69,7 +72,7 @@ class Source:
         kind: What was found there.
         topic: Of a recording; None elsewhere.
         frame_id: For clouds that name no frame of their own.
-        entries: The files or sample folders, in order; empty for a recording.
+        entries: The files or sample folders, in order; empty for a recording and for a dataset.
         count: Number of entries, or of messages that the recording declares.
     """
 
@@ -92,6 +95,9 @@ class Source:
         if self.kind == "recording":
             yield from self._recorded()
             return
+        if self.kind == "samples" and not self.entries:
+            yield from self._sampled()
+            return
         read = read_sample if self.kind == "samples" else read_cloud
         for number, entry in enumerate(self.entries, 1):
             yield SourceItem(str(entry), self._reader(read, entry, number * STAMP_STEP_NS))
@@ -106,6 +112,16 @@ class Source:
         cloud = value.cloud if isinstance(value, GraspSample) else value
         cloud = replace(cloud, stamp_ns=stamp_ns, frame_id=cloud.frame_id or self.frame_id)
         return replace(value, cloud=cloud) if isinstance(value, GraspSample) else cloud
+
+    def _sampled(self) -> Iterator[SourceItem]:
+        from foretouch.dataset.samples import open_samples
+
+        with open_samples(self.path) as samples:
+            for k in range(len(samples)):
+                yield SourceItem(samples.name(k), self._sample_reader(samples, k))
+
+    def _sample_reader(self, samples: SampleSet, k: int) -> Callable[[], Cloud | GraspSample]:
+        return lambda: self._placed(samples.record(k).sample, (k + 1) * STAMP_STEP_NS)
 
     def _recorded(self) -> Iterator[SourceItem]:
         with Recording(self.path) as recording:
@@ -125,8 +141,10 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
 
     Args:
         path: A cloud file, a folder of such files, a folder of vision2tactile samples (one, one object's, or
-            of several objects), or a recording (see `foretouch.dataset.bag.Recording`).
-        topic: Of a recording that holds several topics of clouds.
+            of several objects), a recorded dataset or one of its files, a training store, or a recording of
+            other topics (see `foretouch.dataset.bag.Recording`).
+        topic: Of a recording that holds several topics of clouds; of a recorded dataset, to take that topic
+            instead of its samples.
         frame_id: For clouds that name no frame of their own.
 
     Returns:
@@ -139,6 +157,11 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     path = Path(path)
     if not path.exists():
         raise FileError(path, "does not exist")
+    if topic is None and _may_hold_samples(path):
+        from foretouch.dataset.samples import open_samples
+
+        with open_samples(path) as samples:
+            return Source(path, "samples", None, frame_id, (), len(samples))
     if is_recording(path):
         return _open_recording(path, topic, frame_id)
     if topic is not None:
@@ -173,6 +196,17 @@ def readable(
             refuse(name, err)
             continue
         yield name, value
+
+
+def _may_hold_samples(path: Path) -> bool:
+    """Whether a dataset or a store lies there; asked without loading what reads them."""
+    if path.is_dir():
+        return (path / "manifest.json").is_file()
+    if path.suffix != ".mcap":
+        return False
+    from foretouch.dataset.recording.reader import holds_samples
+
+    return holds_samples(path)
 
 
 def _open_recording(path: Path, topic: str | None, frame_id: str) -> Source:

@@ -49,6 +49,7 @@ class RecordedDataset:
         else:
             rule = "is no recorded dataset" if self.path.exists() else "does not exist"
             raise FileError(self.path, rule)
+        self._closed = False
         self._samples: list[_Sample] = []
         with ExitStack() as stack:
             for file in self.files:
@@ -67,6 +68,7 @@ class RecordedDataset:
 
     def close(self) -> None:
         """Let go of the files; more than once does no harm."""
+        self._closed = True
         self._samples = []
         self._open.close()
 
@@ -79,6 +81,8 @@ class RecordedDataset:
         Raises:
             FileError: If it is damaged or of another schema version; names file and place.
         """
+        if self._closed:
+            raise FileError(self.path, "is closed")
         sample = self._samples[index]
         start, end, _ = sample.place
         try:
