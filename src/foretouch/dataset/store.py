@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +27,7 @@ import pyarrow as pa
 from foretouch.errors import FileError
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
 
-__all__ = ["FORMAT", "MANIFEST", "SCHEMA", "SCHEMA_VERSION", "Store", "is_store", "sample_digest"]
+__all__ = ["FORMAT", "MANIFEST", "SCHEMA", "SCHEMA_VERSION", "Store", "is_store", "sample_digest", "seal_manifest"]
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1
@@ -120,10 +120,12 @@ class Store(Sequence[GraspSample]):
         """Read everything and compare it with the manifest.
 
         Raises:
-            FileError: Names the shard whose bytes, or says that the content, are not those that were written.
+            FileError: Names the file whose bytes, or says that the content, are not those that were written.
         """
+        if seal_manifest(self.manifest) != (self.path / MANIFEST).read_text(encoding="utf-8"):
+            raise FileError(self.path / MANIFEST, "is not the text of which its checksum was taken", field="seal")
         for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            found = hashlib.sha256((self.path / part["file"]).read_bytes()).hexdigest()
+            found = _file_sha256(self.path / part["file"])
             if found != part["sha256"]:
                 raise FileError(self.path / part["file"], f"sha256 is {found}, not {part['sha256']}")
         content = hashlib.sha256()
@@ -146,6 +148,21 @@ def sample_digest(sample: GraspSample) -> bytes:
     for touch in (sample.touch, sample.tare):
         digest.update(b"-" if touch is None else touch.vector().data)
     return digest.digest()
+
+
+def seal_manifest(manifest: Mapping[str, Any]) -> str:
+    """The manifest's text, which holds a checksum of the rest of it."""
+    body = {name: value for name, value in manifest.items() if name != "seal"}
+    digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return json.dumps({**body, "seal": digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _file_sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 import pyarrow as pa
 
-from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest
+from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest, seal_manifest
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import GraspSample, Touch
 
@@ -138,7 +138,7 @@ class StoreWriter:
         }
         if self._files:
             manifest["files"] = self._files
-        text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        text = seal_manifest(manifest)
         with (self._folder / MANIFEST).open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
