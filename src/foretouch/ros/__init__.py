@@ -5,7 +5,8 @@ Nothing is imported here: `environment` has to run before NumPy and rclpy are lo
 
     executables          one `main` a node, and `perception` for the whole chain in one process
     node_base            lifecycle, parameters, QoS, diagnostics: what every node shares
-    worker, pairing      how a node waits for its inputs and works without blocking
+    pairing, worker      how a node waits for its inputs and works without blocking
+    offload              the same for services and actions
     segmentation_node    points -> objects, table, object_cloud
     grasp_node           object_cloud + table -> grasps
     touch_predictor_node object_cloud + grasps -> touch; predict_touch, sample_grasps

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One `main` a node, and `perception` for segmentation, grasp and touch predictor in one process.
 
-Threads: a multi-threaded executor delivers messages, and every node does its slow work in a thread of its
-own (see `processing_node`), so that a cloud in work delays neither the next one nor a service, a parameter
-or a lifecycle request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the
+Threads: one executor thread delivers messages, and every node does its slow work in threads of its own (see
+`worker` for topics and `offload` for services and actions), so that a cloud in work delays neither the next one
+nor a service, a parameter or a lifecycle request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the
 three nodes of `perception` do work at the same time. `ros2 run` and the launch files start these.
 """
 
@@ -46,7 +46,6 @@ _CLASSES = {
 }
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 _POLL_S = 0.2  # between looks at whether the nodes have ended
-_EXECUTOR_THREADS = 4  # messages, one service, one action, and lifecycle or parameters
 
 
 def camera() -> int:
@@ -139,9 +138,9 @@ def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
 
 def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
     """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them."""
-    from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-    executor = MultiThreadedExecutor(_EXECUTOR_THREADS)
+    executor = SingleThreadedExecutor()
     try:
         for node in nodes:
             executor.add_node(node)

@@ -125,7 +125,8 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=PublisherEventCallbacks(
-                incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event)
+                incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
+                use_default_callbacks=False,  # each more is asked about at every message
             ),
         )
         self._outputs.append(publisher)
@@ -143,6 +144,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
                 message_lost=lambda event: self.statistics.lose(event.total_count_change),
+                use_default_callbacks=False,
             ),
         )
         self._inputs.append(subscription)

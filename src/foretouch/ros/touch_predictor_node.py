@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
 
-Service and action run in threads of the executor, beside the worker that answers the topics: the model
-is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
+Service and action work in threads of their own (see `offload`), beside the worker that answers the topics:
+the model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
 then says so, and cleaning up and configuring again is the way to try once more.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
@@ -28,6 +28,7 @@ from foretouch.ros.conversions import stamp_ns
 from foretouch.ros.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.inputs import check_frames, read_plane, read_targets
 from foretouch.ros.markers import touch_markers
+from foretouch.ros.offload import Offload
 from foretouch.ros.predictor import Predictor
 from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
 from foretouch.ros.status import RefusalError
@@ -38,6 +39,8 @@ from foretouch_msgs.srv import PredictTouch
 
 __all__ = ["TouchPredictorConfig", "TouchPredictorNode"]
 
+_T = TypeVar("_T")
+_REQUESTS_AT_A_TIME = 2  # more would only take turns at the processor
 _TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
 
 
@@ -69,6 +72,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         inputs = [(PointCloud2, "object_cloud"), (GraspArray, "grasps")]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
         self._predictor: Predictor | None = None
+        self._offload: Offload | None = None
         self._service: Service[Any, Any] | None = None
         self._action: ActionServer[Any, Any, Any] | None = None
         self._tables: dict[int, TablePlane] = {}
@@ -85,8 +89,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._predictor.warm_up()
         self._touch = self.advertise(TouchPredictionArray, "touch")
         self._markers = self.advertise(MarkerArray, "markers")
+        self._offload = Offload(self, _REQUESTS_AT_A_TIME)
         self._service = self.create_service(
-            PredictTouch, "predict_touch", self._predict_touch, callback_group=MutuallyExclusiveCallbackGroup()
+            PredictTouch, "predict_touch", self._predict_touch, callback_group=ReentrantCallbackGroup()
         )
         self._action = ActionServer(
             self,
@@ -105,7 +110,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.destroy_service(self._service)
         if self._action is not None:
             self._action.destroy()
-        self._service = self._action = self._predictor = self._latest = None
+        if self._offload is not None:
+            self._offload.close()
+        self._service = self._action = self._offload = self._predictor = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
@@ -153,15 +160,23 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             raise RefusalError(Status.NO_MODEL, "the node is not configured")
         return self._predictor
 
+    async def _aside(self, work: Callable[[], _T]) -> _T:
+        if self._offload is None:
+            raise RefusalError(Status.NO_MODEL, "the node is not configured")
+        return await self._offload.run(work)
+
     # The service.
 
-    def _predict_touch(self, request: Any, response: Any) -> Any:
+    async def _predict_touch(self, request: Any, response: Any) -> Any:
+        response.touch = await self._aside(lambda: self._answer_or_say_why(request))
+        return response
+
+    def _answer_or_say_why(self, request: Any) -> TouchPredictionArray:
         header = request.cloud.header
         try:
-            response.touch = self._answer_request(request, header)
+            return self._answer_request(request, header)
         except RefusalError as refusal:
-            response.touch = TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
-        return response
+            return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
 
     def _answer_request(self, request: Any, header: Header) -> TouchPredictionArray:
         table = read_plane(request.table[0]) if request.table else None
@@ -173,14 +188,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     # The action.
 
-    def _sample_grasps(self, goal_handle: Any) -> Any:
-        with self._latest_lock:
-            latest = self._latest
+    async def _sample_grasps(self, goal_handle: Any) -> Any:
         try:
-            sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
-            result = sampler.sample(
-                goal_handle.request, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested
-            )
+            result = await self._aside(lambda: self._sample(goal_handle))
         except RefusalError as refusal:
             goal_handle.abort()
             return failed(refusal)
@@ -189,6 +199,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         else:
             goal_handle.succeed()
         return result
+
+    def _sample(self, goal_handle: Any) -> Any:
+        with self._latest_lock:
+            latest = self._latest
+        sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
+        return sampler.sample(
+            goal_handle.request, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested
+        )
 
     def _predict_candidates(
         self, target: FoundObject, grasps: Sequence[Grasp], header: Header
