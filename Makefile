@@ -31,8 +31,7 @@ $(VENV)/.installed: setup.cfg setup.py pyproject.toml $(MESSAGE_FILES)
 
 demo: setup
 	@rm -rf demo-output
-	$(BIN)/python examples/make_recording.py demo-output/recording
-	$(BIN)/foretouch run --source demo-output/recording --picture demo-output/touch.png
+	$(BIN)/foretouch run --source config/scenes/clean.yaml --count 30 --picture demo-output/touch.png
 
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup

@@ -69,6 +69,36 @@ def test_an_absent_source_is_one_line(tmp_path: Path, environment: dict[str, str
     assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
 
 
+def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
+    tmp_path: Path, environment: dict[str, str]
+) -> None:
+    scene, picture = tmp_path / "scene.yaml", tmp_path / "touch.png"
+    scene.write_text("camera: {width: 424, height: 320}\ngrasps: {insertion_m: 0.01}\n", encoding="utf-8")
+    options = ("--count", 10, "--json", "--picture", picture)
+    status, lines, err = _run(environment, "run", "--source", scene, *options)
+    assert status == 0, err
+    *answers, last = lines
+    assert 10 <= last["answered"] == len(answers) <= 15
+    assert last["executed"]["success"] >= 1
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mistake_in_a_scene_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
+    status, lines, err = _run(environment, "run", "--source", scene, "--json")
+    assert (status, lines) == (1, [])
+    assert err.startswith(f"foretouch: {scene}: camera.hight: unknown setting")
+    assert len(err.splitlines()) == 1
+
+
+def test_a_recording_may_be_left_before_its_end(tmp_path: Path, environment: dict[str, str]) -> None:
+    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=100))
+    status, lines, err = _run(environment, "run", "--source", tmp_path / "recording", "--json", "--count", 5)
+    assert status == 0, err
+    assert 5 <= lines[-1]["answered"] < 50
+
+
 def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> None:
     record_scenes(tmp_path / "recording", SceneRecordingConfig(count=200))
     with subprocess.Popen(

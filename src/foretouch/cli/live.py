@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from foretouch.ros.executed import Felt
     from foretouch.ros.monitor_node import NodeView, View
     from foretouch_msgs.msg import Interval, TouchPrediction
 
@@ -29,6 +30,8 @@ def live_panel(view: View, title: str) -> Panel:
     parts += [Text(f"  {count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions[:_MAX_ROWS]))
+    if view.executed is not None:
+        parts.append(_executed(*view.executed))
     return Panel(Group(*parts), title=title, title_align="left")
 
 
@@ -43,12 +46,12 @@ def _nodes(nodes: dict[str, NodeView]) -> Table:
         ]
         table.add_row(
             Text(_short(name), _LEVELS.get(node.level, "")),
-            values.get("state", ""),
+            values.get("phase" if values.get("state") == "active" and "phase" in values else "state", ""),
             values.get("rate_hz", ""),
             values.get("received", ""),
             values.get("used", ""),
             " ".join(drops) or values.get("dropped", ""),
-            " / ".join(values.get(f"latency_ms.{p}", "–") for p in ("p50", "p95")),
+            " / ".join(_rounded(values.get(f"latency_ms.{p}", "–")) for p in ("p50", "p95")),
         )
     return table
 
@@ -82,6 +85,24 @@ def _predictions(predictions: list[TouchPrediction]) -> Table:
     return table
 
 
+def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
+    table = Table(title="last grasp executed [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
+    for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
+        table.add_column(name, justify="right" if name else "left")
+    if not prediction.status:
+        pressures = _value(prediction.pdc_th), _value(prediction.pdc_mf)
+        table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))
+    for name, touch in (("read", felt.touch), ("tare", felt.tare)):
+        spans = tuple(f"{e.min():.0f}…{e.max():.0f}" for e in (touch.e_th, touch.e_mf))
+        table.add_row(name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans)
+    return table
+
+
+def _rounded(milliseconds: str) -> str:
+    """Without decimals where they only take room."""
+    return milliseconds.partition(".")[0] if len(milliseconds) > 5 else milliseconds
+
+
 def _value(interval: Interval) -> str:
     if interval.lower != interval.lower:  # NaN: not calibrated
         return f"{interval.value:.0f}"
@@ -100,5 +121,5 @@ def _short(name: str) -> str:
 def _order(name: str) -> tuple[int, str]:
     """In the order of the data's way."""
     short = _short(name)
-    known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "markers"]
+    known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
     return (known.index(short) if short in known else len(known), short)

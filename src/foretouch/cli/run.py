@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,18 +21,29 @@ __all__ = ["add_arguments", "replay_fault", "replay_parameters", "run"]
 
 _REFRESH_S = 0.2
 _DIAGNOSED_S = 1.2  # by then every node has reported once more, all that it did
+_SCENE_FILES = (".yaml", ".yml")
+_SCENE_FPS = 5  # leaves a small machine time for the rest of the graph
+_LONGEST_GRASP_S = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Where the clouds come from, and what is made of the answers."""
     parser.add_argument(
-        "--source", required=True, metavar="DIR|FILE|camera", help="clouds or samples, a recording, or the RealSense"
+        "--source",
+        required=True,
+        metavar="DIR|FILE|SCENE|camera",
+        help="clouds or samples, a recording, a scene (.yaml) with a simulated camera and hand, or the RealSense",
     )
     parser.add_argument("--topic", help="which topic of a recording holds the clouds")
     parser.add_argument("--serial", help="serial number of the camera")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="clouds a second (default: recorded times; files one by one)"
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="clouds a second (default: recorded times; files one by one; 5 of a scene)",
     )
+    parser.add_argument("--dwell", type=float, metavar="S", help="how long each object of a scene stays (default: 3)")
+    parser.add_argument("--count", type=int, metavar="N", help="end after so many answered clouds")
     parser.add_argument("--plane", metavar="a,b,c,d", help="table of clouds that hold one object each")
     parser.add_argument("--model", help="name of a shipped model, or path of a checkpoint")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
@@ -45,10 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a node did not start, a cloud went unanswered, or none gave a prediction."""
     from foretouch.ros.graph import Graph
 
-    monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None}
+    nodes = _nodes(arguments)
+    monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
     if arguments.json:
         monitor["on_touch"] = _print_answer
-    graph = Graph(_nodes(arguments), namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
+    graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     with graph:
         if not graph.started:
             raise ForetouchError("; ".join(_refusals(graph)) or "a node did not start; its log tells why")
@@ -66,8 +78,23 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if arguments.source == "camera":
         nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
         return nodes
+    if Path(arguments.source).suffix in _SCENE_FILES:
+        return nodes | _scene_nodes(arguments)
     nodes["replay"] = replay_parameters(arguments, arguments.source)
     return nodes
+
+
+def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """A hand and a camera before one scene, whose first object is there from now on."""
+    from foretouch.simulation.show import ShowConfig
+
+    show = ShowConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
+    if arguments.dwell is not None:
+        show = show.replace(dwell_s=arguments.dwell)
+    show.load()  # so that a mistake in the scene is told before anything starts
+    shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
+    fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
+    return {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **shown}}
 
 
 def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
@@ -98,28 +125,37 @@ def replay_fault(replay: ReplayNode | None) -> str | None:
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
-    """Draw until the source has ended and is answered, or Ctrl-C; False if answers are missing."""
-    ended = threading.Event() if graph.replay is None else graph.replay.ended
+    """Draw until the source has ended and is answered, enough is answered, or Ctrl-C; False if answers are missing."""
+    replay, count = graph.replay, arguments.count
+
+    def ended() -> bool:
+        return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
+
     title = f"foretouch run: {arguments.source} (Ctrl-C ends it)"
     try:
         if arguments.json or not sys.stdout.isatty():
-            while not ended.wait(_REFRESH_S):
-                pass
+            while not ended():
+                time.sleep(_REFRESH_S)
         else:
             _draw_until(ended, graph, title)
     except KeyboardInterrupt:
         return True
-    return graph.wait_for_answers(graph.played())
+    if replay is None or not replay.ended.is_set():
+        graph.stop_source()
+    graph.wait_for_hand(_LONGEST_GRASP_S)
+    # A live source does not wait to be answered: what it sent too fast is counted by the nodes as dropped.
+    return replay is None or graph.wait_for_answers(graph.played())
 
 
-def _draw_until(ended: threading.Event, graph: Graph, title: str) -> None:
+def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
     from rich.live import Live
 
     from foretouch.cli.live import live_panel
 
     with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
-        while not ended.wait(_REFRESH_S):
+        while not ended():
             live.update(live_panel(graph.monitor.view(), title))
+            time.sleep(_REFRESH_S)
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -128,9 +164,13 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     view = graph.monitor.view()
     answered, played = sum(view.answers.values()), graph.played()
     if arguments.json:
-        print_json(
-            {"played": played, "answered": answered, "answers": dict(view.answers), "reasons": dict(view.reasons)}
-        )
+        counts = {
+            "played": played,
+            "answered": answered,
+            "answers": dict(view.answers),
+            "reasons": dict(view.reasons),
+        }
+        print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
     else:
         from rich.console import Console
 
@@ -158,10 +198,18 @@ def _draw(graph: Graph, path: str) -> None:
     if found is None:
         warn(f"{path}: not drawn, for there was no prediction")
         return
-    scene, target, answer = found
-    prediction = prediction_from_msg(answer.predictions[0])
+    prediction, felt = prediction_from_msg(found.prediction), found.felt
+    title = f"object {found.target.id}"
+    if prediction.value is not None:
+        title += f", predicted by {found.prediction.model}"
     save_touch_picture(
-        path, scene, target, prediction, title=f"object {target.id}, predicted by {answer.predictions[0].model}"
+        path,
+        found.scene,
+        found.target,
+        prediction,
+        rest=None if felt is None else felt.tare,
+        read=None if felt is None else felt.touch,
+        title=title if felt is None else f"{title}; read by the simulated hand",
     )
     warn(f"wrote {path}")
 

@@ -17,6 +17,7 @@ from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
 __all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_touch_picture"]
 
 FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # g1, g2 as the models take them: thumb, middle finger
+_LEAST_RANGE_M = 0.4  # of depth, from white to black: else a table seen from above would be black
 _MAX_POINTS = 6000  # more only make a scatter slower, not denser
 
 
@@ -27,6 +28,7 @@ def save_touch_picture(
     prediction: TouchPrediction,
     *,
     rest: Touch | None = None,
+    read: Touch | None = None,
     title: str = "",
 ) -> Path:
     """Write one PNG: scene, object with contacts, electrodes of thumb and middle finger.
@@ -37,34 +39,46 @@ def save_touch_picture(
         target: The object.
         prediction: What is drawn; a refused one is drawn without its fingers.
         rest: Reading without contact; the electrodes are then coloured by their drop from it.
+        read: What was read when the grasp was executed: drawn below the prediction, in the same colours.
         title: Above all.
 
     Returns:
         The path.
     """
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    rows = {name: touch for name, touch in (("predicted", prediction.value), ("read", read)) if touch is not None}
+    beside = len(rows) < 2  # scene and object side by side, else one above the other
+    figure = Figure(figsize=(13, 4.6) if beside else (11.5, 8.6), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title)
-    seen, front, thumb, middle = figure.subplots(1, 4, width_ratios=[1.35, 1.1, 0.8, 0.8])
-    draw_scene(seen, scene if scene is not None else target.cloud, target)
-    draw_front(front, target.cloud, prediction.grasp)
-    if prediction.value is not None:
-        value = prediction.value
-        for axes, name, pdc, electrodes, at_rest in (
-            (thumb, "TH", value.pdc_th, value.e_th, None if rest is None else rest.e_th),
-            (middle, "MF", value.pdc_mf, value.e_mf, None if rest is None else rest.e_mf),
-        ):
-            draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name])
-            finger = "thumb" if name == "TH" else "middle finger"
-            axes.set_title(f"{finger}, PDC {pdc:.0f}", color=FINGER_COLOURS[name], fontsize=11)
-    else:
-        for axes in (thumb, middle):
-            axes.set_axis_off()
-        thumb.set_title(f"refused: {prediction.reason}")
+    widths = [1.35, 1.1, 0.8, 0.8] if beside else [1.2, 0.8, 0.8]
+    grid = figure.add_gridspec(max(1, len(rows)), len(widths), width_ratios=widths)
+    draw_scene(figure.add_subplot(grid[0, 0]), scene if scene is not None else target.cloud, target)
+    draw_front(figure.add_subplot(grid[0, 1] if beside else grid[1, 0]), target.cloud, prediction.grasp)
+    for column, name in enumerate(FINGER_COLOURS, 2 if beside else 1):
+        axes = [figure.add_subplot(grid[row, column]) for row in range(len(rows))]
+        _draw_finger(axes, name, rows, rest)
+    if prediction.value is None:
+        figure.suptitle("\n".join(filter(None, (title, f"not predicted: {prediction.reason}"))))
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
     return path
+
+
+def _draw_finger(rows: list[Axes], name: str, touches: dict[str, Touch], rest: Touch | None) -> None:
+    """One fingertip in each of some touches, one below the other and coloured alike."""
+    readings = {what: _finger(touch, name) for what, touch in touches.items()}
+    at_rest = None if rest is None else _finger(rest, name)[1]
+    shown = [electrodes if at_rest is None else at_rest - electrodes for _, electrodes in readings.values()]
+    limits = (float(np.min(shown)), float(np.max(shown))) if shown else None
+    finger = "thumb" if name == "TH" else "middle finger"
+    for axes, (what, (pdc, electrodes)) in zip(rows, readings.items(), strict=True):
+        draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name], limits=limits)
+        axes.set_title(f"{finger} {what}\nPDC {pdc:.0f}", color=FINGER_COLOURS[name], fontsize=11)
+
+
+def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
+    return (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
 
 
 def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
@@ -75,7 +89,7 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
         near, far = np.nanpercentile(depth, [0.1, 99])
-        axes.imshow(depth, cmap="Greys", vmin=near, vmax=far)
+        axes.imshow(depth, cmap="Greys", vmin=near, vmax=max(far, near + _LEAST_RANGE_M))
         tint = np.full(depth.shape, np.nan)
         tint[np.divmod(target.pixels, target.image_shape[1])] = 1.0
         axes.imshow(tint, cmap="Wistia", vmin=0, vmax=1)
@@ -98,7 +112,9 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 
 
-def draw_electrodes(axes: Axes, electrodes: Float64, rest: Float64 | None, *, colour: str) -> None:
+def draw_electrodes(
+    axes: Axes, electrodes: Float64, rest: Float64 | None, *, colour: str, limits: tuple[float, float] | None = None
+) -> None:
     """The 24 electrodes of one fingertip, unrolled from the core.
 
     Args:
@@ -106,13 +122,17 @@ def draw_electrodes(axes: Axes, electrodes: Float64, rest: Float64 | None, *, co
         electrodes: (24,) counts.
         rest: (24,) counts without contact, or None: then the counts themselves are coloured.
         colour: Of the outline.
+        limits: Of the colours [counts]; None for those of the values.
     """
     x, y, z = 1e3 * electrode_positions().T
     around = np.degrees(np.arctan2(y, -z))
     values = electrodes if rest is None else rest - electrodes
-    drawn = axes.scatter(around, x, s=190, c=values, cmap="viridis_r" if rest is None else "magma_r", edgecolors=colour)
-    for k, (angle, along) in enumerate(zip(around, x, strict=True), 1):
-        axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color="white")
+    low, high = limits or (float(values.min()), float(values.max()))
+    colours = "viridis_r" if rest is None else "magma_r"  # both dark at the high end
+    drawn = axes.scatter(around, x, s=190, c=values, cmap=colours, vmin=low, vmax=high, edgecolors=colour)
+    for k, (angle, along, value) in enumerate(zip(around, x, values, strict=True), 1):
+        ink = "white" if value > (low + high) / 2.0 else "black"
+        axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color=ink)
     label = "electrode [counts]" if rest is None else "drop from rest [counts]"
     axes.figure.colorbar(drawn, ax=axes, location="bottom", label=label, shrink=0.9)
     axes.set(xlabel="around the core [°]", ylabel="along the finger [mm]")

@@ -16,6 +16,7 @@ from foretouch.ros.environment import prepare_environment
 from foretouch.ros.executables import make_nodes
 
 if TYPE_CHECKING:
+    from foretouch.ros.hand_node import HandNode
     from foretouch.ros.monitor_node import MonitorNode
     from foretouch.ros.node_base import ForetouchNode
     from foretouch.ros.replay_node import ReplayNode
@@ -97,9 +98,36 @@ class Graph:
         return node if isinstance(node, ReplayNode) else None
 
     def played(self) -> int:
-        """Clouds published by the replay; 0 without one."""
-        replay = self.replay
-        return 0 if replay is None else replay.statistics.snapshot().used
+        """Clouds published by the replay or the camera; 0 without one."""
+        sources = [self.nodes[name] for name in ("replay", "camera") if name in self.nodes]
+        return sum(node.statistics.snapshot().used for node in sources)
+
+    def stop_source(self) -> None:
+        """Publish no more clouds."""
+        for name in ("replay", "camera"):
+            if name in self.nodes:
+                self.nodes[name].stop()
+
+    @property
+    def hand(self) -> HandNode | None:
+        """The simulated hand, where it is one of the nodes."""
+        from foretouch.ros.hand_node import HandNode
+
+        node = self.nodes.get("hand")
+        return node if isinstance(node, HandNode) else None
+
+    def executed(self) -> dict[str, int]:
+        """Grasps that the simulated hand has executed, by outcome."""
+        return {} if self.hand is None else dict(self.hand.executed)
+
+    def wait_for_hand(self, timeout_s: float) -> bool:
+        """Wait until the simulated hand has let go of what it holds; False if it takes longer."""
+        hand, end = self.hand, time.monotonic() + timeout_s
+        while hand is not None and hand.busy:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.05)
+        return True
 
     def answered(self) -> int:
         """Arrays of touch seen by the monitor."""

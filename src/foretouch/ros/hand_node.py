@@ -107,6 +107,11 @@ class HandNode(ForetouchNode[HandConfig]):
         self._resting: list[RestingFingers] = []
         super().__init__(name, HandConfig, **options)
 
+    @property
+    def busy(self) -> bool:
+        """Whether a grasp is being executed or made ready."""
+        return self._busy
+
     # Hooks of the base.
 
     def setup(self) -> None:

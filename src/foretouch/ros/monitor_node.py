@@ -21,14 +21,16 @@ from foretouch.errors import CloudError
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.clouds import cloud_from_msg, objects_from_msg
 from foretouch.ros.conversions import stamp_ns
+from foretouch.ros.executed import Felt, TactileWindow
 from foretouch.ros.node_base import NAMESPACE
 from foretouch.ros.status import status_name
 from foretouch.types import Cloud
-from foretouch_msgs.msg import TouchPredictionArray
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
-__all__ = ["MonitorNode", "NodeView", "View"]
+__all__ = ["Drawable", "MonitorNode", "NodeView", "View"]
 
 _KEPT_CLOUDS = 8  # enough to find the cloud of an answer again
+_KEPT_WHILE_GRASPING = 32  # enough to find it when the grasp has been executed
 
 
 @dataclass(frozen=True)
@@ -48,13 +50,32 @@ class View:
         answers: Arrays of touch received, by status.
         reasons: How often each reason was given.
         last: The last array of touch, or None.
+        executed: The last grasp that a hand executed with success: what was predicted, and what was read.
         nodes: Last diagnostics by node name.
     """
 
     answers: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     last: TouchPredictionArray | None = None
+    executed: tuple[TouchPrediction, Felt] | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawable:
+    """A prediction with what it was made of.
+
+    Attributes:
+        scene: The whole cloud, where it was seen.
+        target: The object.
+        prediction: The answer.
+        felt: What was read when the grasp was executed; None if it was not.
+    """
+
+    scene: Cloud | None
+    target: FoundObject
+    prediction: TouchPrediction
+    felt: Felt | None = None
 
 
 class MonitorNode(Node):
@@ -63,6 +84,7 @@ class MonitorNode(Node):
     Args:
         namespace: Of the graph.
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
+        with_hand: Whether to listen to a hand, so that what was read can be drawn beside it.
         on_touch: Called with each array of touch, in the executor's thread.
     """
 
@@ -71,6 +93,7 @@ class MonitorNode(Node):
         *,
         namespace: str = NAMESPACE,
         with_clouds: bool = False,
+        with_hand: bool = False,
         on_touch: Callable[[TouchPredictionArray], None] | None = None,
         **options: Any,
     ) -> None:
@@ -80,10 +103,16 @@ class MonitorNode(Node):
         self._on_touch = on_touch
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
-        self._drawable: deque[TouchPredictionArray] = deque(maxlen=_KEPT_CLOUDS)
+        self._kept = _KEPT_WHILE_GRASPING if with_hand else _KEPT_CLOUDS
+        self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
+        self._executed: Drawable | None = None
+        self._tactile = TactileWindow()
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         self.create_subscription(TouchPredictionArray, "touch", self._take_touch, reliable)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 50)
+        if with_hand:
+            self.create_subscription(BiotacAll, "/rh/tactile", self._tactile.add, reliable)
+            self.create_subscription(ExecutedGrasp, "executed_grasp", self._take_executed, reliable)
         if with_clouds:
             for topic, kept in (("points", self._scenes), ("object_cloud", self._objects)):
                 self.create_subscription(
@@ -94,26 +123,30 @@ class MonitorNode(Node):
         """A copy that no callback changes."""
         with self._lock:
             view = self._view
-            return View(Counter(view.answers), Counter(view.reasons), view.last, dict(view.nodes))
+            return View(Counter(view.answers), Counter(view.reasons), view.last, view.executed, dict(view.nodes))
 
-    def last_drawable(self) -> tuple[Cloud | None, FoundObject, TouchPredictionArray] | None:
-        """The newest answer with a prediction whose clouds are still kept: scene, object, answer."""
+    def last_drawable(self) -> Drawable | None:
+        """The last answer whose grasp was executed, else the newest whose clouds are still kept."""
         with self._lock:
-            answers, scenes, objects = list(self._drawable), dict(self._scenes), dict(self._objects)
-        for answer in reversed(answers):
-            stamp = stamp_ns(answer.header.stamp)
-            if stamp not in objects:
-                continue
-            try:
-                found = objects_from_msg(objects[stamp], ASSUMED_TABLE)
-                scene = cloud_from_msg(scenes[stamp]) if stamp in scenes else None
-            except CloudError:
-                continue
-            wanted = answer.predictions[0].grasp.object_id
-            for one in found:
-                if one.id == wanted:
-                    return scene, one, answer
-        return None
+            if self._executed is not None:
+                return self._executed
+            answers = list(self._drawable)
+        return next(filter(None, (self._drawn(answer.predictions[0]) for answer in reversed(answers))), None)
+
+    def _drawn(self, prediction: TouchPrediction, felt: Felt | None = None) -> Drawable | None:
+        """A prediction with its clouds; None where they are gone."""
+        stamp = stamp_ns(prediction.header.stamp)
+        with self._lock:
+            scene_message, object_message = self._scenes.get(stamp), self._objects.get(stamp)
+        if object_message is None:
+            return None
+        try:
+            found = objects_from_msg(object_message, ASSUMED_TABLE)
+            scene = None if scene_message is None else cloud_from_msg(scene_message)
+        except CloudError:
+            return None
+        wanted = prediction.grasp.object_id
+        return next((Drawable(scene, one, prediction, felt) for one in found if one.id == wanted), None)
 
     def _take_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
@@ -126,6 +159,19 @@ class MonitorNode(Node):
         if self._on_touch is not None:
             self._on_touch(message)
 
+    def _take_executed(self, report: ExecutedGrasp) -> None:
+        felt = self._tactile.felt(report)
+        if felt is None:
+            return
+        with self._lock:
+            predictions = [one for answer in self._drawable for one in answer.predictions]
+        for one in predictions:
+            if one.grasp.id == felt.grasp_id:
+                drawn = self._drawn(one, felt)
+                with self._lock:
+                    self._view.executed = one, felt
+                    self._executed = drawn or self._executed
+
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:
             for status in message.status:
@@ -136,5 +182,5 @@ class MonitorNode(Node):
     def _keep(self, kept: OrderedDict[int, PointCloud2], message: PointCloud2) -> None:
         with self._lock:
             kept[stamp_ns(message.header.stamp)] = message
-            while len(kept) > _KEPT_CLOUDS:
+            while len(kept) > self._kept:
                 kept.popitem(last=False)
