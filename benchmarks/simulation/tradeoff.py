@@ -26,13 +26,8 @@ Array = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
 _LEVELS = (
-    ("hertz", 24),
-    ("winkler", 12),
-    ("winkler", 24),
-    ("winkler", 48),
-    ("layer", 12),
-    ("layer", 24),
-    ("layer", 48),
+    *(("hertz", 24), ("winkler", 12), ("winkler", 24), ("winkler", 48)),
+    *(("layer", 12), ("layer", 24), ("layer", 32), ("layer", 48)),
 )
 _REFERENCE = ("layer", 128)
 

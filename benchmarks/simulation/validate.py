@@ -84,7 +84,7 @@ def counts(samples: list[GraspSample]) -> Iterator[Row]:
 
 def forces(name: str, count: int) -> Iterator[Row]:
     """Balance of the fingers, and the sum of pressure against the commanded force."""
-    config = scene(name)
+    config = scene(name, grasps__control="force")
     made, balance, sums = engine(config, "contacts", "targets", "pads"), [], []
     for key in keys(config, count):
         try:
