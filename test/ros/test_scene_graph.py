@@ -15,8 +15,11 @@ pytest.importorskip("libusb_package", reason="the camera's libraries are not ins
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, scene
 
+from foretouch.errors import ConfigError
+from foretouch.ros.camera_node import CameraNodeConfig
 from foretouch.ros.clouds import cloud_from_msg
 from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.show import ShowConfig
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
@@ -44,3 +47,9 @@ def test_the_hand_holds_what_the_camera_saw(graph, tmp_path) -> None:
         cloud = cloud_from_msg(message)
         expected = FrameMaker(config).frame(show.slot(cloud.stamp_ns)).cloud()
         np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)
+
+
+def test_faults_are_for_the_camera_of_a_scene() -> None:
+    with pytest.raises(ConfigError, match="faults: are put into the camera of a scene only, not device"):
+        CameraNodeConfig(faults=FaultConfig(drop_share=0.1))
+    assert CameraNodeConfig(source="scene", faults=FaultConfig(drop_share=0.1)).faults.drop_share == 0.1

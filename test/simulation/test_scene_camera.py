@@ -7,6 +7,7 @@ from foretouch.camera import RealSenseConfig, open_camera
 from foretouch.camera.library import realsense
 from foretouch.errors import MissingDependencyError
 from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import SceneImages, scene_camera
 from foretouch.simulation.show import ShowConfig
 
@@ -24,9 +25,9 @@ class Clock:
         return self.now_ns
 
 
-def images(config, **show) -> tuple[SceneImages, Clock, ShowConfig]:
-    clock, settings = Clock(), ShowConfig(dwell_s=2.0, origin_ns=START, **show)
-    return SceneImages(config, settings, clock), clock, settings
+def images(config, **faults) -> tuple[SceneImages, Clock, ShowConfig]:
+    clock, show = Clock(), ShowConfig(dwell_s=2.0, origin_ns=START)
+    return SceneImages(config, show, FaultConfig(**faults), clock), clock, show
 
 
 def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
@@ -59,6 +60,24 @@ def test_a_sample_without_a_place_is_not_shown(caplog: pytest.LogCaptureFixture)
     image = camera(0)
     assert not image.depth_mm.any()
     assert "finds no place" in caplog.text
+
+
+def test_a_faulty_clock_still_tells_which_sample_is_seen() -> None:
+    config = scene(camera=SMALL)
+    camera, clock, show = images(config, jitter_s=0.02, skew_s=0.05)
+    for number in range(40):
+        clock.now_ns = START + 1_900_000_000 + number * 5_000_000
+        image, stamp = camera(number), camera.stamp_ns(number)
+        assert 0.029 <= (stamp - clock.now_ns) / 1e9 <= 0.07
+        np.testing.assert_array_equal(image.depth_mm, FrameMaker(config).frame(show.slot(stamp)).depth_mm)
+    assert camera.faults.moved == 40
+
+
+def test_lost_images_have_no_stamp_and_are_counted() -> None:
+    camera, _, _ = images(scene(camera=SMALL), drop_share=0.5)
+    stamps = [camera(number) and camera.stamp_ns(number) for number in range(100)]
+    assert stamps.count(None) == camera.faults.dropped
+    assert 25 <= camera.faults.dropped <= 75
 
 
 def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() -> None:

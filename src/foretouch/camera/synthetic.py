@@ -48,8 +48,8 @@ class SyntheticCamera:
         frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
-        stamp_ns: When the n-th frame was taken [ns since 1970], asked for once the frame is made; by default
-            when it is fed. The library counts milliseconds in double precision.
+        stamp_ns: When the n-th frame was taken [ns since 1970], asked for once the frame is made, or None if the
+            frame gets lost; by default when it is fed. The library counts milliseconds in double precision.
 
     Attributes:
         colour: Whether the colour sensor sends.
@@ -64,10 +64,10 @@ class SyntheticCamera:
         frames: Callable[[int], SyntheticFrame] | Sequence[SyntheticFrame],
         fps: int = 30,
         serial: str = "synthetic",
-        stamp_ns: Callable[[int], int] | None = None,
+        stamp_ns: Callable[[int], int | None] | None = None,
     ) -> None:
         self._frame = frames if callable(frames) else _repeated(frames)
-        self._stamp_ns = stamp_ns or (lambda _: time.time_ns())
+        self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self._frame(0)
         self._shape = first.depth_mm.shape
@@ -110,8 +110,9 @@ class SyntheticCamera:
             frame = self._frame(number)
             if frame.depth_mm.shape != self._shape:
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
-            if self._plugged:
-                self._send(frame, number, self._stamp_ns(number) / 1e6)
+            stamp_ns = self._stamp_ns(number)
+            if self._plugged and stamp_ns is not None:
+                self._send(frame, number, stamp_ns / 1e6)
             self._number += 1
             return number
 

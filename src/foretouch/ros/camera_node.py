@@ -18,10 +18,11 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
 from foretouch.config import Settings, setting
-from foretouch.errors import ForetouchError
+from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.clouds import cloud_to_msg
 from foretouch.ros.node_base import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
+from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import scene_camera
 from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.swing import swinging
@@ -58,6 +59,12 @@ class CameraNodeConfig(NodeConfig):
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
     scene: ShowConfig = field(default_factory=ShowConfig)
+    faults: FaultConfig = field(default_factory=FaultConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.source != "scene" and self.faults != FaultConfig():
+            raise ConfigError(f"CameraNodeConfig.faults: are put into the camera of a scene only, not {self.source}")
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
@@ -86,7 +93,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         elif self.config.source == "scene":
             scene = self.config.scene.load()
             self._size = {"width": scene.camera.width, "height": scene.camera.height}
-            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps)
+            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps, self.config.faults)
         self._points = self.advertise(PointCloud2, "points")
 
     def start(self) -> None:

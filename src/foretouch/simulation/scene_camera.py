@@ -14,6 +14,7 @@ from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_scene import DepthImage
 from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.show import ShowConfig
 
@@ -30,13 +31,24 @@ class SceneImages:
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
     image; these are then shown in turn. One that the scene has no place for is not shown: the camera measures nothing.
 
+    Attributes:
+        faults: With its counts.
+
     Args:
         scene: The scene.
         show: Which sample is on the table when.
+        faults: Of the camera's clock, and images that get lost. A sample is on the table when the camera's clock
+            says so, whatever the fault, so that a stamp still tells which it is.
         clock_ns: Time of day [ns].
     """
 
-    def __init__(self, scene: SceneConfig, show: ShowConfig, clock_ns: Callable[[], int] = time.time_ns) -> None:
+    def __init__(
+        self,
+        scene: SceneConfig,
+        show: ShowConfig,
+        faults: FaultConfig | None = None,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
         self._maker = FrameMaker(scene)
         self._show = show
         self._clock_ns = clock_ns
@@ -44,13 +56,16 @@ class SceneImages:
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
         self._images: list[DepthImage] = []
-        self._taken_ns = 0
+        self._taken_ns: int | None = None
+        self.faults = MessageFaults(faults or FaultConfig())
 
     def __call__(self, number: int) -> DepthImage:
         """The image with this number."""
+        now_ns = self._clock_ns()
+        stamp_ns = self.faults.stamp(now_ns)
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
-        self._taken_ns = self._clock_ns() // _MS_NS * _MS_NS
-        slot = self._show.slot(self._taken_ns)
+        self._taken_ns = None if stamp_ns is None else stamp_ns // _MS_NS * _MS_NS
+        slot = self._show.slot(now_ns if self._taken_ns is None else self._taken_ns)
         if slot != self._slot:
             self._images, self._slot = [], slot
         if len(self._images) < self._views:
@@ -58,8 +73,8 @@ class SceneImages:
             return self._images[-1]
         return self._images[number % self._views]
 
-    def stamp_ns(self, number: int) -> int:  # noqa: ARG002
-        """When the last image was taken: before it was rendered [ns]."""
+    def stamp_ns(self, number: int) -> int | None:  # noqa: ARG002
+        """When the last image was taken: before it was rendered [ns]; None if it is to be lost."""
         return self._taken_ns
 
     def _render(self, slot: int, repeat: int) -> DepthImage:
@@ -72,13 +87,14 @@ class SceneImages:
             return self._maker.nothing()
 
 
-def scene_camera(scene: SceneConfig, show: ShowConfig, fps: int) -> SyntheticCamera:
+def scene_camera(scene: SceneConfig, show: ShowConfig, fps: int, faults: FaultConfig | None = None) -> SyntheticCamera:
     """A device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.
         show: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
+        faults: Of stamps and images.
     """
-    images = SceneImages(scene, show)
+    images = SceneImages(scene, show, faults)
     return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)
