@@ -6,6 +6,8 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,22 +186,15 @@ def _tell(simulation: Simulation, sha256: str, arguments: argparse.Namespace, se
     print(f"sha256 {sha256}")
 
 
-class _progress:  # noqa: N801  # used as a statement
-    """A bar on stderr for a person, nothing for a program."""
+@contextmanager
+def _progress(count: int, quiet: bool) -> Iterator[Callable[[], None]]:
+    """A bar on stderr for a person, nothing for a program; what it yields is to be called once a sample."""
+    from rich.console import Console
+    from rich.progress import Progress
 
-    def __init__(self, count: int, quiet: bool) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        self._bar = Progress(console=Console(stderr=True), disable=quiet)
-        self._task = self._bar.add_task("simulating", total=count)
-
-    def __enter__(self) -> Any:
-        self._bar.__enter__()
-        return lambda: self._bar.advance(self._task)
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.__exit__(*error)  # type: ignore[arg-type]
+    with Progress(console=Console(stderr=True), disable=quiet) as bar:
+        task = bar.add_task("simulating", total=count)
+        yield lambda: bar.advance(task)
 
 
 def _positive(text: str) -> int:

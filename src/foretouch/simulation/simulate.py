@@ -12,6 +12,8 @@ import os
 from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
@@ -216,21 +218,22 @@ def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterat
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
+        except BrokenProcessPool as err:
+            raise SimulationError("a worker process died; with --workers 1 the cause can be seen", "worker") from err
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-class _one_thread_each:  # noqa: N801  # used as a statement
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
     """Workers inherit the environment: their BLAS must not take the cores from each other."""
-
-    _NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-
-    def __enter__(self) -> None:
-        self._before = {name: os.environ.get(name) for name in self._NAMES}
-        os.environ.update(dict.fromkeys(self._NAMES, "1"))
-
-    def __exit__(self, *_: object) -> None:
-        for name, value in self._before.items():
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
