@@ -31,9 +31,9 @@ from foretouch.dataset.recording.scan import (
     Declaration,
     RawMessage,
     RawRecord,
+    check_record,
     chunk_at,
     declaration,
-    magic_damage,
     mapped,
     messages_of,
     next_chunk,
@@ -104,7 +104,7 @@ def repair_file(path: str | Path) -> RepairReport:
     part.unlink(missing_ok=True)
     try:
         with mapped(path) as data:
-            if len(data) and magic_damage(data) and next_chunk(data, 0) is None:
+            if not MAGIC.startswith(bytes(data[: len(MAGIC)])) and next_chunk(data, 0) is None:
                 raise FileError(path, "is no MCAP file, and holds no part of one")
             _write_repaired(part, data, report)
         report.original = _replace(path, part)
@@ -158,9 +158,10 @@ def _walk(data: memoryview) -> Iterator[Chunk | RawRecord | Damage]:
                 break
             if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            item = chunk_at(data, record) if record.opcode == Opcode.CHUNK else record
-            if isinstance(item, Damage) or not 0 < record.opcode <= Opcode.DATA_END:
-                yield item if isinstance(item, Damage) else Damage(record.offset, "damaged: an unknown record")
+            chunk = record.opcode == Opcode.CHUNK
+            item = chunk_at(data, record) if chunk else check_record(data, record) or record
+            if isinstance(item, Damage):
+                yield item
                 break
             yield item
             start = record.end
@@ -288,18 +289,26 @@ class _Copy:
 def _samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
     """Intact samples between two places, whatever of the records around them is damaged."""
     at = start
-    for match in _MESSAGE_START.finditer(data, start, end):
-        if match.start() < at:
+    for head, stop in _message_heads(data, start, end):
+        if head < at:
             continue
-        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
-        for stop in {match.start() + 9 + length, end}:
-            cdr = data[match.start() + _HEAD : stop]
-            if stop <= end and _readable(cdr):
+        for last in sorted({stop, end}):
+            cdr = data[head + _HEAD : last]
+            if last <= end and _readable(cdr):
                 yield cdr
-                at = stop
+                at = last
                 break
-    if at == start and _readable(data[start + _HEAD : end]):
-        yield data[start + _HEAD : end]
+
+
+def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, int]]:
+    """Where messages may begin and end: as a walk finds them up to the damage, and whatever looks like one."""
+    heads: dict[int, int] = {}
+    for match in _MESSAGE_START.finditer(data, start, end):
+        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
+        heads[match.start()] = match.start() + 9 + length
+    for record in records(data, start, end):
+        heads[record.offset] = end if isinstance(record, Damage) else record.end
+    return sorted(heads.items())
 
 
 def _readable(cdr: memoryview) -> bool:

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, McapRecord, Metadata, Schema
+from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
@@ -34,6 +34,7 @@ __all__ = [
     "Place",
     "RawMessage",
     "RawRecord",
+    "check_record",
     "chunk_at",
     "declaration",
     "magic_damage",
@@ -51,6 +52,8 @@ Declaration: TypeAlias = Schema | Channel | Metadata
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")
+_INDEX = struct.Struct("<HI")
+_KNOWN: Final = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER}
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
 _P = TypeVar("_P", bound=McapRecord)
 
@@ -225,6 +228,22 @@ def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | N
     return parse(Metadata, data, record) if record.opcode == Opcode.METADATA else None
 
 
+def check_record(data: memoryview, record: RawRecord) -> Damage | None:
+    """Whether a record's length fits what is in it, where no checksum says so: a wrong one would skip what follows."""
+    content: object = None
+    if record.opcode == Opcode.HEADER:
+        content = parse(Header, data, record)
+    elif record.opcode == Opcode.MESSAGE_INDEX:
+        size = record.end - record.start - _INDEX.size
+        if size < 0 or size % 16 or size != _INDEX.unpack_from(data, record.start)[1]:
+            content = Damage(record.offset, "damaged: the sizes of an index do not add up")
+    elif record.opcode not in _KNOWN:
+        content = Damage(record.offset, f"damaged: a record of number {record.opcode} has no place here")
+    else:
+        content = declaration(data, record)
+    return content if isinstance(content, Damage) else None
+
+
 def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Place]:
     """The samples of a file in order, up to its end or to where it is cut off.
 
@@ -254,6 +273,9 @@ def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Plac
                 raise chunk.error(path)
             yield from _samples_of(path, data, chunk, channels)
         else:
+            damage = check_record(data, record)
+            if damage is not None:
+                raise damage.error(path)
             _declare(path, declaration(data, record), type_name, schemas, channels)
 
 

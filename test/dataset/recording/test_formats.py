@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as other libraries see them: `mcap`, which checks every checksum, and `rosbags`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from recording_builders import MESSAGE, TACTILE, record, write_dataset
+from rosbags.highlevel import AnyReader
+
+from foretouch.dataset.bag import Recording, list_topics
+from foretouch.dataset.recording import SAMPLE_TOPIC, repair_dataset
+from foretouch.dataset.recording.messages import SAMPLE_TYPE
+
+
+@pytest.fixture(params=["finished", "repaired"])
+def file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Five samples with ten messages, finished by the writer or by a repair."""
+    made = write_dataset(tmp_path / "ds", 5)
+    if request.param == "repaired":
+        data = made.read_bytes()
+        made.write_bytes(data[: data.rindex(b"foretouch_accounts") - 100])
+        repair_dataset(tmp_path / "ds")
+    return made
+
+
+def test_mcap_reads_it_and_all_its_checksums_hold(file: Path) -> None:
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 15
+        assert {channel.topic for channel in summary.channels.values()} == {SAMPLE_TOPIC, TACTILE}
+        messages = [message.data for _, _, message in reader.iter_messages(topics=[TACTILE])]
+        assert messages == 10 * [MESSAGE]
+    with file.open("rb") as stream:
+        kinds = [type(r).__name__ for r in StreamReader(stream, validate_crcs=True, emit_chunks=True).records]
+    assert kinds[-1] == "Footer"
+    assert kinds.count("Chunk") == 10  # five of a sample, five of the messages before it
+
+
+def test_rosbags_reads_it_and_decodes_the_samples(file: Path) -> None:
+    with AnyReader([file]) as reader:
+        connections = [c for c in reader.connections if c.topic == SAMPLE_TOPIC]
+        decoded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
+    made = [record(number) for number in range(5)]
+    assert [message.id for message in decoded] == [f"ball/{number:06d}" for number in range(1, 6)]
+    for message, expected in zip(decoded, made, strict=True):
+        assert expected.sample.touch is not None
+        np.testing.assert_array_equal(message.e_th, expected.sample.touch.e_th)
+        np.testing.assert_array_equal(np.asarray(message.grasp.rotation).reshape(3, 3), expected.sample.grasp.rotation)
+        assert message.cloud.width == 30
+    with Recording(file) as bag:
+        assert sum(1 for _ in bag.messages()) == 15
+
+
+def test_the_topics_tell_their_types(file: Path) -> None:
+    topics = {topic.name: topic for topic in list_topics(file)}
+    assert topics[SAMPLE_TOPIC].type == SAMPLE_TYPE
+    assert topics[SAMPLE_TOPIC].stamped
+    assert topics[TACTILE].count == 10

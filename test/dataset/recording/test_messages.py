@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sample through its message and back, and what is refused."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY, assert_same_sample, record
+
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.messages import SAMPLE_TYPE, check_id, decode_sample, encode_sample, is_intact
+from foretouch.dataset.recording.record import SampleRecord, TouchSeries
+from foretouch.errors import DatasetError
+from foretouch.types import Cloud, Touch
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+def named(made: SampleRecord, sample_id: str = "ball/000001") -> SampleRecord:
+    return replace(made, sample=replace(made.sample, id=sample_id))
+
+
+def test_every_field_comes_back() -> None:
+    made = named(record(3))
+    stored = decode_sample(encode_sample(made, IDENTITY))
+    back = stored.record
+    assert_same_sample(back.sample, made.sample)
+    assert back.sample.id == made.sample.id
+    assert back.sample.grasp.id == "grasp-3"
+    assert back.sample.cloud.stamp_ns == made.sample.cloud.stamp_ns
+    assert back.sample.cloud.frame_id == "camera"
+    for name in ("outcome", "note", "contact_ns", "detector", "pairing_error_ns", "flags"):
+        assert getattr(back, name) == getattr(made, name), name
+    assert [grasp.id for grasp in back.candidates] == ["other-3"]
+    assert stored.identity == IDENTITY
+    assert back.series is not None
+    assert made.series is not None
+    for name in ("stamps_ns", "counts", "phases"):
+        np.testing.assert_array_equal(getattr(back.series, name), getattr(made.series, name))
+    assert back.series.others.keys() == made.series.others.keys()
+    for name, values in made.series.others.items():
+        np.testing.assert_array_equal(back.series.others[name], values)
+
+
+def test_an_unlabelled_sample_has_no_touch() -> None:
+    back = decode_sample(encode_sample(named(record(1, labelled=False)), IDENTITY)).record
+    assert back.sample.touch is None
+    assert back.sample.tare is None
+    assert back.series is None
+    assert back.contact_ns is None
+    assert back.pairing_error_ns is None
+
+
+def test_an_organised_cloud_with_holes_keeps_its_shape() -> None:
+    xyz = np.full((4, 5, 3), np.nan, np.float32)
+    xyz[1, 2] = [0.1, 0.2, 1.0]
+    made = record(0)
+    made = named(replace(made, sample=replace(made.sample, cloud=Cloud(xyz))))
+    back = decode_sample(encode_sample(made, IDENTITY)).record.sample.cloud
+    np.testing.assert_array_equal(back.xyz, xyz)
+    assert back.rgb is None
+
+
+def test_any_changed_byte_is_seen() -> None:
+    data = encode_sample(named(record(0, points=5)), IDENTITY)
+    assert is_intact(data)
+    for place in range(0, len(data), 97):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        assert not is_intact(changed)
+        with pytest.raises(DatasetError, match="SHA-256"):
+            decode_sample(bytes(changed))
+
+
+@pytest.mark.parametrize("size", [0, 4, 31, 32, 40])
+def test_bytes_that_are_no_sample_are_refused_in_one_line(size: int) -> None:
+    body = b"\xff" * size
+    with pytest.raises(DatasetError) as caught:
+        decode_sample(body + hashlib.sha256(body).digest())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_newer_schema_version_is_named() -> None:
+    made = named(record(0, points=5))
+    body = bytearray(encode_sample(made, IDENTITY)[:-32])
+    place = 4 + 12 + len("camera") + 1
+    place += place % 2
+    assert body[place : place + 2] == b"\1\0"
+    body[place] = 9
+    with pytest.raises(DatasetError, match="schema_version: 9 is newer than 1"):
+        decode_sample(bytes(body) + hashlib.sha256(body).digest())
+
+
+@pytest.mark.parametrize(
+    ("sample_id", "label"),
+    [
+        ("../000001", ".."),
+        ("ball/../x", "ball"),
+        ("ball/..", "ball"),
+        ("ball", "ball"),
+        ("/etc", ""),
+        ("ball/a\nb", "ball"),
+        ("other/1", "ball"),
+        ("ball/" + 101 * "x", "ball"),
+    ],
+)
+def test_ids_that_could_leave_a_folder_are_refused(sample_id: str, label: str) -> None:
+    with pytest.raises(DatasetError) as caught:
+        check_id(sample_id, label)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["touch", "tare"])
+def test_a_reading_that_is_not_finite_is_refused(name: str) -> None:
+    made = record(0)
+    bad = Touch.from_vector(np.full(50, np.nan))
+    with pytest.raises(DatasetError, match="not finite"):
+        encode_sample(named(replace(made, sample=replace(made.sample, **{name: bad}))), IDENTITY)
+
+
+def test_a_stamp_that_ros_cannot_hold_is_refused() -> None:
+    made = record(0)
+    with pytest.raises(DatasetError, match="stamp_ns: -1 is before 1970"):
+        encode_sample(named(replace(made, sample=replace(made.sample, stamp_ns=-1))), IDENTITY)
+
+
+def test_a_series_of_unequal_lengths_is_refused() -> None:
+    with pytest.raises(DatasetError, match=r"series.phases: shape \(2,\) is not \(3,\)"):
+        TouchSeries(np.zeros(3, np.int64), np.zeros((3, 50), np.float32), np.zeros(2, np.uint8))
+
+
+@pytest.mark.parametrize("name", ["GraspSample", "Grasp"])
+def test_the_carried_definitions_are_those_of_the_message_package(name: str) -> None:
+    ours = REPOSITORY / "src/foretouch/dataset/recording/definitions" / f"{name}.msg"
+    theirs = REPOSITORY / "foretouch_msgs/msg" / f"{name}.msg"
+    assert ours.read_text(encoding="utf-8") == theirs.read_text(encoding="utf-8")
+
+
+def test_a_definition_holds_all_types_in_it() -> None:
+    text = Definitions().text(SAMPLE_TYPE)
+    for name in (
+        "sensor_msgs/PointField",
+        "foretouch_msgs/Grasp",
+        "geometry_msgs/Quaternion",
+        "builtin_interfaces/Time",
+    ):
+        assert f"MSG: {name}" in text
+
+
+def test_an_unknown_type_is_named() -> None:
+    with pytest.raises(DatasetError, match="nowhere_msgs/msg/Thing: no definition is known, and nowhere_msgs is not"):
+        Definitions().text("nowhere_msgs/msg/Thing")
+    with pytest.raises(DatasetError, match="is no message type"):
+        Definitions().text("../../etc/passwd")
