@@ -22,7 +22,7 @@ from foretouch.ros.environment import prepare_environment
 prepare_environment()
 
 import rclpy  # noqa: E402
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor  # noqa: E402
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -46,7 +46,7 @@ class Graph:
         rclpy.init(domain_id=self.domain)
         self.probe = Node("probe", namespace="/foretouch")
         self.nodes: list[Any] = []
-        self._executor = MultiThreadedExecutor(4)
+        self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.probe)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()

@@ -37,7 +37,7 @@ class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
-        5, "Inputs that may wait; the oldest is given up for a newer one", minimum=1, maximum=10_000, read_only=True
+        8, "Inputs that may wait; the oldest is given up for a newer one", minimum=1, maximum=10_000, read_only=True
     )
     pairing_depth: int = setting(
         64,
