@@ -74,11 +74,13 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
     )
 
 
-def write_dataset(path: Path, count: int = 5, *, points: int = 30, messages: int = 2, name: str = "ball") -> Path:
-    """A dataset of one session; returns the session's file."""
+def write_dataset(
+    path: Path, count: int = 5, *, points: int = 30, messages: int = 2, name: str = "ball", first: int = 0
+) -> Path:
+    """A dataset of one session, or one more of it; returns the session's file."""
     with RecordingWriter(path, IDENTITY, QUICK) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
-        for number in range(count):
+        for number in range(first, first + count):
             for k in range(messages):
                 writer.receive(TACTILE)
                 writer.write(TACTILE, MESSAGE, 1000 * number + k)

@@ -37,14 +37,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    from dataclasses import asdict
-
     from foretouch.dataset.info import PAIRING_EDGES_MS, describe
 
     info = describe(arguments.path)
     if arguments.json:
         edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
-        print_json({"path": arguments.path, **asdict(info), "pairing_edges_ms": edges})
+        print_json({"path": arguments.path, **vars(info), "pairing_edges_ms": edges})
         return 0
     rows = [
         ["kind", info.kind],
@@ -252,7 +250,8 @@ def _progress(what: str, as_json: bool) -> Iterator[Callable[[], None]]:
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed}} samples"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=None)
         yield lambda: progress.advance(task)
 

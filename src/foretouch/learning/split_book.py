@@ -194,7 +194,10 @@ _MAKERS: Final = {"random": _random, "object": _object, "time": _time, "labels":
 
 
 def _labelled(samples: Sequence[_Facts]) -> list[_Facts]:
-    return [sample for sample in samples if sample.labelled]
+    labelled = [sample for sample in samples if sample.labelled]
+    if not labelled:
+        raise DatasetError("no sample is labelled")
+    return labelled
 
 
 def _named(samples: Sequence[_Facts], folds: Sequence[Fold]) -> Iterator[SplitPart]:

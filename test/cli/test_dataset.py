@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch dataset`: JSON, exit status and one line for whatever is wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recording_builders import write_dataset
+
+from foretouch.learning.split_book import read_split_book
+
+Call = Callable[..., Any]
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    write_dataset(tmp_path / "ds", 8, points=60)
+    write_dataset(tmp_path / "ds", 8, points=60, name="sponge", first=8)
+    return tmp_path / "ds"
+
+
+def test_info_tells_counts_and_ranges(call: Call, dataset: Path) -> None:
+    answer = call("dataset", "info", dataset, "--json")
+    (record,) = answer.records
+    assert answer.status == 0
+    assert (record["samples"], record["labelled"]) == (16, 16)
+    assert record["objects"] == {"ball": 8, "sponge": 8}
+    assert record["pairing_ms"] == [16, 0, 0, 0, 0, 0]
+    assert set(record["ranges"]) == {"PDC_TH", "PDC_MF", "E_TH", "E_MF"}
+    assert "ball 8, sponge 8" in call("dataset", "info", dataset).out
+
+
+def test_verify_repair_and_verify_again(call: Call, dataset: Path) -> None:
+    assert call("dataset", "verify", dataset).status == 0
+    file = dataset / "session-0002.mcap"
+    file.write_bytes(file.read_bytes()[:-3000])
+    answer = call("dataset", "verify", dataset, "--json")
+    assert answer.status == 1
+    assert [record["status"] for record in answer.records] == ["ok", "unfinished"]
+    assert answer.err.startswith(f"foretouch: {file}: byte ")
+    (first, second) = call("dataset", "repair", dataset, "--json").records
+    assert (first["changed"], second["changed"]) == (False, True)
+    assert Path(second["original"]).exists()
+    assert call("dataset", "verify", dataset).status == 0
+    assert not any(record["changed"] for record in call("dataset", "repair", dataset, "--json").records)
+
+
+def test_a_flipped_byte_is_named_on_one_line(call: Call, dataset: Path) -> None:
+    file = dataset / "session-0001.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 3] ^= 4
+    file.write_bytes(data)
+    answer = call("dataset", "verify", dataset)
+    assert answer.status == 1
+    assert all(line.startswith(f"foretouch: {file}: byte ") for line in answer.err.splitlines())
+
+
+def test_build_puts_splits_into_a_store_that_can_be_verified(call: Call, dataset: Path, tmp_path: Path) -> None:
+    (record,) = call("dataset", "build", dataset, "-o", tmp_path / "store", "--seed", 4, "--json").records
+    assert record["samples"] == 16
+    assert list(record["splits"]) == ["random", "object", "time", "labels"]
+    book = read_split_book(tmp_path / "store")
+    assert {i for part in book["random"] for i in part.test} == {
+        f"{name}/{k:06d}" for name, start in (("ball", 1), ("sponge", 9)) for k in range(start, start + 8)
+    }
+    assert call("dataset", "verify", tmp_path / "store").status == 0
+    shard = tmp_path / "store" / "shard-00000.arrow"
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    assert call("dataset", "verify", tmp_path / "store").status == 1
+    assert call("dataset", "build", dataset, "-o", tmp_path / "store").status == 1
+
+
+def test_export_and_import_come_round(call: Call, dataset: Path, tmp_path: Path) -> None:
+    (out,) = call("dataset", "export", dataset, "-o", tmp_path / "bag", "--format", "rosbag2", "--json").records
+    assert out["samples"] == 16
+    (back,) = call("dataset", "import", tmp_path / "bag", "-o", tmp_path / "again", "--json").records
+    assert (back["samples"], back["labelled"]) == (16, 16)
+    builds = [
+        call("dataset", "build", d, "-o", d.with_suffix(".store"), "--json") for d in (dataset, tmp_path / "again")
+    ]
+    assert builds[0].records[0]["sha256"] == builds[1].records[0]["sha256"]
+
+
+def test_show_draws_the_samples_that_are_asked_for(call: Call, dataset: Path, tmp_path: Path) -> None:
+    answer = call("dataset", "show", dataset, "-o", tmp_path / "a.png", "--id", "ball/000002", "--json")
+    assert answer.records[0]["samples"] == ["ball/000002"]
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    missing = call("dataset", "show", dataset, "-o", tmp_path / "b.png", "--id", "ball/7")
+    assert (missing.status, missing.err) == (1, f"foretouch: {dataset}: holds no sample ball/7\n")
+
+
+@pytest.mark.parametrize("action", ["info", "verify", "repair"])
+def test_what_is_not_there_is_refused_on_one_line(call: Call, tmp_path: Path, action: str) -> None:
+    answer = call("dataset", action, tmp_path / "nothing")
+    assert answer.status == 1
+    assert answer.err == f"foretouch: {tmp_path / 'nothing'}: does not exist\n"
+
+
+def test_an_identity_must_be_name_and_value(call: Call, dataset: Path, tmp_path: Path) -> None:
+    answer = call("dataset", "import", dataset, "-o", tmp_path / "x", "--hand", "serial")
+    assert (answer.status, answer.err) == (1, "foretouch: serial: is not NAME=VALUE\n")
+
+
+def test_predictions_are_the_same_from_folder_dataset_and_store(call: Call, dataset: Path, tmp_path: Path) -> None:
+    call("dataset", "build", dataset, "-o", tmp_path / "store", "--json")
+    answers = [call("predict", path, "--json").records for path in (dataset, tmp_path / "store")]
+    assert [len(answer) for answer in answers] == [16, 16]
+    for one, other in zip(*answers, strict=True):
+        assert one["sample"] == other["sample"]
+        assert one["predictions"] == other["predictions"]

@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ways in and out of a recorded dataset: import, build, export; what goes in comes out equal."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
+
+from foretouch.cloud.files import read_cloud
+from foretouch.dataset.bag_writer import BagWriter
+from foretouch.dataset.build import build_store
+from foretouch.dataset.exporting import FORMATS, ExportFormat, export_samples
+from foretouch.dataset.importing import BagTopics, import_samples
+from foretouch.dataset.info import describe
+from foretouch.dataset.recording import RecordingWriter, SampleRecord, verify_dataset
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.messages import SAMPLE_TYPE
+from foretouch.dataset.samples import DISCARDED, open_samples
+from foretouch.dataset.source import open_source
+from foretouch.dataset.store import Store
+from foretouch.dataset.vision2tactile import read_folder
+from foretouch.errors import DatasetError, FileError
+from foretouch.types import Cloud, GraspSample
+
+NS = 1_000_000_000
+
+
+def records(path: Path) -> list[SampleRecord]:
+    with open_samples(path) as samples:
+        return list(samples.records(discarded=True))
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """Three labelled samples of a ball, one unlabelled of a sponge."""
+    write_dataset(tmp_path / "ds", 3)
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        writer.append(record(3, "sponge", labelled=False))
+    return tmp_path / "ds"
+
+
+def test_a_store_holds_what_was_recorded(dataset: Path, tmp_path: Path) -> None:
+    result = build_store([dataset], tmp_path / "store", attach=lambda samples: {"note.txt": f"{len(samples)}\n"})
+    store = Store(tmp_path / "store")
+    store.verify()
+    assert store.sha256 == result.sha256
+    for stored, made in zip(store, records(dataset), strict=True):
+        assert stored.id == made.sample.id
+        assert_same_sample(stored, made.sample)
+    assert [(f.id, f.object, f.labelled) for f in result.samples][-1] == ("sponge/000004", "sponge", False)
+    assert store.manifest["about"]["hand"] == IDENTITY.hand
+    assert (tmp_path / "store" / "note.txt").read_text() == "4\n"
+
+
+def test_the_content_hash_does_not_depend_on_the_way(dataset: Path, tmp_path: Path) -> None:
+    first = build_store([dataset], tmp_path / "a").sha256
+    assert build_store([dataset], tmp_path / "b").sha256 == first
+    assert build_store([tmp_path / "a"], tmp_path / "c").sha256 == first
+
+
+def test_an_attachment_and_the_manifest_are_verified(dataset: Path, tmp_path: Path) -> None:
+    build_store([dataset], tmp_path / "store", attach=lambda _: {"splits.json": "{}\n"})
+    for name in ("splits.json", "manifest.json"):
+        file = tmp_path / "store" / name
+        good = file.read_bytes()
+        file.write_bytes(good.replace(b"}\n", b"} \n"))
+        with pytest.raises(FileError, match=name):
+            Store(tmp_path / "store").verify()
+        file.write_bytes(good)
+    Store(tmp_path / "store").verify()
+
+
+def test_a_build_that_fails_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="holds this id already"):
+        build_store([dataset, dataset], tmp_path / "store")
+    file = dataset / "session-0001.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(FileError, match=r"session-0001\.mcap: (sample at )?byte \d+"):
+        build_store([dataset], tmp_path / "store")
+    assert [p.name for p in tmp_path.iterdir()] == ["ds"]
+
+
+def test_discarded_samples_go_no_further(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        writer.append(record(0))
+        writer.append(replace(record(1), flags=(DISCARDED,)))
+    result = build_store([tmp_path / "ds"], tmp_path / "store")
+    assert [f.id for f in result.samples] == ["ball/000001"]
+    assert result.left_out == {DISCARDED: 1}
+    assert describe(tmp_path / "ds").discarded == 1
+
+
+def test_info_counts(dataset: Path) -> None:
+    info = describe(dataset)
+    assert (info.kind, info.samples, info.labelled, info.tared) == ("recording", 4, 3, 3)
+    assert info.objects == {"ball": 3, "sponge": 1}
+    assert info.outcomes == {"success": 3, "unknown": 1}
+    assert info.flags == {"arrival_stamped": 3}
+    assert info.pairing_ms == [3, 0, 0, 0, 0, 0]
+    assert info.points == (30, 30, 30)
+    vectors = [r.sample.touch.vector() for r in records(dataset) if r.sample.touch is not None]
+    assert info.ranges["E_MF"] == (min(v[26:].min() for v in vectors), max(v[26:].max() for v in vectors))
+    assert (info.first_ns, info.last_ns) == (1_700_000_001 * NS, 1_700_000_022 * NS)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_an_export_gives_back_equal_arrays(tmp_path: Path, kind: ExportFormat) -> None:
+    write_dataset(tmp_path / "ds", 3)
+    result = export_samples(tmp_path / "ds", tmp_path / "out", kind)
+    assert result.written == 3
+    for number, back in enumerate(exported(tmp_path / "out", kind)):
+        made = record(number).sample
+        np.testing.assert_array_equal(back.cloud.xyz, made.cloud.xyz)
+        np.testing.assert_array_equal(back.cloud.rgb, made.cloud.rgb)
+        np.testing.assert_array_equal(back.grasp.g1, made.grasp.g1)
+        np.testing.assert_array_equal(back.grasp.g2, made.grasp.g2)
+        assert back.touch is not None
+        assert made.touch is not None
+        np.testing.assert_array_equal(back.touch.vector(), made.touch.vector())
+        assert back.extra["TDC_TH"] == 2100.5
+        if kind != "vision2tactile":
+            assert_same_sample(back, made)
+
+
+def exported(path: Path, kind: ExportFormat) -> Iterator[GraspSample]:
+    """The samples of an export, read by whatever reads that format."""
+    if kind == "vision2tactile":
+        yield from read_folder(path)
+    elif kind == "rosbag2":
+        import_samples(path, path.with_name("again"))
+        yield from (one.sample for one in records(path.with_name("again")))
+    else:
+        for number, file in enumerate(sorted(path.glob("ball/*.npz"))):
+            made = record(number).sample
+            with np.load(file) as arrays:
+                names = ("g1", "g2", "rotation")
+                grasp = replace(made.grasp, **{n: arrays[n] for n in names}, score=float(arrays["score"]))
+                readings = {n: type(made.touch).from_vector(arrays[n]) for n in ("touch", "tare")}  # type: ignore[union-attr]
+                extra = dict(zip(map(str, arrays["extra_names"]), map(float, arrays["extra_values"]), strict=True))
+                stamp = int(arrays["sample_stamp_ns"])
+                yield GraspSample(
+                    str(arrays["id"]), "ball", read_cloud(file), grasp, **readings, stamp_ns=stamp, extra=extra
+                )
+
+
+def test_what_a_format_has_no_place_for_is_told(dataset: Path, tmp_path: Path) -> None:
+    result = export_samples(dataset, tmp_path / "out", "vision2tactile")
+    assert result.left_out == {"unlabelled": 1}
+    assert {name: count for name, count in result.lost.items() if count} == {"tare": 3, "series": 3, "id": 3}
+
+
+def test_samples_of_one_second_get_folders_of_their_own(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        for number in range(3):
+            made = record(number)
+            writer.append(replace(made, sample=replace(made.sample, stamp_ns=5 * NS)))
+    export_samples(tmp_path / "ds", tmp_path / "out", "vision2tactile")
+    assert sorted(p.name for p in (tmp_path / "out" / "ball").iterdir()) == ["5", "6", "7"]
+
+
+def test_nothing_is_overwritten(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with pytest.raises(FileError, match="exists already"):
+        export_samples(dataset, tmp_path / "out", "npz")
+    with pytest.raises(FileError, match="exists already"):
+        build_store([dataset], tmp_path / "out")
+
+
+def test_an_import_into_a_dataset_of_another_hand_is_refused(dataset: Path, tmp_path: Path) -> None:
+    build_store([dataset], tmp_path / "store")
+    other = replace(IDENTITY, hand={"name": "other"})
+    with pytest.raises(FileError, match=r"hand\.name: shadow-rh there, other here"):
+        import_samples(tmp_path / "store", dataset, identity=other)
+    with pytest.raises(DatasetError, match="is taken"):
+        import_samples(tmp_path / "store", dataset)
+
+
+def test_an_import_that_fails_leaves_no_new_dataset(dataset: Path, tmp_path: Path) -> None:
+    export_samples(dataset, tmp_path / "folders", "vision2tactile")
+    next((tmp_path / "folders").rglob("tactile.tac")).write_text("nonsense")
+    with pytest.raises(FileError, match=r"tactile\.tac"):
+        import_samples(tmp_path / "folders", tmp_path / "new")
+    assert not list(tmp_path.glob("*new*"))
+    with pytest.raises(FileError, match="does not exist"):
+        import_samples(tmp_path / "nothing", tmp_path / "new")
+
+
+def test_sources_of_every_kind_give_the_same_samples(dataset: Path, tmp_path: Path) -> None:
+    build_store([dataset], tmp_path / "store")
+    for path in (dataset, tmp_path / "store"):
+        source = open_source(path)
+        assert source.segmented
+        items = [item.sample for item in source]
+        assert len(source) == len(items) == 4
+        for item, made in zip(items, records(dataset), strict=True):
+            assert item is not None
+            np.testing.assert_array_equal(item.cloud.xyz, made.sample.cloud.xyz)
+            assert item.id == made.sample.id
+    assert len(open_source(dataset / "session-0001.mcap")) == 3
+
+
+# A bag of named topics: a cloud, its grasps, one of them executed, and the sensor at 100 Hz.
+
+
+def _stamp(time_ns: int) -> SimpleNamespace:
+    return SimpleNamespace(sec=time_ns // NS, nanosec=time_ns % NS)
+
+
+def _header(time_ns: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=_stamp(time_ns), frame_id="camera")
+
+
+def _point(values: list[float]) -> SimpleNamespace:
+    return SimpleNamespace(x=values[0], y=values[1], z=values[2])
+
+
+def _pose() -> SimpleNamespace:
+    orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    return SimpleNamespace(position=_point([0.0, 0.0, 0.0]), orientation=orientation)
+
+
+def _grasp(name: str) -> SimpleNamespace:
+    return SimpleNamespace(
+        id=name, object_id="1", g1=_point([0.1, 0.0, 1.0]), g2=_point([-0.1, 0.0, 1.0]), pose=_pose(),
+        rotation=np.eye(3).ravel(), score=0.5, status=0, reason="",
+    )  # fmt: skip
+
+
+def _biotac(level: int) -> SimpleNamespace:
+    return SimpleNamespace(
+        pac0=0, pac1=0, pac=np.zeros(2, np.int16), pdc=1700 + level, tac=0, tdc=0,
+        electrodes=np.arange(24, dtype=np.int16) + 3000 - level,
+    )  # fmt: skip
+
+
+def write_topics(path: Path, *, hole: bool = False) -> None:
+    """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold."""
+    definitions = Definitions()
+    names = {"g": "GraspArray", "e": "ExecutedGrasp", "t": "BiotacAll"}
+    start = 1_700_000_000 * NS
+    with BagWriter(path) as writer:
+        for name in names.values():
+            writer.define(f"foretouch_msgs/msg/{name}", definitions.text(f"foretouch_msgs/msg/{name}"))
+
+        def write(topic: str, kind: str, at_ns: int, message: SimpleNamespace) -> None:
+            type_name = f"foretouch_msgs/msg/{kind}"
+            writer.write(topic, type_name, at_ns, bytes(definitions.store.serialize_cdr(message, type_name)))
+
+        for k, grasps in ((0, ["a", "b"]), (1, ["c"])):
+            at = start + k * NS
+            xyz = np.full((4, 3), k, np.float32)
+            writer.write_cloud(
+                Cloud(xyz, frame_id="camera", stamp_ns=at), "/foretouch/object_cloud", bag_time_ns=at + 1
+            )
+            array = SimpleNamespace(header=_header(at), grasps=[_grasp(n) for n in grasps], status=0, reason="")
+            write("/foretouch/grasps", "GraspArray", at + 2, array)
+        contact, release = start + 3 * NS, start + 4 * NS
+        for k in range(500):
+            at = start + k * NS // 100
+            if hole and contact + NS // 4 < at < contact + NS // 2:
+                continue
+            level = 100 if contact <= at <= release else 0
+            tactiles = [_biotac(level) for _ in range(5)]
+            # The bag's clock is late by half a second: arrival must not count.
+            write("/rh/tactile", "BiotacAll", at + NS // 2, SimpleNamespace(header=_header(at), tactiles=tactiles))
+        executed = SimpleNamespace(
+            header=_header(release), grasp_id="a", achieved=_pose(), start=_stamp(start + 2 * NS),
+            contact=_stamp(contact), release=_stamp(release), success=True,
+        )  # fmt: skip
+        write("/foretouch/executed_grasp", "ExecutedGrasp", release, executed)
+
+
+def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
+    write_topics(tmp_path / "bag")
+    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(object="sponge"))
+    assert (result.samples, result.labelled) == (2, 1)
+    touched, other = records(tmp_path / "ds")
+    assert touched.sample.touch is not None
+    assert touched.sample.tare is not None
+    assert touched.sample.grasp.id == "a"
+    assert [grasp.id for grasp in touched.candidates] == ["b"]
+    assert (touched.outcome, touched.sample.object) == ("success", "sponge")
+    np.testing.assert_array_equal(touched.sample.touch.e_th, np.arange(24) + 2900)
+    np.testing.assert_array_equal(touched.sample.tare.e_mf, np.arange(24) + 3000)
+    assert touched.sample.touch.pdc_mf == 1800
+    assert touched.pairing_error_ns == NS // 100
+    assert (touched.sample.cloud.xyz == 0).all()
+    assert other.sample.touch is None
+    assert other.sample.grasp.id == "c"
+    assert [report.told() for report in verify_dataset(tmp_path / "ds")] == [[]]
+
+
+def test_a_hole_in_the_hold_is_counted_out(tmp_path: Path) -> None:
+    write_topics(tmp_path / "bag", hole=True)
+    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY)
+    assert (result.samples, result.labelled) == (1, 0)
+    assert result.left_out["gap in the readings of the hold"] == 1
+
+
+def test_a_missing_topic_is_named(tmp_path: Path) -> None:
+    write_topics(tmp_path / "bag")
+    with pytest.raises(FileError, match="/nowhere: no such topic; known: /foretouch/executed_grasp"):
+        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(clouds="/nowhere"))
+
+
+@pytest.mark.real_data
+def test_the_400_real_grasps_come_in_quickly_and_out_equal(real_data: Path, tmp_path: Path) -> None:
+    began = time.process_time()
+    result = import_samples(real_data / "vision2tactile", tmp_path / "ds")
+    assert time.process_time() - began < 20.0
+    assert (result.samples, result.labelled) == (400, 400)
+    assert [report.told() for report in verify_dataset(tmp_path / "ds")] == [[]]
+    exported_result = export_samples(tmp_path / "ds", tmp_path / "out", "vision2tactile")
+    assert exported_result.written == 400
+    assert not any(exported_result.lost.values())
+    for back, made in zip(read_folder(tmp_path / "out"), read_folder(real_data / "vision2tactile"), strict=True):
+        assert back.id == made.id
+        assert_same_sample(back, made)
+
+
+def test_the_exported_bag_names_its_types(dataset: Path, tmp_path: Path) -> None:
+    from foretouch.dataset.bag import list_topics
+
+    export_samples(dataset, tmp_path / "bag", "rosbag2")
+    kinds = {topic.name: (topic.type, topic.count) for topic in list_topics(tmp_path / "bag")}
+    assert kinds == {
+        "/foretouch/samples": (SAMPLE_TYPE, 4),
+        "/foretouch/object_cloud": ("sensor_msgs/msg/PointCloud2", 4),
+    }
