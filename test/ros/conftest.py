@@ -78,14 +78,17 @@ class Graph:
         return self.probe.create_publisher(message, topic, QoSProfile(depth=100, reliability=reliability))
 
     def matched(self, topic: str, publishers: int = 1, subscribers: int = 1) -> None:
-        """Wait until a topic has at least so many ends, and a moment for them to find each other."""
+        """Wait until all ends of a topic know each other; so many of them at least, nodes of other processes included."""
         name = self.probe.resolve_topic_name(topic)
-        self.until(
-            lambda: (
-                self.probe.count_publishers(name) >= publishers and self.probe.count_subscribers(name) >= subscribers
-            )
-        )
-        time.sleep(0.2)
+        self.until(lambda: self.probe.count_publishers(name) >= publishers)
+        self.until(lambda: self.probe.count_subscribers(name) >= subscribers)
+        local = [self.probe, *self.nodes]
+        sending = [end for node in local for end in node.publishers if end.topic_name == name]
+        hearing = [end for node in local for end in node.subscriptions if end.topic_name == name]
+        self.until(lambda: all(end.get_subscription_count() >= max(subscribers, len(hearing)) for end in sending))
+        self.until(lambda: all(end.get_publisher_count() >= max(publishers, len(sending)) for end in hearing))
+        if len(sending) < publishers or len(hearing) < subscribers:
+            time.sleep(0.5)  # the ends in other processes cannot be asked
 
     def call(self, service: type, name: str, request: Any) -> Any:
         """The answer of a service."""
@@ -95,7 +98,7 @@ class Graph:
         self.until(future.done)
         return future.result()
 
-    def until(self, condition: Callable[[], Any], timeout_s: float = 20.0) -> None:
+    def until(self, condition: Callable[[], Any], timeout_s: float = 45.0) -> None:
         """Wait for something to become true."""
         end = time.monotonic() + timeout_s
         while not condition():
