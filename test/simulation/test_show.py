@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+import numpy as np
 import pytest
+from sim_builders import CAN, scene
 
 from foretouch.errors import ConfigError, FileError
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.show import ShowConfig, middle_of
 
 START = 1_763_000_000_000_000_000
 
@@ -22,3 +25,11 @@ def test_it_names_what_is_missing(tmp_path) -> None:
         ShowConfig().load()
     with pytest.raises((ConfigError, FileError), match=r"none\.yaml"):
         ShowConfig(path=str(tmp_path / "none.yaml")).load()
+
+
+def test_the_object_is_found_near_the_middle_however_the_camera_stands() -> None:
+    for tilt in (0, 40):
+        config = scene(CAN, camera={"width": 212, "height": 160, "tilt_deg": tilt}, clutter={})
+        image = FrameMaker(config).frame(0)
+        points = image.cloud().xyz[image.labels == 2]
+        assert np.linalg.norm(points - middle_of(config), axis=1).min() < 0.06

@@ -24,6 +24,8 @@ _DIAGNOSED_S = 1.2  # by then every node has reported once more, all that it did
 _SCENE_FILES = (".yaml", ".yml")
 _SCENE_FPS = 5  # leaves a small machine time for the rest of the graph
 _LONGEST_GRASP_S = 10.0
+_NEAR_M = 0.1  # of the middle of a scene's object, to what is seen of it
+_PATIENT = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy machine renders slowly
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,22 +81,28 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
         return nodes
     if Path(arguments.source).suffix in _SCENE_FILES:
-        return nodes | _scene_nodes(arguments)
+        for name, parameters in _scene_nodes(arguments).items():
+            nodes.setdefault(name, {}).update(parameters)
+        return nodes
     nodes["replay"] = replay_parameters(arguments, arguments.source)
     return nodes
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """A hand and a camera before one scene, whose first object is there from now on."""
-    from foretouch.simulation.show import ShowConfig
+    from foretouch.simulation.show import ShowConfig, middle_of
 
     show = ShowConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    show.load()  # so that a mistake in the scene is told before anything starts
+    scene = show.load()  # a mistake in it is told before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
-    return {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **shown}}
+    nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_PATIENT, **shown}}
+    if scene.clutter is not None:  # nothing is known of how clutter feels, so only the object is grasped
+        point = middle_of(scene).tolist()
+        nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _NEAR_M}
+    return nodes
 
 
 def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Graph"]
 
 _THREADS = 6  # one for each node that may be called at the same time, and the monitor's
+_QUIET_S = 0.1  # for messages under way: rclpy's shutdown breaks callbacks that it meets
 _IDLE_S = 5.0  # without another answer, the rest is not coming
 
 
@@ -148,6 +149,9 @@ class Graph:
         """End the work of every node, the last of the road first, and leave the graph."""
         import rclpy
 
+        for node in reversed(self.nodes.values()):
+            node.stop()
+        time.sleep(_QUIET_S)
         self._executor.shutdown(timeout_sec=1.0)
         if self._thread is not None:
             self._thread.join(timeout=2.0)

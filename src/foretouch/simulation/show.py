@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.types import Float64
 
-__all__ = ["ShowConfig"]
+__all__ = ["ShowConfig", "middle_of"]
 
 _MS_NS = 1_000_000
 
@@ -49,3 +52,13 @@ class ShowConfig(Settings):
         """
         dwell_ns = round(self.dwell_s * 1e3) * _MS_NS
         return max(0, stamp_ns - self.origin_ns) // dwell_ns % self.samples
+
+
+def middle_of(scene: SceneConfig) -> Float64:
+    """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
+
+    The mean of the places where objects may lie, at half their mean height.
+    """
+    places = [(np.mean(item.pose.x_m), np.mean(item.pose.y_m), np.mean(item.size_m) / 2.0) for item in scene.objects]
+    view = scene.camera.view()
+    return np.asarray((np.mean(places, axis=0) - view.eye) @ view.R_world_camera, np.float64)
