@@ -25,7 +25,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=848)
     parser.add_argument("--height", type=int, default=480)
     parser.add_argument("--scenes", type=int, default=5, help="different clouds, sent in turn")
-    parser.add_argument("--max-points", type=int, default=6500, help="of the target; scenes with a larger one are left out")
+    parser.add_argument(
+        "--max-points", type=int, default=6500, help="of the target; scenes with a larger one are left out"
+    )
     parser.add_argument("--model", default="default")
     parser.add_argument("--one-process", action="store_true", help="the three nodes share a process")
     parser.add_argument("--default-profile", action="store_true", help="Fast DDS as it comes")
