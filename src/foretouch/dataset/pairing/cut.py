@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the fingertips read in a grasp, cut out of the stream by header stamps.
+
+The clocks of robot and sensor may disagree, and stamps may jitter, by up to `guard_s` together. So nothing is taken
+from within `guard_s` of a change: the touch is the median over [contact + guard, release - guard], the tare the median
+over at most `tare_s` that end at start - guard. As long as the error of the clocks is below the guard, both hold
+readings of the right kind alone; where a part of an interval is without readings for longer than `tolerance_s`, or the
+clocks disagree beyond `clock_s`, there is no sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, setting
+from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchWindow
+from foretouch.dataset.recording.record import APPROACH, HOLD, REST
+from foretouch.errors import DatasetError
+from foretouch.tactile import check_touch
+from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
+from foretouch.types import Touch
+
+__all__ = ["DETECTOR", "Interval", "PairingConfig", "PairingError", "TouchCut", "cut_touch", "widest_hole_ns"]
+
+DETECTOR = "change against the tare (foretouch.tactile.contact_detector)"
+_SECOND_NS = 1_000_000_000
+_FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
+_LEAST_TARE = 5  # readings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairingConfig(Settings):
+    """Settings of the pairing of grasps, touches and clouds."""
+
+    tolerance_s: float = setting(
+        0.1, "Longest time without a reading within an interval", unit="s", minimum=0.001, maximum=10.0
+    )
+    guard_s: float = setting(
+        0.1, "Error of the clocks and stamps that does no harm: so much is left out at both ends of an interval",
+        unit="s", minimum=0.0, maximum=10.0,
+    )  # fmt: skip
+    clock_s: float = setting(
+        0.25, "Difference of the clocks beyond which nothing is paired", unit="s", minimum=0.001, maximum=60.0
+    )
+    tare_s: float = setting(0.5, "Longest time that the tare is taken over", unit="s", minimum=0.01, maximum=60.0)
+    tare_least_s: float = setting(0.1, "Shortest time for a tare", unit="s", minimum=0.01, maximum=60.0)
+    hold_least_s: float = setting(
+        0.05, "Shortest steady contact, without the guards", unit="s", minimum=0.0, maximum=60.0
+    )
+    settle_s: float = setting(
+        0.3, "From first to steady contact, where the contact detector marks the interval", unit="s", minimum=0.0,
+        maximum=60.0,
+    )  # fmt: skip
+    kept_s: float = setting(
+        60.0, "How long clouds, grasps and readings are kept for a grasp that is told of later", unit="s", minimum=1.0,
+        maximum=3600.0,
+    )  # fmt: skip
+    kept_mb: float = setting(300.0, "Most memory for the clouds that are kept", unit="MB", minimum=1.0, maximum=1e5)
+    wait_s: float = setting(
+        2.0, "How long a grasp waits for readings, clouds and labels on their way", unit="s", minimum=0.0, maximum=60.0
+    )
+    label_wait_s: float = setting(
+        0.0, "How long a complete grasp waits for its label", unit="s", minimum=0.0, maximum=600.0
+    )
+
+
+class PairingError(DatasetError):
+    """There is no touch for a grasp.
+
+    Args:
+        reason: A short word by which such grasps are counted.
+        message: One line.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """A grasp in time, by the robot's clock [ns].
+
+    Attributes:
+        start: When the hand began to close: before it, nothing was touched.
+        contact: When contact was steady.
+        release: When the hand began to open.
+    """
+
+    start: int
+    contact: int
+    release: int
+
+
+@dataclass(frozen=True, eq=False)
+class TouchCut:
+    """The touch of one grasp.
+
+    Attributes:
+        touch: Median over the steady contact.
+        tare: Median over the time before the grasp.
+        window: The readings from the tare to the release.
+        phases: (T,) uint8 of REST, APPROACH and HOLD.
+        contact_ns: Stamp of first contact [ns], by the detector; None where it saw none.
+        error_ns: Longest time without a reading within tare or hold [ns].
+        clock_ns: Receiver's clock less the sensor's stamps, at the least [ns].
+        flags: Such as `no_contact_TH`, `frozen_MF`, `duplicate_stamps`.
+    """
+
+    touch: Touch
+    tare: Touch
+    window: TouchWindow
+    phases: npt.NDArray[np.uint8]
+    contact_ns: int | None
+    error_ns: int
+    clock_ns: int
+    flags: tuple[str, ...]
+
+
+def cut_touch(
+    buffer: TouchBuffer,
+    interval: Interval,
+    config: PairingConfig,
+    contact: ContactConfig | None = None,
+    not_before_ns: int | None = None,
+) -> TouchCut:
+    """Cut the touch of one grasp out of what the sensor sent.
+
+    Args:
+        buffer: The readings.
+        interval: Of the grasp.
+        config: Settings.
+        contact: Settings of the contact detector.
+        not_before_ns: When the grasp before was over: no tare reaches beyond it.
+
+    Raises:
+        PairingError: `bad_interval`, `short_hold`, `no_tactile`, `no_tare`, `restless_tare`, `pairing_error`,
+            `clock_offset`, `sensor_fault` or `frozen_sensor`.
+    """
+    guard, tolerance = _ns(config.guard_s), _ns(config.tolerance_s)
+    if not 0 < interval.start <= interval.contact < interval.release:
+        raise PairingError("bad_interval", f"start, contact and release are not in this order: {interval}")
+    low, high = interval.contact + guard, interval.release - guard
+    if high - low < _ns(config.hold_least_s):
+        raise PairingError("short_hold", f"{_s(interval.release - interval.contact)} of contact, less than two guards")
+    tare_end = interval.start - guard
+    tare_start = tare_end - _ns(config.tare_s)
+    if not_before_ns is not None:
+        tare_start = max(tare_start, not_before_ns + guard)
+    window = buffer.between(tare_start, interval.release)
+    hold, rest = window.between(low, high), window.between(tare_start, tare_end)
+    if not len(hold):
+        raise PairingError("no_tactile", "no reading within the contact")
+    _require_tare(rest, tare_end - tare_start, config, contact)
+    error = max(widest_hole_ns(hold, low, high), widest_hole_ns(rest, tare_start, tare_end))
+    if error > tolerance:
+        raise PairingError("pairing_error", f"{_s(error)} without a reading, tolerated are {_s(tolerance)}")
+    clock = int(np.min(window.arrived_ns - window.stamps_ns))
+    if abs(clock) > _ns(config.clock_s):
+        raise PairingError("clock_offset", f"stamps of the sensor are off by {_s(clock)}")
+    touch, tare = _median(hold), _median(rest)
+    _require_alive(window, touch, tare)
+    onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
+    return TouchCut(
+        touch=touch,
+        tare=tare,
+        window=window,
+        phases=_phases(window, interval),
+        contact_ns=min((onset for onset in onsets if onset is not None), default=None),
+        error_ns=error,
+        clock_ns=clock,
+        flags=_flags(window, onsets),
+    )
+
+
+def widest_hole_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
+    """Longest time in [low, high] without a reading [ns]."""
+    return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
+
+
+def _require_tare(rest: TouchWindow, length_ns: int, config: PairingConfig, contact: ContactConfig | None) -> None:
+    if length_ns < _ns(config.tare_least_s) or len(rest) < _LEAST_TARE:
+        raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
+    half = len(rest) // 2
+    scores = contact_scores(rest.counts[half:], rest.counts[:half], contact)
+    if (np.median(scores, axis=0) > 1.0).any():
+        raise PairingError("restless_tare", "something was touched before the grasp")
+
+
+def _require_alive(window: TouchWindow, touch: Touch, tare: Touch) -> None:
+    for name, reading in (("contact", touch), ("tare", tare)):
+        if faults := check_touch(reading).faults:
+            raise PairingError("sensor_fault", f"{name}: {'; '.join(faults)}")
+    for finger, place in FINGER_COLUMNS.items():
+        counts = window.counts[:, place]
+        if (counts == counts[0]).all():
+            raise PairingError("frozen_sensor", f"{finger}: the same {len(counts)} times, through rest and contact")
+
+
+def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[str, ...]:
+    flags = [f"no_contact_{finger}" for finger, onset in zip(FINGER_COLUMNS, onsets, strict=True) if onset is None]
+    for finger, place in FINGER_COLUMNS.items():
+        same = (np.diff(window.counts[:, place], axis=0) == 0).all(axis=1)
+        if _longest_run_ns(same, window.stamps_ns) > _ns(_FROZEN_S):
+            flags.append(f"frozen_{finger}")
+    if (np.diff(window.stamps_ns) == 0).any():
+        flags.append("duplicate_stamps")
+    return tuple(flags)
+
+
+def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64]) -> int:
+    """Longest time over which neighbouring readings are the same [ns]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+    runs = [int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)]
+    return max(runs, default=0)
+
+
+def _phases(window: TouchWindow, interval: Interval) -> npt.NDArray[np.uint8]:
+    phases = np.full(len(window), REST, np.uint8)
+    phases[window.stamps_ns >= interval.start] = APPROACH
+    phases[window.stamps_ns >= interval.contact] = HOLD
+    return phases
+
+
+def _median(window: TouchWindow) -> Touch:
+    return Touch.from_vector(np.median(window.counts, axis=0))
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * _SECOND_NS)
+
+
+def _s(nanoseconds: int) -> str:
+    return f"{nanoseconds * 1e-9:.3f} s"
