@@ -63,6 +63,14 @@ def test_the_content_hash_does_not_depend_on_the_way(dataset: Path, tmp_path: Pa
     assert build_store([tmp_path / "a"], tmp_path / "c").sha256 == first
 
 
+def test_an_unfinished_recording_is_counted_but_not_built_from(dataset: Path, tmp_path: Path) -> None:
+    file = dataset / "session-0002.mcap"
+    file.write_bytes(file.read_bytes()[:-100])
+    assert describe(dataset).unfinished == ["session-0002.mcap"]
+    with pytest.raises(FileError, match=r"session-0002\.mcap: is not finished: `foretouch dataset repair`"):
+        build_store([dataset], tmp_path / "store")
+
+
 def test_an_attachment_and_the_manifest_are_verified(dataset: Path, tmp_path: Path) -> None:
     build_store([dataset], tmp_path / "store", attach=lambda _: {"splits.json": "{}\n"})
     for name in ("splits.json", "manifest.json"):

@@ -56,6 +56,8 @@ def _info(arguments: argparse.Namespace) -> int:
         ["hand", _facts(info.hand)],
         ["camera", _facts(info.camera)],
     ]
+    if info.unfinished:
+        rows.append(["not finished", f"{', '.join(info.unfinished)}: repair makes them whole"])
     if info.pairing_ms:
         spans = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], info.pairing_ms, strict=False)
         rows.append(["pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in spans if n)])

@@ -39,6 +39,7 @@ class SampleSetInfo:
         ranges: Least and most of each modality [counts]; empty where nothing is labelled.
         pairing_ms: Samples by pairing error, beside `PAIRING_EDGES_MS`; empty where none is known.
         hand, camera: Their identities.
+        unfinished: Recordings that were cut off and not repaired.
     """
 
     kind: SampleSetKind
@@ -56,6 +57,7 @@ class SampleSetInfo:
     pairing_ms: list[int] = field(default_factory=list)
     hand: dict[str, str] = field(default_factory=dict)
     camera: dict[str, str] = field(default_factory=dict)
+    unfinished: list[str] = field(default_factory=list)
 
 
 def describe(path: str | Path) -> SampleSetInfo:
@@ -69,8 +71,9 @@ def describe(path: str | Path) -> SampleSetInfo:
     sizes: list[int] = []
     stamps: list[int] = []
     errors: list[float] = []
-    with open_samples(path) as samples:
+    with open_samples(path, unfinished=True) as samples:
         info = SampleSetInfo(kind=samples.kind, hand=dict(samples.identity.hand), camera=dict(samples.identity.camera))
+        info.unfinished = [file.name for file in samples.unfinished]
         for record in samples.records(discarded=True):
             sample = record.sample
             info.samples += 1

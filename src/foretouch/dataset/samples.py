@@ -43,6 +43,7 @@ class SampleSet:
         record: Reads one sample by its number; raises `FileError` with file and place.
         name: Tells where one lies.
         closes: What to call in the end.
+        unfinished: Recordings that were cut off, where those may be read.
     """
 
     path: Path
@@ -52,6 +53,7 @@ class SampleSet:
     record: Callable[[int], SampleRecord]
     name: Callable[[int], str]
     closes: Callable[[], None]
+    unfinished: tuple[Path, ...] = ()
 
     def __enter__(self) -> Self:
         return self
@@ -80,15 +82,19 @@ def is_sample_set(path: str | Path) -> bool:
     return holds_samples(path) or is_store(path) or _is_collection(path)
 
 
-def open_samples(path: str | Path) -> SampleSet:
+def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
     """Open whatever samples lie at a path.
 
+    Args:
+        path: Where.
+        unfinished: Whether to read recordings that were cut off, up to there.
+
     Raises:
-        FileError: If there are none, or what is there is damaged or of another version.
+        FileError: If there are none, or what is there is damaged, cut off or of another version.
     """
     path = Path(path)
     if holds_samples(path):
-        return _recorded(path)
+        return _recorded(path, unfinished=unfinished)
     if is_store(path):
         return _stored(path)
     if _is_collection(path):
@@ -106,11 +112,15 @@ def only_finite(sample: GraspSample) -> GraspSample:
     return replace(sample, cloud=cloud.take(finite))
 
 
-def _recorded(path: Path) -> SampleSet:
+def _recorded(path: Path, *, unfinished: bool) -> SampleSet:
     dataset = RecordedDataset(path)
+    cut = tuple(dataset.unfinished)
+    if cut and not unfinished:
+        dataset.close()
+        raise FileError(cut[0], "is not finished: `foretouch dataset repair` makes it whole")
     identity = dataset[0].identity if len(dataset) else Identity(hand={}, camera={})
     return SampleSet(
-        path, "recording", len(dataset), identity, lambda k: dataset[k].record, dataset.name, dataset.close
+        path, "recording", len(dataset), identity, lambda k: dataset[k].record, dataset.name, dataset.close, cut
     )
 
 
