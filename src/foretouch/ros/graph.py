@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Graph"]
 
-_THREADS = 6  # one for each node that may be called at the same time, and the monitor's
 _QUIET_S = 0.1  # for messages under way: rclpy's shutdown breaks callbacks that it meets
 _IDLE_S = 5.0  # without another answer, the rest is not coming
 
@@ -64,13 +63,13 @@ class Graph:
     def __enter__(self) -> Self:
         prepare_environment()
         import rclpy
-        from rclpy.executors import MultiThreadedExecutor
+        from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
         from foretouch.ros.monitor_node import MonitorNode
 
         rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self._executor = MultiThreadedExecutor(_THREADS)
+        self._executor = SingleThreadedExecutor()
         try:
             self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
             self._executor.add_node(self.monitor)
@@ -122,8 +121,10 @@ class Graph:
         return {} if self.hand is None else dict(self.hand.executed)
 
     def wait_for_hand(self, timeout_s: float) -> bool:
-        """Wait until the simulated hand has let go of what it holds; False if it takes longer."""
+        """Let the simulated hand finish what it does and take nothing more; False if it takes longer."""
         hand, end = self.hand, time.monotonic() + timeout_s
+        if hand is not None:
+            hand.set_parameters(list(_parameters({"automatic": False})))
         while hand is not None and hand.busy:
             if time.monotonic() > end:
                 return False
