@@ -3,7 +3,8 @@
 
 Ids of samples are kept. A new dataset appears as a whole or not at all; an existing one of the same hand and camera
 is added to. In a bag that holds no samples of ours, a touch is what the sensor read from contact to release of an
-`ExecutedGrasp`, by header stamps; clouds whose grasps nobody executed become unlabelled samples.
+`ExecutedGrasp`, by header stamps (see `foretouch.dataset.pairing`); clouds whose grasps nobody executed become
+unlabelled samples.
 """
 
 from __future__ import annotations
@@ -18,19 +19,22 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.bag import Recording, is_recording
+from foretouch.dataset.pairing.cut import DETECTOR, Interval, PairingConfig, PairingError, TouchCut, cut_touch
+from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchReading
 from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
-from foretouch.dataset.recording.record import HOLD, REST, Identity, SampleRecord, TouchSeries
+from foretouch.dataset.recording.record import Identity, SampleRecord, TouchSeries
 from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
-from foretouch.errors import DatasetError, FileError, ForetouchError, GraspError
-from foretouch.tactile.tare import make_tare
-from foretouch.tactile.validity import check_touch
-from foretouch.types import Float64, Grasp, GraspSample, Touch
+from foretouch.errors import DatasetError, FileError, GraspError
+from foretouch.types import ELECTRODES, Grasp, GraspSample
 
 __all__ = ["BagTopics", "ImportResult", "import_samples"]
 
 _CONFIG: Final = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # the whole is waited for at the end
 _NS: Final = 1_000_000_000
+_KEPT_S: Final = 300.0  # of readings, for a grasp whose end is told of later
+_LATE_NS: Final = _NS  # readings may come so much later than those of other topics
+_OTHERS: Final = tuple(f"{channel}_{finger}" for finger in ("TH", "MF") for channel in ("PAC0", "PAC1", "TAC", "TDC"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +48,7 @@ class BagTopics:
         tactile: `foretouch_msgs/BiotacAll` or `sr_robot_msgs/BiotacAll`.
         object: Label of the object on the table.
         fingers: Places of thumb and middle finger in `tactiles`.
-        tolerance_ns: Longest gap between readings within a hold, and at its ends [ns].
-        rest_ns: How long before the start of a grasp its tare is taken [ns].
+        pairing: How touch and tare are cut out of the readings, as in a live recording.
     """
 
     clouds: str = "/foretouch/object_cloud"
@@ -54,8 +57,7 @@ class BagTopics:
     tactile: str = "/rh/tactile"
     object: str = "unknown"
     fingers: tuple[int, int] = (4, 1)
-    tolerance_ns: int = 50_000_000
-    rest_ns: int = _NS
+    pairing: PairingConfig = PairingConfig()
 
 
 @dataclass(kw_only=True)
@@ -164,9 +166,10 @@ class _BagImport:
         self._topics = topics
         self._left_out = result.left_out
         self._grasps: dict[int, list[Grasp]] = {}
-        self._executed: dict[str, Any] = {}
-        self._stamps: list[int] = []
-        self._readings: list[Float64] = []
+        self._waiting: list[Any] = []
+        self._touched: dict[str, tuple[Any, TouchCut | None]] = {}
+        self._readings = TouchBuffer(kept_s=_KEPT_S, most=1_000_000)
+        self._last_release_ns: int | None = None
 
     def records(self) -> Iterator[SampleRecord]:
         """The samples, in the order of their clouds."""
@@ -175,15 +178,13 @@ class _BagImport:
         take = dict(zip(small, (self._take_grasps, self._take_executed, self._take_reading), strict=True))
         for message in self._bag.messages(small):
             take[message.topic](self._bag.content(message))
-        order = np.argsort(np.asarray(self._stamps, np.int64), kind="stable")
-        self._sorted_ns = np.asarray(self._stamps, np.int64)[order]
-        self._sorted = np.asarray(self._readings, np.float64).reshape(-1, 50)[order]
+        self._cut_waiting(everything=True)
         for _, cloud in self._bag.clouds(self._topics.clouds):
             grasps = self._grasps.pop(cloud.stamp_ns, [])
             if not grasps:
                 self._left_out["cloud without grasps"] += 1
                 continue
-            executed = [grasp for grasp in grasps if grasp.id in self._executed]
+            executed = [grasp for grasp in grasps if grasp.id in self._touched]
             for grasp in executed or grasps[:1]:
                 sample = GraspSample("", self._topics.object, cloud, grasp, stamp_ns=cloud.stamp_ns)
                 others = tuple(other for other in grasps if other is not grasp)
@@ -209,54 +210,54 @@ class _BagImport:
                 self._left_out["bad grasp"] += 1
 
     def _take_executed(self, message: Any) -> None:
-        self._executed[message.grasp_id] = message
+        self._waiting.append(message)
 
     def _take_reading(self, message: Any) -> None:
         thumb, middle = (message.tactiles[place] for place in self._topics.fingers)
-        if len(thumb.electrodes) != 24 or len(middle.electrodes) != 24:
+        if len(thumb.electrodes) != ELECTRODES or len(middle.electrodes) != ELECTRODES:
             self._left_out["reading without 24 electrodes"] += 1
             return
-        self._stamps.append(_ns(message.header.stamp))
-        values = [[thumb.pdc, middle.pdc], thumb.electrodes, middle.electrodes]
-        self._readings.append(np.concatenate(values).astype(np.float64))
+        counts = np.concatenate([[thumb.pdc, middle.pdc], thumb.electrodes, middle.electrodes])
+        others = [value for one in (thumb, middle) for value in (one.pac0, one.pac1, one.tac, one.tdc)]
+        stamp_ns = _ns(message.header.stamp)
+        # When the bag received it says nothing of the sensor's clock: bags are also made offline.
+        reading = TouchReading(stamp_ns, counts.astype(np.float32), np.array(others, np.float32), stamp_ns)
+        self._readings.add(reading)
+        self._cut_waiting(everything=False)
+
+    def _cut_waiting(self, *, everything: bool) -> None:
+        """Cut the touches of those grasps whose readings are all there."""
+        newest = self._readings.newest_ns or 0
+        ready = [m for m in self._waiting if everything or _ns(m.release) + _LATE_NS < newest]
+        self._waiting = [m for m in self._waiting if m not in ready]
+        for message in ready:
+            interval = Interval(start=_ns(message.start), contact=_ns(message.contact), release=_ns(message.release))
+            cut = None
+            try:
+                cut = cut_touch(self._readings, interval, self._topics.pairing, not_before_ns=self._last_release_ns)
+            except PairingError as err:
+                self._left_out[err.reason] += 1
+            self._touched[message.grasp_id] = (message, cut)
+            self._last_release_ns = interval.release
 
     def _labelled(self, record: SampleRecord) -> SampleRecord | None:
-        """With the touch of its hold; None, and counted, where the sensor says nothing that can be believed."""
-        executed = self._executed[record.sample.grasp.id]
-        start, contact, release = map(_ns, (executed.start, executed.contact, executed.release))
-        first, last = np.searchsorted(self._sorted_ns, [contact, release + 1])
-        hold = self._sorted_ns[first:last]
-        edges = np.concatenate([[contact], hold, [release]])
-        gap = int(np.diff(edges).max()) if len(hold) else release - contact
-        if len(hold) == 0 or gap > self._topics.tolerance_ns:
-            self._left_out["no readings in the hold" if len(hold) == 0 else "gap in the readings of the hold"] += 1
+        """With the touch of its hold; None where the sensor says nothing that can be believed, which was counted."""
+        executed, cut = self._touched[record.sample.grasp.id]
+        if cut is None:
             return None
-        touch = Touch.from_vector(np.median(self._sorted[first:last], axis=0))
-        if not check_touch(touch).valid:
-            self._left_out["absent or dead sensor"] += 1
-            return None
-        begin, rest = np.searchsorted(self._sorted_ns, [start - self._topics.rest_ns, start])
-        sample = replace(record.sample, touch=touch, tare=self._tare(begin, rest), stamp_ns=contact)
+        stamp_ns = _ns(executed.contact)
+        window = cut.window
+        others = dict(zip(_OTHERS, window.others.T, strict=True))
         return replace(
             record,
-            sample=sample,
+            sample=replace(record.sample, touch=cut.touch, tare=cut.tare, stamp_ns=stamp_ns),
             outcome="success" if executed.success else "failure",
-            series=self._series(begin, last, start, contact),
-            contact_ns=contact,
-            detector="executed_grasp",
-            pairing_error_ns=gap,
+            series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
+            contact_ns=cut.contact_ns,
+            detector=DETECTOR,
+            pairing_error_ns=cut.error_ns,
+            flags=cut.flags,
         )
-
-    def _tare(self, first: int, last: int) -> Touch | None:
-        try:
-            return make_tare([Touch.from_vector(row) for row in self._sorted[first:last]])
-        except ForetouchError:
-            return None
-
-    def _series(self, first: int, last: int, start_ns: int, contact_ns: int) -> TouchSeries:
-        stamps = self._sorted_ns[first:last]
-        phases = (stamps >= start_ns).astype(np.uint8) + (stamps >= contact_ns).astype(np.uint8)
-        return TouchSeries(stamps, self._sorted[first:last].astype(np.float32), np.clip(phases, REST, HOLD))
 
 
 def _grasp(message: Any) -> Grasp:
