@@ -16,9 +16,8 @@ from typing import Any, Final, Literal, Protocol, get_args
 import numpy as np
 
 from foretouch.cloud.files import write_cloud
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, check_id, encode_sample
+from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, check_id, encode_sample
 from foretouch.dataset.recording.record import SampleRecord
-from foretouch.dataset.recording.writer import SAMPLE_TOPIC
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import DatasetError, FileError

@@ -22,8 +22,9 @@ from foretouch.dataset.bag import Recording, is_recording
 from foretouch.dataset.pairing.cut import DETECTOR, Interval, PairingConfig, PairingError, TouchCut, cut_touch
 from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchReading
 from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.policy import RecordingConfig
 from foretouch.dataset.recording.record import Identity, SampleRecord, TouchSeries
-from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
+from foretouch.dataset.recording.writer import RecordingWriter
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, GraspError
 from foretouch.types import ELECTRODES, Grasp, GraspSample

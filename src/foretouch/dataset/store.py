@@ -180,6 +180,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     missing = [name for name in ("samples", "sha256", "shards") if name not in manifest]
     if missing:
         raise FileError(file, "is absent", field=missing[0])
+    for part in [*manifest["shards"], *manifest.get("files", [])]:
+        if Path(part["file"]).name != part["file"]:
+            raise FileError(file, f"{part['file']!r} is not the name of a file in the store", field="file")
     return manifest
 
 

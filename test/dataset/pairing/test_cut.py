@@ -107,7 +107,7 @@ def test_sensors_that_are_absent_or_frozen_are_refused_by_name() -> None:
         counts[middle] = REST[middle]
         return replace(reading, counts=counts)
 
-    with pytest.raises(PairingError, match="MF: the same .* through rest and contact"):
+    with pytest.raises(PairingError, match=r"MF: the same .* through rest and contact"):
         cut_touch(filled([stuck(r) for r in readings]), interval(0), CONFIG)
 
 

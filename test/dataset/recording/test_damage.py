@@ -10,9 +10,9 @@ import pytest
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
-from foretouch.dataset.recording.messages import SAMPLE_TYPE
+from foretouch.dataset.recording.places import sample_places
 from foretouch.dataset.recording.repair import repair_file
-from foretouch.dataset.recording.scan import mapped, sample_places
+from foretouch.dataset.recording.scan import mapped
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError
 
@@ -27,7 +27,7 @@ def file(tmp_path: Path) -> Path:
 def spans(path: Path) -> list[tuple[int, int]]:
     """Where the bytes of each sample lie."""
     with mapped(path) as data:
-        return [(place.start, place.end) for place in sample_places(path, data, SAMPLE_TYPE)]
+        return [(place.start, place.end) for place in sample_places(path, data)]
 
 
 def numbers(path: Path) -> list[int]:

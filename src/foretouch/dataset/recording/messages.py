@@ -24,9 +24,23 @@ from foretouch.errors import DatasetError, ForetouchError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
 
-__all__ = ["SAMPLE_TYPE", "SCHEMA_VERSION", "StoredSample", "check_id", "decode_sample", "encode_sample", "is_intact"]
+__all__ = [
+    "ABOUT",
+    "ACCOUNTS",
+    "SAMPLE_TOPIC",
+    "SAMPLE_TYPE",
+    "SCHEMA_VERSION",
+    "StoredSample",
+    "check_id",
+    "decode_sample",
+    "encode_sample",
+    "is_intact",
+]
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
+SAMPLE_TOPIC: Final = "/foretouch/samples"
+ABOUT: Final = "foretouch"  # metadata of a file: versions, hand, camera
+ACCOUNTS: Final = "foretouch_accounts"  # metadata of a file, the last counts
 SCHEMA_VERSION: Final = 1
 
 _DIGEST_SIZE: Final = 32

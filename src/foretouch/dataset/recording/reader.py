@@ -12,7 +12,8 @@ from typing import NamedTuple, Self
 from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.messages import SAMPLE_TYPE, StoredSample, decode_sample
-from foretouch.dataset.recording.scan import Place, mapped, sample_places
+from foretouch.dataset.recording.places import Place, sample_places
+from foretouch.dataset.recording.scan import mapped
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["RecordedDataset", "holds_samples", "is_finished"]
@@ -54,7 +55,7 @@ class RecordedDataset:
         with ExitStack() as stack:
             for file in self.files:
                 data = stack.enter_context(mapped(file))
-                self._samples += [_Sample(file, data, place) for place in sample_places(file, data, SAMPLE_TYPE)]
+                self._samples += [_Sample(file, data, place) for place in sample_places(file, data)]
             self._open = stack.pop_all()
         self.unfinished = [file for file in self.files if not is_finished(file)]
 

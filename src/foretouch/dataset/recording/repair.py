@@ -24,7 +24,7 @@ from foretouch.dataset.recording.accounts import Accounts, TopicAccount
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files, sync_folder
 from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample, is_intact
+from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
 from foretouch.dataset.recording.scan import (
     Chunk,
     Damage,
@@ -40,7 +40,6 @@ from foretouch.dataset.recording.scan import (
     records,
 )
 from foretouch.dataset.recording.verify import verify_file
-from foretouch.dataset.recording.writer import ABOUT, ACCOUNTS, SAMPLE_TOPIC
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["RepairReport", "repair_dataset", "repair_file"]

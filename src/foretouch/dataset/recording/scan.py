@@ -28,10 +28,10 @@ from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
 
 __all__ = [
+    "INDEX_HEAD",
     "Chunk",
     "Damage",
     "Declaration",
-    "Place",
     "RawMessage",
     "RawRecord",
     "check_record",
@@ -43,8 +43,6 @@ __all__ = [
     "next_chunk",
     "parse",
     "records",
-    "sample_ids",
-    "sample_places",
 ]
 
 Declaration: TypeAlias = Schema | Channel | Metadata
@@ -52,7 +50,7 @@ Declaration: TypeAlias = Schema | Channel | Metadata
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")
-_INDEX = struct.Struct("<HI")
+INDEX_HEAD = struct.Struct("<HI")
 _KNOWN: Final = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER}
 _CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
 _P = TypeVar("_P", bound=McapRecord)
@@ -105,14 +103,6 @@ class RawMessage(NamedTuple):
     publish_time_ns: int
     start: int
     end: int
-
-
-class Place(NamedTuple):
-    """Where the CDR of a sample lies in its file."""
-
-    start: int
-    end: int
-    log_time_ns: int
 
 
 @contextmanager
@@ -234,93 +224,11 @@ def check_record(data: memoryview, record: RawRecord) -> Damage | None:
     if record.opcode == Opcode.HEADER:
         content = parse(Header, data, record)
     elif record.opcode == Opcode.MESSAGE_INDEX:
-        size = record.end - record.start - _INDEX.size
-        if size < 0 or size % 16 or size != _INDEX.unpack_from(data, record.start)[1]:
+        size = record.end - record.start - INDEX_HEAD.size
+        if size < 0 or size % 16 or size != INDEX_HEAD.unpack_from(data, record.start)[1]:
             content = Damage(record.offset, "damaged: the sizes of an index do not add up")
     elif record.opcode not in _KNOWN:
         content = Damage(record.offset, f"damaged: a record of number {record.opcode} has no place here")
     else:
         content = declaration(data, record)
     return content if isinstance(content, Damage) else None
-
-
-def sample_places(path: Path, data: memoryview, type_name: str) -> Iterator[Place]:
-    """The samples of a file in order, up to its end or to where it is cut off.
-
-    Args:
-        path: For messages.
-        data: The file.
-        type_name: Of the samples' messages.
-
-    Raises:
-        FileError: At the first record that cannot be right, unless the file just ends within it.
-    """
-    schemas: set[int] = set()
-    channels: set[int] = set()
-    damage = magic_damage(data)
-    if damage is not None and len(data) >= len(MAGIC):
-        raise damage.error(path)
-    for record in records(data, len(MAGIC)):
-        if isinstance(record, Damage):
-            if record.rule.startswith("cut off"):
-                return
-            raise record.error(path)
-        if record.opcode == Opcode.DATA_END:
-            return
-        if record.opcode == Opcode.CHUNK:
-            chunk = chunk_at(data, record)
-            if isinstance(chunk, Damage):
-                raise chunk.error(path)
-            yield from _samples_of(path, data, chunk, channels)
-        else:
-            damage = check_record(data, record)
-            if damage is not None:
-                raise damage.error(path)
-            _declare(path, declaration(data, record), type_name, schemas, channels)
-
-
-def sample_ids(path: Path) -> list[str]:
-    """The ids in a file, up to where it is cut off (raises as `sample_places`)."""
-    from foretouch.dataset.recording.messages import SAMPLE_TYPE
-
-    with mapped(path) as data:
-        return [_id_of(path, data, place) for place in sample_places(path, data, SAMPLE_TYPE)]
-
-
-def _samples_of(path: Path, data: memoryview, chunk: Chunk, channels: set[int]) -> Iterator[Place]:
-    for message in messages_of(data, chunk.start, chunk.end):
-        if isinstance(message, Damage):
-            raise message.error(path)
-        if isinstance(message, RawMessage) and message.channel in channels:
-            yield Place(message.start, message.end, message.log_time_ns)
-
-
-def _declare(
-    path: Path, content: Declaration | Damage | None, type_name: str, schemas: set[int], channels: set[int]
-) -> None:
-    """Learn which channels hold the samples."""
-    if isinstance(content, Damage):
-        raise content.error(path)
-    if isinstance(content, Schema) and content.name == type_name:
-        schemas.add(content.id)
-    if isinstance(content, Channel) and content.schema_id in schemas:
-        channels.add(content.id)
-
-
-def _id_of(path: Path, data: memoryview, place: Place) -> str:
-    """The id in a serialised sample: behind the header (stamp, frame) and the schema version."""
-    try:
-        at = place.start + 4  # the encapsulation, from which CDR aligns
-        (frame,) = struct.unpack_from("<I", data, at + 8)
-        offset = 12 + frame
-        offset += -offset % 2 + 2  # the schema version
-        offset += -offset % 4
-        (length,) = struct.unpack_from("<I", data, at + offset)
-        begin = at + offset + 4
-        if begin + length > place.end:
-            raise ValueError("an id longer than its message")
-        return bytes(data[begin : begin + length]).rstrip(b"\0").decode()
-    except (struct.error, ValueError) as err:
-        raise FileError(
-            path, f"damaged: the id of a sample cannot be read: {err}", field=f"byte {place.start}"
-        ) from err

@@ -22,7 +22,7 @@ from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statisti
 from foretouch.dataset.recording.accounts import Accounts
 from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
 from foretouch.dataset.recording.mcap_file import MAGIC
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TYPE, decode_sample
 from foretouch.dataset.recording.scan import (
     Damage,
     RawMessage,
@@ -35,7 +35,6 @@ from foretouch.dataset.recording.scan import (
     parse,
     records,
 )
-from foretouch.dataset.recording.writer import ABOUT, ACCOUNTS
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["FileReport", "verify_dataset", "verify_file"]

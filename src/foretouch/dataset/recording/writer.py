@@ -28,13 +28,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 from foretouch import __version__
-from foretouch.config import Settings, setting
 from foretouch.dataset.recording.accounts import Accounts
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import (
@@ -48,36 +47,22 @@ from foretouch.dataset.recording.folder import (
     sync_folder,
 )
 from foretouch.dataset.recording.mcap_file import McapFile, McapMessage
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, SCHEMA_VERSION, encode_sample
+from foretouch.dataset.recording.messages import (
+    ABOUT,
+    ACCOUNTS,
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    SCHEMA_VERSION,
+    encode_sample,
+)
+from foretouch.dataset.recording.places import sample_ids
+from foretouch.dataset.recording.policy import RecordingConfig
 from foretouch.dataset.recording.record import Identity, SampleRecord, check_name
-from foretouch.dataset.recording.scan import sample_ids
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
-__all__ = ["ABOUT", "ACCOUNTS", "SAMPLE_TOPIC", "RecordingConfig", "RecordingWriter"]
+__all__ = ["RecordingWriter"]
 
-SAMPLE_TOPIC: Final = "/foretouch/samples"
-ABOUT: Final = "foretouch"  # names of the metadata in each file
-ACCOUNTS: Final = "foretouch_accounts"
 _MB: Final = 1_000_000
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordingConfig(Settings):
-    """How safe, and how often."""
-
-    fsync_samples: int = setting(
-        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a minute",
-        minimum=0,
-    )  # fmt: skip
-    fsync_s: float = setting(
-        5.0, "Longest time between two waits for the disk while messages come; 0 never waits", unit="s", minimum=0.0
-    )
-    chunk_s: float = setting(
-        0.5, "Longest time that messages are collected before they are written", unit="s", minimum=0.0
-    )
-    chunk_bytes: int = setting(4_000_000, "Most that is collected before it is written", unit="bytes", minimum=1)
-    min_free_mb: float = setting(500.0, "Space on the disk at which a session ends", unit="MB", minimum=0.0)
-    accounts_s: float = setting(5.0, "Time between accounts in the file", unit="s", minimum=0.1)
 
 
 class RecordingWriter:
