@@ -5,7 +5,7 @@ from glob import glob
 
 from setuptools import setup
 
-NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "perception")
+NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "perception")
 
 setup(
     data_files=[

@@ -29,6 +29,7 @@ __all__ = [
     "hand",
     "make_nodes",
     "perception",
+    "recorder",
     "replay",
     "run",
     "segmentation",
@@ -43,6 +44,7 @@ _CLASSES = {
     "touch_predictor": ("foretouch.ros.touch_predictor_node", "TouchPredictorNode"),
     "replay": ("foretouch.ros.replay_node", "ReplayNode"),
     "hand": ("foretouch.ros.hand_node", "HandNode"),
+    "recorder": ("foretouch.ros.recorder_node", "RecorderNode"),
 }
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 _POLL_S = 0.2  # between looks at whether the nodes have ended
@@ -76,6 +78,11 @@ def replay() -> int:
 def hand() -> int:
     """`foretouch_hand`."""
     return run("hand")
+
+
+def recorder() -> int:
+    """`foretouch_recorder`."""
+    return run("recorder")
 
 
 def perception() -> int:

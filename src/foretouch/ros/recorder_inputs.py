@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions of the recorder: serialised messages, reliable wherever that is offered, and what was lost on the way.
+
+A reliable subscriber gets nothing from a best-effort publisher. So every input begins reliable, and is made anew with
+best effort as soon as a publisher on its topic offers no more; it is made reliable again when all do.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from foretouch.ros.recorder_inbox import Arrival
+
+__all__ = ["InputTopic", "RecorderInput"]
+
+
+@dataclass(frozen=True)
+class InputTopic:
+    """A topic to record.
+
+    Attributes:
+        name: As it is subscribed to: relative to the namespace, and before remapping.
+        message: Class of its messages.
+        depth: Messages that the middleware may hold for us.
+    """
+
+    name: str
+    message: type
+    depth: int
+
+    @property
+    def type_name(self) -> str:
+        """Such as `sensor_msgs/msg/PointCloud2`."""
+        module = self.message.__module__.split(".")
+        return f"{module[0]}/{module[1]}/{self.message.__name__}"
+
+
+class RecorderInput:
+    """One topic.
+
+    Args:
+        node: Subscribes.
+        topic: What to.
+        take: Called with every message, in a thread of the executor; must return at once.
+    """
+
+    def __init__(self, node: Node, topic: InputTopic, take: Callable[[Arrival], None]) -> None:
+        self.topic = topic
+        self.reliable = True
+        self._node = node
+        self._take = take
+        self._lock = threading.Lock()
+        self._last: dict[bytes, int] = {}
+        self._gaps = 0
+        self._events = 0
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._subscription = self._subscribe()
+        self.name: str = self._subscription.topic_name
+
+    @property
+    def lost(self) -> int:
+        """Messages since `reset` that the middleware lost: gaps in the publishers' numbers, or its own events."""
+        with self._lock:
+            return max(self._gaps, self._events)
+
+    def reset(self) -> None:
+        """Count what is lost from now on."""
+        with self._lock:
+            self._gaps = self._events = 0
+
+    def adapt(self) -> bool:
+        """Look at what the publishers offer; whether the subscription was made anew."""
+        offered = {info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(self.name)}
+        reliable = ReliabilityPolicy.BEST_EFFORT not in offered
+        if not offered or reliable == self.reliable:
+            return False
+        old, self.reliable = self._subscription, reliable
+        self._subscription = self._subscribe()
+        self._node.destroy_subscription(old)
+        return True
+
+    def destroy(self) -> None:
+        """Listen no more."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _subscribe(self) -> Any:
+        reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
+        return self._node.create_subscription(
+            self.topic.message,
+            self.topic.name,
+            self._receive,
+            QoSProfile(depth=self.topic.depth, reliability=reliability),
+            callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda _: None,  # `adapt` sees to it
+                message_lost=self._lose,
+                use_default_callbacks=False,
+            ),
+            raw=True,
+        )
+
+    def _receive(self, data: bytes, info: Any) -> None:
+        sequence = info.get("publication_sequence_number")
+        publisher = info.get("publisher_gid")
+        if sequence is not None and publisher is not None and not self._follow(publisher["data"], sequence):
+            return
+        self._take(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
+
+    def _follow(self, publisher: bytes, sequence: int) -> bool:
+        """Count what is missing; False for a message that the subscription made anew has received once more."""
+        with self._lock:
+            last = self._last.get(publisher)
+            if last is not None and sequence <= last:
+                return False
+            self._gaps += 0 if last is None else sequence - last - 1
+            self._last[publisher] = sequence
+            return True
+
+    def _lose(self, event: Any) -> None:
+        with self._lock:
+            self._events += event.total_count_change

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder over real DDS: a hand that reads what we know, and what of it is found in the file."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from pair_builders import REST, level
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.dataset.recording import HOLD, RecordedDataset, verify_dataset
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+from foretouch.ros.clouds import objects_to_msg
+from foretouch.ros.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
+from foretouch.ros.tactile_messages import biotac_all_to_msg
+from foretouch.types import Cloud, Grasp
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
+from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
+
+pytestmark = pytest.mark.ros
+
+MS = 1_000_000
+FRAME = "camera_depth_optical_frame"
+QUICK = {
+    "pairing__guard_s": 0.02,
+    "pairing__tare_s": 0.2,
+    "pairing__wait_s": 1.0,
+    "pairing__clock_s": 10.0,  # the robot below is in a hurry: its stamps run ahead of the clock
+}
+
+
+class Robot:
+    """A camera, a planner and a hand in one: publishes what a grasp looks like, with stamps that it chooses."""
+
+    def __init__(self, graph: Any) -> None:
+        self.clouds = graph.talk(PointCloud2, "object_cloud")
+        self.grasps = graph.talk(GraspArray, "grasps")
+        self.hand = graph.talk(BiotacAll, "/rh/tactile")
+        self.told = graph.talk(ExecutedGrasp, "executed_grasp")
+        for topic in ("object_cloud", "grasps", "/rh/tactile", "executed_grasp"):
+            graph.matched(topic)
+        self.now = time.time_ns()
+        self.sent = {"/rh/tactile": 0, "object_cloud": 0, "grasps": 0, "executed_grasp": 0}
+        self._rng = np.random.default_rng(0)
+
+    def see(self, name: str) -> None:
+        """A cloud whose points tell the grasp, and a grasp planned on it."""
+        xyz = self._rng.normal(size=(300, 3)).astype(np.float32)
+        self.cloud = Cloud(xyz, None, FRAME, self.now)
+        self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
+        grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")
+        other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), np.eye(3), 0.5, f"{name} too", "7")
+        messages = [grasp_to_msg(grasp), grasp_to_msg(other)]
+        self.grasps.publish(GraspArray(header=header_to_msg(FRAME, self.now), grasps=messages))
+        self.sent["object_cloud"] += 1
+        self.sent["grasps"] += 1
+
+    def feel(self, counts: np.ndarray, readings: int) -> None:
+        """So many readings at 100 Hz by the stamps, as fast as they can be sent."""
+        for _ in range(readings):
+            noisy = np.round(counts + self._rng.normal(0, 1, 50) * np.r_[0.3, 0.3, np.full(48, 4.0)]).astype(np.int16)
+            fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
+            self.hand.publish(biotac_all_to_msg(fingers, "rh", self.now))
+            self.now += 10 * MS
+            self.sent["/rh/tactile"] += 1
+            time.sleep(0.001)
+
+    def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
+        """Rest, approach, hold, release; gives the times."""
+        self.now = max(self.now, time.time_ns() - 700 * MS)  # what is felt below is then stamped about now
+        self.see(name)
+        self.now += MS
+        self.feel(REST, 40)
+        times = {"start": stamp_to_msg(self.now)}
+        self.feel(REST, 5)
+        times["contact"] = stamp_to_msg(self.now)
+        self.feel(level(number), 20)
+        times["release"] = stamp_to_msg(self.now)
+        self.feel(REST, 10)
+        if tell:
+            self.told.publish(
+                ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=True, **times)
+            )
+            self.sent["executed_grasp"] += 1
+        return times
+
+
+def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[Any]]:
+    told = graph.listen(RecorderStatus, "recorder_status")
+    (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
+    assert node.state_name == "active"
+    return node, Robot(graph), told
+
+
+def accounts(status: Any) -> dict[str, Any]:
+    return {topic.topic.removeprefix("/foretouch/"): topic for topic in status.topics}
+
+
+def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set")
+    clouds = []
+    for number in range(3):
+        robot.grasp(f"g-{number}", number)
+        clouds.append(robot.cloud)
+        graph.until(lambda number=number: node.status().samples == number + 1)
+    graph.until(lambda: sum(topic.received for topic in node.status().topics) == sum(robot.sent.values()))
+    answer = graph.call(StopRecording, "stop_recording", StopRecording.Request())
+    assert (answer.success, answer.samples, answer.path) == (True, 3, str(tmp_path / "set"))
+
+    status = node.status()
+    for topic, sent in robot.sent.items():
+        one = accounts(status)[topic]
+        assert (one.received, one.written, list(one.drop_reasons), one.lost, one.waiting) == (sent, sent, [], 0, 0)
+        assert one.reliable
+    assert status.received == status.used == sum(robot.sent.values())
+    assert dict(zip(status.outcomes, status.outcome_counts, strict=True)) == {"recorded": 3}
+    assert list(status.sensor_states) == ["alive", "alive"]
+
+    (report,) = verify_dataset(tmp_path / "set")
+    assert not report.faults
+    with RecordedDataset(tmp_path / "set") as dataset:
+        stored = [dataset[k] for k in range(len(dataset))]
+    assert [one.record.sample.id for one in stored] == ["can/000001", "can/000002", "can/000003"]
+    for number, one in enumerate(stored):
+        record = one.record
+        np.testing.assert_array_equal(record.sample.cloud.xyz, clouds[number].xyz)
+        np.testing.assert_allclose(record.sample.touch.vector(), level(number), atol=5.0)
+        np.testing.assert_allclose(record.sample.tare.vector(), REST, atol=5.0)
+        assert (record.sample.grasp.id, [g.id for g in record.candidates]) == (f"g-{number}", [f"g-{number} too"])
+        assert record.outcome == "success"
+        assert record.flags == ()
+        assert record.pairing_error_ns == 10 * MS
+        assert (record.series.phases == HOLD).sum() == 20
+        assert record.contact_ns == record.sample.stamp_ns
+        assert one.identity.hand["thumb"] == "TH"
+
+
+def test_what_cannot_be_paired_is_counted_out_with_the_reason_and_kept_as_messages(graph, tmp_path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set")
+    times = robot.grasp("g-0", 0)
+    for name, values in (("unheard of", times), ("g-0", times), ("g-0 too", dict.fromkeys(times, stamp_to_msg(0)))):
+        robot.told.publish(ExecutedGrasp(grasp_id=name, success=bool(values["start"].sec), **values))
+    graph.until(lambda: sum(node.status().outcome_counts) == 4)
+    status = node.status()
+    assert dict(zip(status.outcomes, status.outcome_counts, strict=True)) == {
+        "recorded": 1,
+        "grasp_failed": 1,
+        "grasp_unknown": 1,
+        "told_twice": 1,
+    }
+    assert accounts(status)["executed_grasp"].received == 4
+
+
+def test_a_label_marks_a_grasp_that_the_robot_does_not_tell_of(graph, tmp_path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set", contact__window_s=0.1, contact__lag_s=0.05, pairing__settle_s=0.02)
+    graph.until(lambda: node.recording)
+    request = LabelGrasp.Request(object="cup", note="slipped", outcome=LabelGrasp.Request.FAILURE)
+    robot.see("g-0")
+    graph.until(lambda: accounts(node.status())["grasps"].written)
+    answer = graph.call(LabelGrasp, "label_grasp", request)
+    assert (answer.success, answer.grasp_id, answer.message) == (True, "g-0", "waits for its contact")
+    robot.now += MS
+    for counts, readings in ((REST, 60), (level(1), 30), (REST, 20)):
+        robot.feel(counts, readings)
+    graph.until(lambda: node.status().samples == 1)
+    late = graph.call(LabelGrasp, "label_grasp", LabelGrasp.Request(grasp_id="g-0"))
+    assert (late.success, late.message) == (
+        False,
+        "grasp g-0: is recorded already; a label comes before or with its grasp",
+    )
+    node.end()
+    with RecordedDataset(tmp_path / "set") as dataset:
+        record = dataset[0].record
+    assert (record.sample.object, record.note, record.outcome) == ("cup", "slipped", "failure")
+    assert record.flags == ("detected_interval",)
+    np.testing.assert_allclose(record.sample.touch.vector(), level(1), atol=5.0)
+
+
+def test_clouds_that_were_not_grasped_become_samples_without_a_touch(graph, tmp_path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set", unlabelled_s=0.5)
+    for k in range(4):
+        robot.see(f"g-{k}")
+        robot.now += 300 * MS
+    graph.until(lambda: accounts(node.status())["grasps"].received == 4)
+    view = node.end()
+    assert (view.samples, view.unlabelled) == (0, 2)  # the first and the third: 0.6 s apart
+    with RecordedDataset(tmp_path / "set") as dataset:
+        assert [dataset[k].record.sample.touch for k in range(2)] == [None, None]
+        assert [dataset[k].record.sample.grasp.id for k in range(2)] == ["g-0", "g-2"]
+
+
+def test_a_dataset_goes_on_and_one_of_another_hand_is_refused(graph, tmp_path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set")
+    robot.grasp("g-0", 0)
+    graph.until(lambda: node.status().samples == 1)
+    busy = graph.call(StartRecording, "start_recording", StartRecording.Request(path=str(tmp_path / "other")))
+    assert (busy.success, busy.message) == (False, f"{tmp_path / 'set'} is being recorded; stop it first")
+    node.end()
+    again = graph.call(
+        StartRecording, "start_recording", StartRecording.Request(path=str(tmp_path / "set"), object="x")
+    )
+    assert again.success
+    robot.grasp("g-1", 1)
+    graph.until(lambda: node.status().samples == 1)
+    node.end()
+    with RecordedDataset(tmp_path / "set") as dataset:
+        assert [dataset[k].record.sample.id for k in range(2)] == ["can/000001", "x/000002"]
+    (other,) = graph.add("recorder", identity__hand_serial="1234")
+    with pytest.raises(Exception, match=r"hand\.serial: .* there, 1234 here"):
+        other.begin(str(tmp_path / "set"))
+    bad = graph.call(StartRecording, "start_recording", StartRecording.Request(path="y", object="../x"))
+    assert not bad.success
+    assert "is no plain name" in bad.message
+
+
+def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
+    (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
+    sender = graph.talk(BiotacAll, "/rh/tactile", reliable=False)
+    graph.until(lambda: not accounts(node.status())["/rh/tactile"].reliable)
+    message = biotac_all_to_msg({}, "rh", time.time_ns())
+
+    def heard() -> bool:
+        sender.publish(message)
+        time.sleep(0.05)
+        return accounts(node.status())["/rh/tactile"].received > 3
+
+    graph.until(heard)
+    graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 electrodes are 0") or heard())
+
+
+def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, tmp_path) -> None:
+    node, robot, told = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
+    robot.grasp("g-0", 0)
+    graph.until(lambda: node.status().samples == 1)
+    session = node._session
+    session.writer.config = session.writer.config.replace(min_free_mb=1e9)
+    robot.feel(REST, 30)
+    graph.until(lambda: not node.recording and node._session is None)
+    status = node.status()
+    assert "disk almost full" in status.reason
+    assert not status.recording
+    graph.until(lambda: told and "disk almost full" in told[-1].reason)
+    for topic in status.topics:
+        assert topic.received == topic.written + sum(topic.drop_counts)
+        assert topic.waiting == 0
+    assert not any(report.faults for report in verify_dataset(tmp_path / "set"))
+    with RecordedDataset(tmp_path / "set") as dataset:
+        assert len(dataset) == 1
