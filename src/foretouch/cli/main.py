@@ -25,6 +25,7 @@ COMMANDS = {
     "simulate": "Make a data set of simulated grasps from a scene",
     "dataset": "Look into, verify, repair and convert recorded grasps",
     "run": "Run the whole ROS graph in one terminal",
+    "record": "Record grasps with what the hand feels, into a dataset",
     "replay": "Play a recording or a folder of clouds into the ROS graph",
     "models": "List and verify the touch models at hand",
     "doctor": "Tell what this machine lacks, and the line that mends it",

@@ -170,6 +170,11 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Whether a session goes on."""
         return self._session is not None and not self._session.ended.is_set()
 
+    @property
+    def samples(self) -> int:
+        """Labelled samples of the session at hand, or of the last one."""
+        return self._view_now().samples
+
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
         """Start a session; a dataset that is there goes on.
 
