@@ -214,3 +214,41 @@ def test_wrong_pixels_cannot_change_the_plan(box_cloud, top_view, rng):
     pixels = rng.permutation(box_cloud.size)
     plan = plan_grasps(box_cloud, top_view, CONFIG, pixels=pixels, image_shape=(30, 60))
     assert plan.counts == plan_grasps(box_cloud, top_view, CONFIG).counts
+
+
+def _dense_can(rng: np.random.Generator) -> tuple[Cloud, np.ndarray, tuple[int, int]]:
+    """A can that fills a large part of a depth image: 150 x 90 pixels."""
+    rows, columns = np.mgrid[0:150, 0:90]
+    x, y = (columns - 44.5) / 1200.0, (rows - 74.5) / 1200.0
+    z = 0.8 - np.sqrt(np.maximum(0.04**2 - x**2, 0.0))
+    xyz = np.stack([x * z / 0.8, y * z / 0.8, z], axis=-1) + rng.normal(0.0, 2e-4, (150, 90, 1)) * [0.0, 0.0, 1.0]
+    return Cloud(xyz.reshape(-1, 3).astype(np.float32)), np.arange(13_500), (150, 90)
+
+
+def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.Generator) -> None:
+    cloud, pixels, shape = _dense_can(rng)
+    plane = Plane.from_coefficients([0.0, 0.0, 1.0, -0.85])
+    whole = plan_grasps(cloud, plane, GeoGraspConfig(max_points=0), pixels=pixels, image_shape=shape)
+    thin = plan_grasps(cloud, plane, GeoGraspConfig(max_points=4000), pixels=pixels, image_shape=shape)
+    assert whole.counts["n_thinned"] == 0
+    assert thin.counts["n_thinned"] == 13_500 - 75 * 45
+    assert thin.initial_points is not None
+    assert whole.initial_points is not None
+    np.testing.assert_allclose(thin.initial_points, whole.initial_points, atol=0.01)  # of a slab 14 mm thick
+
+
+def test_thinning_ignores_where_in_the_image_the_object_lies(rng: np.random.Generator) -> None:
+    cloud, pixels, shape = _dense_can(rng)
+    plane = Plane.from_coefficients([0.0, 0.0, 1.0, -0.85])
+    rows, columns = np.divmod(pixels, shape[1])
+    moved = (rows + 7) * 848 + columns + 13
+    here = plan_grasps(cloud, plane, GeoGraspConfig(), pixels=pixels, image_shape=shape)
+    there = plan_grasps(cloud, plane, GeoGraspConfig(), pixels=moved, image_shape=(480, 848))
+    assert here.counts == there.counts
+    np.testing.assert_array_equal(here.grasps[0].g1, there.grasps[0].g1)
+
+
+def test_a_dense_cloud_without_an_image_is_thinned_by_order(rng: np.random.Generator) -> None:
+    xyz = rng.uniform([-0.03, -0.08, 0.7], [0.03, 0.08, 0.76], (9000, 3)).astype(np.float32)
+    plan = plan_grasps(Cloud(xyz), Plane.from_coefficients([0.0, 0.0, 1.0, -0.85]), GeoGraspConfig(max_points=3000))
+    assert plan.counts["n_thinned"] == 6000

@@ -55,6 +55,7 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
     """
     points = usable_points(cloud)
     points.require_usable()
+    points = points.thinned(config.max_points)
     inliers = inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())
     axis = find_axis(points.xyz[inliers], plane, config)
     return axis.direction, axis.centroid

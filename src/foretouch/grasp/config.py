@@ -16,6 +16,12 @@ class GeoGraspConfig(Settings):
 
     tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
     count: int = setting(1, "Grasps to return at most, best first", minimum=1, maximum=10_000)
+    max_points: int = setting(
+        8000,
+        "A larger cloud is thinned to every second, third, ... row and column of its image; 0 never thins",
+        minimum=0,
+        maximum=10_000_000,
+    )
     neighbours: int = setting(50, "Nearest neighbours averaged by the outlier filter", minimum=1, maximum=1000)
     outlier_deviations: float = setting(
         1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0

@@ -4,8 +4,9 @@
 GeoGrasp = Zapata-Impata et al., "Fast geometry-based computation of grasping points on
 three-dimensional point clouds", 2019, written anew from a description of its public code. Departures:
 normals are computed where a candidate needs them and nowhere else; where the original's score divides by
-zero the case is named; a pose that the rule leaves open follows a stated convention; and the slab may be slid
-along the axis for variety, as in P2 (Zapata-Impata and Gil 2020).
+zero the case is named; a pose that the rule leaves open follows a stated convention; the slab may be slid along
+the axis for variety, as in P2 (Zapata-Impata and Gil 2020); and clouds of more points than any recorded one are
+thinned (`GeoGraspConfig.max_points`), so that a near object is planned on in time.
 """
 
 from __future__ import annotations
@@ -95,6 +96,9 @@ def _plan(
 ) -> GraspPlan:
     with log.stage("outliers"):
         points.require_usable()
+        n_usable = len(points.xyz)
+        points = points.thinned(config.max_points)
+        log.counts["n_thinned"] = n_usable - len(points.xyz)
         xyz = points.xyz[inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())]
         log.counts["n_filtered"] = len(xyz)
     with log.stage("axis"):
