@@ -8,26 +8,27 @@ squared error, labels standardised per value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.learning.augment import turn, viewing_axis_rotations
+from foretouch.learning.losses import labeled_loss
+from foretouch.learning.stepper import Stepper, StepRule
+from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.regressor import TouchNet
 from foretouch.models.settings import ModelConfig
 from foretouch.tactile.modalities import columns, modality_size
 from foretouch.types import Float64
 
-__all__ = ["TrainConfig", "predict_set", "set_target_scaling", "train_network", "training_loss"]
+__all__ = ["SupervisedTrainer", "TrainConfig", "predict_set", "set_target_scaling", "train_network", "training_loss"]
 
-Indices = npt.NDArray[np.intp]
 Report = Callable[[int, float], None]
 
 _LEAST_DEVIATION = 1.0  # [counts], so that an output that never moves does not divide by zero
@@ -62,6 +63,51 @@ class TrainConfig(Settings):
     seed: int = setting(0, "Of weights, order and points", minimum=0)
 
 
+class SupervisedTrainer(Trainer):
+    """Labelled samples alone: the papers' PointNets and our own.
+
+    Args:
+        data: All samples; it knows the network's configuration.
+        index: (T,) those to train on.
+        config: How.
+
+    Raises:
+        DatasetError: If there are fewer samples than one batch.
+    """
+
+    def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
+        if len(index) < config.batch_size:
+            raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
+        super().__init__(data, config.seed, config.epochs)
+        self.config = config
+        self._index = index
+        place = columns(data.config.outputs)
+        set_target_scaling(self.net, data.labels[np.ix_(index, place)], config.target_scaling)
+        self._labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
+        self._fed = torch.from_numpy(data.grasps)
+        rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
+        self.steppers["net"] = Stepper(self.net, rule, config.epochs * (len(index) // config.batch_size))
+
+    def _epoch(self) -> Iterator[Mapping[str, float]]:
+        self.net.train()
+        for number, batch in enumerate(shuffled_batches(self._index, self.config.batch_size, self.rng)):
+            points, grasps = self._inputs(batch)
+            scaled = self.net(points, grasps if self.data.config.use_grasp else None)
+            target = self.net.to_scaled(self._labels[batch])
+            loss = training_loss(scaled, target, self.data.config, self.config.loss)
+            self.require_finite({"loss": loss}, number, batch, scaled - target)
+            self.steppers["net"].step(loss)
+            yield {"loss": float(loss.detach())}
+
+    def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
+        points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points))
+        grasps = self._fed[batch]
+        if self.config.turn_deg > 0.0:
+            rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
+            return turn(points, grasps, torch.from_numpy(rotations), self.data.config)
+        return points, grasps
+
+
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None = None) -> TouchNet:
     """Train a network on some samples.
 
@@ -77,47 +123,18 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report
     Raises:
         DatasetError: If there are fewer samples than one batch, or the loss stops being finite.
     """
-    if len(index) < config.batch_size:
-        raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
-    place = columns(data.config.outputs)
-    with torch.random.fork_rng(devices=[]):  # weights and dropout draw from torch's global generator
-        torch.manual_seed(config.seed)
-        net = TouchNet(data.config)
-        set_target_scaling(net, data.labels[np.ix_(index, place)], config)
-        _fit(net, data, index, config, report)
-    return net.eval()
-
-
-def _fit(net: TouchNet, data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None) -> None:
-    rng = np.random.default_rng(config.seed)
-    labels = torch.from_numpy(data.labels[:, columns(data.config.outputs)].astype(np.float32))
-    fed = torch.from_numpy(data.grasps)
-    optimiser, schedule = _make_optimiser(net, config, config.epochs * (len(index) // config.batch_size))
-    net.train()
-    for epoch in range(config.epochs):
-        losses = []
-        for batch in _batches(index, config.batch_size, rng):
-            points, grasps = torch.from_numpy(data.points(batch, rng, config.points)), fed[batch]
-            if config.turn_deg > 0.0:
-                rotations = viewing_axis_rotations(len(batch), config.turn_deg, rng).astype(np.float32)
-                points, grasps = turn(points, grasps, torch.from_numpy(rotations), data.config)
-            scaled = net(points, grasps if data.config.use_grasp else None)
-            loss = training_loss(scaled, net.to_scaled(labels[batch]), data.config, config.loss)
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimiser.step()
-            schedule.step()
-            losses.append(float(loss.detach()))
-        if not np.isfinite(losses).all():
-            raise DatasetError(f"training: the loss is not finite in epoch {epoch}; lower learning_rate")
+    trainer = SupervisedTrainer(data, index, config)
+    while trainer.epoch < trainer.epochs:
+        losses = trainer.run_epoch()
         if report is not None:
-            report(epoch, float(np.mean(losses)))
+            report(trainer.epoch - 1, losses["loss"])
+    return trainer.net.eval()
 
 
-def set_target_scaling(net: TouchNet, labels: Float64, config: TrainConfig) -> None:
-    """Fix the affine map of the targets from (T, M) training labels [counts]."""
+def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
+    """Fix the affine map of the targets from (T, M) training labels [counts]: `ranges` or `standardised`."""
     place = columns(net.config.outputs)
-    if config.target_scaling == "ranges":
+    if kind == "ranges":
         low, high = net.config.ranges.low[place], net.config.ranges.high[place]
         mean, scale = low, high - low
     else:
@@ -136,11 +153,7 @@ def training_loss(scaled: Tensor, target: Tensor, config: ModelConfig, kind: str
         config: Tells the modalities of the outputs.
         kind: `mse` or `rmse`.
     """
-    sizes = [modality_size(name) for name in config.outputs]
-    errors = [part.square().mean() for part in torch.split(scaled - target, sizes, dim=1)]
-    stacked = torch.stack(errors)
-    # The root has an infinite slope at zero; the shift, far below any real error, bounds it.
-    return stacked.mean() if kind == "mse" else torch.sqrt(stacked + 1e-12).mean()
+    return labeled_loss(scaled, target, [modality_size(name) for name in config.outputs], kind)
 
 
 @torch.inference_mode()
@@ -153,25 +166,3 @@ def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
         points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed)))
         rows.append(net.counts(points, None if grasps is None else grasps[one]))
     return torch.cat(rows).numpy().astype(np.float64)
-
-
-def _batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """Whole batches of shuffled samples; the rest of an epoch waits for a later shuffle."""
-    shuffled = rng.permutation(index)
-    for start in range(0, len(shuffled) - size + 1, size):
-        yield shuffled[start : start + size]
-
-
-def _make_optimiser(
-    net: TouchNet, config: TrainConfig, steps: int
-) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
-    kinds: dict[str, type[torch.optim.Optimizer]] = {
-        "adamw": torch.optim.AdamW,
-        "adam": torch.optim.Adam,
-        "sgd": torch.optim.SGD,
-    }
-    options = {"lr": config.learning_rate, "weight_decay": config.weight_decay}
-    optimiser = kinds[config.optimiser](net.parameters(), **options)  # type: ignore[arg-type]
-    if config.schedule == "cosine":
-        return optimiser, torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, T_max=steps)
-    return optimiser, torch.optim.lr_scheduler.ConstantLR(optimiser, factor=1.0)

@@ -16,7 +16,7 @@ from foretouch.models.familiarity import describe
 from foretouch.models.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
 from foretouch.models.settings import ModelConfig
 from foretouch.tactile.validity import check_touch
-from foretouch.types import Float32, Float64, GraspSample
+from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
 __all__ = ["TrainingSet", "duplicate_labels"]
 
@@ -28,9 +28,10 @@ class TrainingSet:
     Attributes:
         clouds: Of S samples, each (N_i, C) float32 in the unit sphere: all points, not yet sampled.
         grasps: (S, G) float32, as fed to the head.
-        labels: (S, 50) float64 [counts].
+        labels: (S, 50) float64 [counts]; NaN for an unlabelled sample.
         lengths: (S, 5) float64 [m], for the familiarity of the card.
         config: Of the network that it was prepared for.
+        ids: (S,) of the samples.
     """
 
     clouds: tuple[Float32, ...]
@@ -38,20 +39,27 @@ class TrainingSet:
     labels: Float64
     lengths: Float64
     config: ModelConfig
+    ids: tuple[str, ...]
 
     @classmethod
-    def build(cls, samples: Sequence[GraspSample], config: ModelConfig) -> TrainingSet:
+    def build(cls, samples: Sequence[GraspSample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:
         """Prepare samples.
 
+        Args:
+            samples: In the order that indices mean.
+            config: Of the network.
+            unlabelled: Whether samples without a label may be among them.
+
         Raises:
-            DatasetError: If there is none, or one is unlabelled or no reading of a working sensor; named by id.
+            DatasetError: If there is none, or a label is absent or no reading of a working sensor; named by id.
             CloudError: If a cloud is unusable.
         """
         if not samples:
             raise DatasetError("training set: no sample")
         clouds, grasps, labels, lengths = [], [], [], []
         for sample in samples:
-            labels.append(_label(sample))
+            missing = unlabelled and sample.touch is None
+            labels.append(np.full(TOUCH_SIZE, np.nan) if missing else _label(sample))
             usable = finite_points(sample.cloud, config)
             frame = UnitSphereFrame.fit(usable.xyz)
             points = sample_channels(usable, np.arange(usable.size), frame, config)
@@ -59,7 +67,8 @@ class TrainingSet:
             grasps.append(prepare_grasps([sample.grasp], frame, config)[0])
             # On the points that prediction will choose, for the gap to the nearest depends on their number.
             lengths.append(describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0])
-        return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config)
+        ids = tuple(sample.id for sample in samples)
+        return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config, ids)
 
     def __len__(self) -> int:
         return len(self.clouds)

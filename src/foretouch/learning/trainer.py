@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every training has in common: epochs, randomness of its own, and a state from which it goes on bit for bit."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from foretouch.errors import DatasetError, ModelError
+from foretouch.learning.stepper import Stepper
+from foretouch.learning.training_set import TrainingSet
+from foretouch.models.regressor import TouchNet
+
+__all__ = ["Indices", "Trainer", "shuffled_batches"]
+
+Indices = npt.NDArray[np.intp]
+
+_TORCH_RNG = "torch_rng"
+
+
+class Trainer(ABC):
+    """Trains a network epoch by epoch.
+
+    Weights, order, points and dropout follow the seed alone: torch's global generator is used within an
+    epoch, and is left as it was found.
+
+    Args:
+        data: All samples; it knows the network's configuration.
+        seed: Of everything random.
+        epochs: That will be run in all.
+
+    Attributes:
+        net: The network, in training mode or not as the last epoch left it.
+        epoch: Epochs that are done.
+        rng: Order and points.
+        modules, steppers: All that is trained, by name; `net` is among them.
+    """
+
+    def __init__(self, data: TrainingSet, seed: int, epochs: int) -> None:
+        self.data = data
+        self.epochs = epochs
+        self.epoch = 0
+        self.rng = np.random.default_rng(seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.net = TouchNet(data.config)
+            extra = self._make_modules()
+            self._torch_rng = torch.get_rng_state()
+        self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
+        self.steppers: dict[str, Stepper] = {}
+
+    def run_epoch(self) -> dict[str, float]:
+        """One pass over the training samples.
+
+        Returns:
+            Mean of each loss over the batches.
+
+        Raises:
+            DatasetError: If a loss or a weight stops being finite; names epoch, batch and sample.
+        """
+        with torch.random.fork_rng(devices=[]):
+            torch.set_rng_state(self._torch_rng)
+            batches = list(self._epoch())
+            self._torch_rng = torch.get_rng_state()
+        self._require_finite_weights()
+        self.epoch += 1
+        return {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+
+    def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name and the rest as plain data: all that `restore` needs; the tensors are copies."""
+        tensors = {_TORCH_RNG: self._torch_rng}
+        plain: dict[str, Any] = {"epoch": self.epoch, "rng": self.rng.bit_generator.state, "steppers": {}}
+        for name, module in self.modules.items():
+            tensors |= _prefixed(name, module.state_dict())
+        for name, stepper in self.steppers.items():
+            moments, plain["steppers"][name] = stepper.state()
+            tensors |= _prefixed(f"{name}-steps", moments)
+        return {name: value.detach().clone().contiguous() for name, value in tensors.items()}, plain
+
+    def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
+        """Go on from a snapshot as if nothing had been in between.
+
+        Raises:
+            ModelError: If it is of another architecture.
+        """
+        try:
+            for name, module in self.modules.items():
+                module.load_state_dict(_under(name, tensors))
+            for name, stepper in self.steppers.items():
+                stepper.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
+            self._torch_rng = tensors[_TORCH_RNG]
+            self.rng.bit_generator.state = plain["rng"]
+            self.epoch = int(plain["epoch"])
+        except (RuntimeError, KeyError, TypeError, ValueError) as err:
+            raise ModelError(f"state of training: is of another architecture: {' '.join(str(err).split())}") from err
+
+    def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
+        """Stop before a step that would spoil the weights.
+
+        Args:
+            losses: Scalars by name.
+            number: Of the batch.
+            batch: (B,) its samples.
+            rows: (B, ...) what the losses were computed from, by which the sample is found.
+
+        Raises:
+            DatasetError: Names loss, epoch, batch and the first sample that is not finite, or else the most extreme.
+        """
+        bad = [name for name, loss in losses.items() if not bool(torch.isfinite(loss.detach()))]
+        if not bad:
+            return
+        size = torch.stack([row.detach().abs().flatten(1).amax(dim=1) for row in rows]).amax(dim=0)
+        # argmax takes a NaN for the largest of all.
+        sample = self.data.ids[int(batch[int(size.argmax())])]
+        raise DatasetError(
+            f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
+            "lower learning_rate"
+        )
+
+    @abstractmethod
+    def _epoch(self) -> Iterator[Mapping[str, float]]:
+        """Train on each batch of an epoch; the losses of each."""
+
+    def _make_modules(self) -> dict[str, nn.Module]:
+        """Further networks, made after the first from the same seed."""
+        return {}
+
+    def _require_finite_weights(self) -> None:
+        for name, module in self.modules.items():
+            for key, value in module.state_dict().items():
+                if not bool(torch.isfinite(value).all()):
+                    raise DatasetError(
+                        f"training: {name}.{key}: holds a value that is not finite after the last batch of epoch "
+                        f"{self.epoch}; lower learning_rate"
+                    )
+
+
+def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
+    """Whole batches of shuffled samples; the rest of an epoch waits for a later shuffle."""
+    shuffled = rng.permutation(index)
+    for start in range(0, len(shuffled) - size + 1, size):
+        yield shuffled[start : start + size]
+
+
+def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {f"{prefix}/{name}": value for name, value in tensors.items()}
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    start = f"{prefix}/"
+    return {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}
