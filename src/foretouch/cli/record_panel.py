@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-import os
+from os.path import commonpath
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -74,7 +74,7 @@ def _topics(topics: Sequence[TopicAccount]) -> Table:
     table = Table(expand=True, box=SIMPLE_HEAD)
     for name in ("topic", "Hz", "received", "written", "queue", "lost", "dropped"):
         table.add_column(name, justify="left" if name == "topic" else "right", no_wrap=name != "dropped")
-    common = os.path.commonprefix([topic.topic.rpartition("/")[0] for topic in topics[1:]]) + "/"
+    common = commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"  # the first is the hand's
     for topic in topics:
         drops = zip(topic.drop_reasons, topic.drop_counts, strict=True)
         dropped = " ".join(f"{count} {reason}" for reason, count in drops)
