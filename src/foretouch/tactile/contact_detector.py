@@ -145,6 +145,8 @@ class FingerContact:
         self.touching = self._decision.touching
         if change is None:
             return None
+        if change[0] == "release" and self.score >= self.config.release_level:
+            self.forget()  # it is no release but a drift, and the reference is of no use any more
         self._recent.clear()  # what led to the contact is no reference for the next one
         return ContactChange(finger=self.finger, kind=change[0], stamp_ns=change[1])
 

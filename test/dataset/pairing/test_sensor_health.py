@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead, absent and frozen sensors are told finger by finger."""
+
+from __future__ import annotations
+
+import numpy as np
+from pair_builders import REST
+
+from foretouch.dataset.pairing import SensorHealth
+
+MIDDLE = np.r_[1, 26:50]
+
+
+def noisy(rng: np.random.Generator) -> np.ndarray:
+    return np.round(REST + rng.normal(0, 1, 50) * np.r_[0.5, 0.5, np.full(48, 4.4)]).astype(np.float32)
+
+
+def test_working_sensors_are_alive_and_silence_is_noticed() -> None:
+    health, rng = SensorHealth(), np.random.default_rng(0)
+    assert set(health.states.values()) == {"no data"}
+    for _ in range(4000):
+        health.update(noisy(rng))
+        assert set(health.states.values()) == {"alive"}
+    health.silence()
+    assert health.states == {"TH": "no data", "MF": "no data"}
+
+
+def test_the_finger_at_fault_is_named() -> None:
+    health, rng = SensorHealth(constant=300, frozen=50), np.random.default_rng(0)
+    counts = noisy(rng)
+    counts[26:] = 0
+    health.update(counts)
+    assert health.states == {"TH": "alive", "MF": "e_mf: all 24 electrodes are 0, an absent sensor"}
+    counts = noisy(rng)
+    counts[0] = -22072
+    health.update(counts)
+    assert health.states["TH"].startswith("pdc_th: -22072 is not between 0 and 4095")
+    assert health.states["MF"] == "alive"
+
+
+def test_a_frozen_stream_and_a_pdc_that_never_moves() -> None:
+    health, rng = SensorHealth(constant=300, frozen=50), np.random.default_rng(0)
+    for _ in range(51):
+        counts = noisy(rng)
+        counts[MIDDLE] = REST[MIDDLE]
+        health.update(counts)
+    assert health.states == {"TH": "alive", "MF": "frozen: the same 51 times"}
+    for _ in range(301):
+        counts = noisy(rng)
+        counts[0] = 2779
+        health.update(counts)
+    assert health.states["TH"].startswith("dead: PDC constant at 2779 over 30")
+    assert health.states["MF"] == "alive"
