@@ -25,9 +25,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--width", type=int, default=848)
     parser.add_argument("--height", type=int, default=480)
     parser.add_argument("--scenes", type=int, default=5, help="different clouds, sent in turn")
-    parser.add_argument(
-        "--max-points", type=int, default=6500, help="of the target; scenes with a larger one are left out"
-    )
     parser.add_argument("--model", default="default")
     parser.add_argument("--one-process", action="store_true", help="the three nodes share a process")
     parser.add_argument("--default-profile", action="store_true", help="Fast DDS as it comes")
@@ -56,7 +53,7 @@ def start(options: argparse.Namespace) -> list[subprocess.Popen[bytes]]:
 
 
 def scenes(options: argparse.Namespace) -> list[Any]:
-    """Clouds of seeded scenes, with noise and without stamps, whose target is no larger than recorded ones are."""
+    """Clouds of seeded scenes, with noise and without stamps, that hold a target."""
     import numpy as np
 
     from foretouch.pipeline import Pipeline
@@ -69,7 +66,7 @@ def scenes(options: argparse.Namespace) -> list[Any]:
         scene = random_scene(rng, width=options.width, height=options.height, n_objects=3)
         cloud = scene.render(rng, noise_m=0.001).cloud(frame_id=FRAME)
         targets = Pipeline().see(cloud).targets
-        if targets and targets[0].cloud.size <= options.max_points:
+        if targets:
             clouds.append(cloud)
             sizes.append(targets[0].cloud.size)
         if len(clouds) == options.scenes:
