@@ -9,32 +9,32 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.config import Settings, setting
-from foretouch.dataset.pairing import Interval, Label, PairingConfig
-from foretouch.dataset.recording import Identity, Outcome, RecordingConfig, RecordingWriter
+from foretouch.dataset.pairing import Interval, Label
+from foretouch.dataset.recording import Outcome, RecordingWriter
 from foretouch.dataset.recording.record import check_name
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.conversions import stamp_ns
-from foretouch.ros.node_base import ForetouchNode, NodeConfig
+from foretouch.ros.node_base import ForetouchNode
+from foretouch.ros.recorder_config import RecorderConfig
+from foretouch.ros.recorder_desk import DeskConfig, Roles, SampleDesk
 from foretouch.ros.recorder_inbox import Arrival, Inbox
 from foretouch.ros.recorder_inputs import InputTopic, RecorderInput
 from foretouch.ros.recorder_samples import SampleMaker
-from foretouch.ros.recorder_session import Roles, Session, SessionConfig, SessionView
+from foretouch.ros.recorder_session import Session, SessionView
 from foretouch.ros.recorder_status import Inflow, status_to_msg
-from foretouch.ros.tactile_adapters import AdapterConfig, TactileAdapter, make_adapter
-from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.ros.tactile_adapters import TactileAdapter, make_adapter
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
-__all__ = ["IdentityConfig", "RecorderConfig", "RecorderNode"]
+__all__ = ["RecorderNode"]
 
 _MB = 1_000_000
 _TICK_S = 0.5
@@ -42,41 +42,6 @@ _DEPTH = 1000  # messages that the middleware may hold while this process does n
 _CLOUD_DEPTH = 100
 _RAW_DEPTH = 20
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
-
-
-@dataclass(frozen=True, kw_only=True)
-class IdentityConfig(Settings):
-    """Which hand and which camera: a dataset holds recordings of one of each."""
-
-    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Its serial number", read_only=True)
-    camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Its serial number", read_only=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecorderConfig(NodeConfig):
-    """Settings of the recorder."""
-
-    folder: str = setting(".", "Where recordings go that are given no path, or a relative one", read_only=True)
-    record: str = setting("", "Dataset to record into from the start; empty waits for start_recording", read_only=True)
-    object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
-    note: str = setting("", "Of the operator, for `record`", read_only=True)
-    tactile_topic: str = setting("/rh/tactile", "What the hand sends", read_only=True)
-    points: bool = setting(False, "Whether the camera's whole clouds are recorded too", read_only=True)
-    unlabelled: bool = setting(True, "Whether clouds whose grasps were not executed become samples without a touch")
-    unlabelled_s: float = setting(1.0, "Least time between two of those", unit="s", minimum=0.0, maximum=3600.0)
-    assume_grasps: bool = setting(
-        False, "Whether a contact that nobody tells of belongs to the best grasp of the last cloud before it"
-    )
-    queue_mb: int = setting(
-        500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
-    )
-    tactile: AdapterConfig = field(default_factory=AdapterConfig)
-    identity: IdentityConfig = field(default_factory=IdentityConfig)
-    pairing: PairingConfig = field(default_factory=PairingConfig)
-    contact: ContactConfig = field(default_factory=ContactConfig)
-    writing: RecordingConfig = field(default_factory=RecordingConfig)
 
 
 class RecorderNode(ForetouchNode[RecorderConfig]):
@@ -200,19 +165,20 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         assert self._roles is not None  # noqa: S101
         config = self.config
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
-        writer = RecordingWriter(target, self._identity(), config.writing)
+        writer = RecordingWriter(target, config.who(), config.writing)
         for name, one in self._inputs_of.items():
             writer.add_topic(name, one.topic.type_name)
             one.reset()
         maker = SampleMaker(object=label, note=note, others=self._adapter.others, flags=self._adapter.flags)
-        how = SessionConfig(
+        how = DeskConfig(
             pairing=config.pairing,
             contact=config.contact,
             assume_grasps=config.assume_grasps,
             unlabelled_s=config.unlabelled_s if config.unlabelled else None,
         )
         inbox = Inbox(config.queue_mb * _MB)
-        self._session = Session(writer, inbox, self._roles, self._adapter, maker, how, self._warn)
+        make_desk = partial(SampleDesk, self._roles, self._adapter, maker, how, warn=self._warn)
+        self._session = Session(writer, inbox, make_desk, self._warn)
         self._path, self._file, self._reason, self._inbox = str(target), str(writer.file), "", inbox
         self.get_logger().info("recording into " + self._file)
         return target
@@ -290,7 +256,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         try:
             if session is None:
                 raise ConfigError("nothing is being recorded")
-            response.grasp_id, response.message = session.label(_label(request))
+            response.grasp_id, response.message = session.desk.label(_label(request))
             response.success = True
         except ForetouchError as err:
             response.grasp_id, response.message = request.grasp_id, str(err)
@@ -308,13 +274,6 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             InputTopic("executed_grasp", ExecutedGrasp, _DEPTH),
         ]
         return topics + [InputTopic("points", PointCloud2, _RAW_DEPTH)] * self.config.points
-
-    def _identity(self) -> Identity:
-        config = self.config
-        thumb, middle = config.tactile.fingers
-        hand = {"model": config.identity.hand, "serial": config.identity.hand_serial, "tactile": config.tactile.type}
-        camera = {"model": config.identity.camera, "serial": config.identity.camera_serial}
-        return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
