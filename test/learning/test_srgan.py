@@ -181,7 +181,7 @@ def test_a_loss_that_is_not_finite_names_batch_and_sample(data) -> None:
     with pytest.raises(DatasetError, match=rf"labeled: .* epoch 0, batch \d, sample {data.ids[13]};"):
         trainer.run_epoch()
     clouds = list(data.clouds)
-    clouds[33] = np.full_like(clouds[33], np.nan)
+    clouds[33] = np.full_like(clouds[33], 3e38)
     trainer = SrganTrainer(data, LABELLED, np.arange(30, 40), QUICK)
     trainer.data = dataclasses.replace(data, clouds=tuple(clouds))
     with pytest.raises(DatasetError, match=rf"unlabeled: .* epoch 0, batch \d, sample {data.ids[33]};"):
