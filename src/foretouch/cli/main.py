@@ -24,6 +24,8 @@ COMMANDS = {
     "predict": "Predict what the fingertips would read",
     "simulate": "Make a data set of simulated grasps from a scene",
     "dataset": "Look into, verify, repair and convert recorded grasps",
+    "train": "Train a touch model from a configuration",
+    "evaluate": "Score a model and the baselines on a dataset",
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps with what the hand feels, into a dataset",
     "replay": "Play a recording or a folder of clouds into the ROS graph",

@@ -7,6 +7,7 @@ training labels on the same data. `skill` compares with that mean and is 0 for i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,15 +36,20 @@ class Score:
 
 
 def score(
-    predicted: Float64, actual: Float64, reference: Float64, ranges: TactileRanges = P2_RANGES
+    predicted: Float64,
+    actual: Float64,
+    reference: Float64,
+    ranges: TactileRanges = P2_RANGES,
+    modalities: Sequence[str] = MODALITIES,
 ) -> dict[str, Score]:
-    """Score predictions of all four modalities.
+    """Score predictions.
 
     Args:
         predicted: (S, 50) [counts].
         actual: (S, 50) labels [counts].
         reference: (S, 50) mean of the labels that each sample's model was trained on [counts].
         ranges: For `nrmse`.
+        modalities: Those to score; the columns of the others are not told of.
 
     Raises:
         DatasetError: If a shape is another, there is no sample, a value is not finite, or the training
@@ -53,7 +59,7 @@ def score(
     squared = (predicted - actual) ** 2
     baseline = ((reference - actual) ** 2).mean(axis=0)
     result = {}
-    for name in MODALITIES:
+    for name in modalities:
         place = columns([name])
         if not np.all(baseline[place] > 0.0):
             raise DatasetError(f"{name}: the training mean is exact, so no skill can be told")

@@ -23,7 +23,16 @@ import numpy as np
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.splits import Fold, Indices, group_folds, random_folds, time_folds
 
-__all__ = ["FOLDS", "RATIOS", "SPLITS_FILE", "SplitPart", "label_ratios", "make_split_book", "read_split_book"]
+__all__ = [
+    "FOLDS",
+    "RATIOS",
+    "SPLITS_FILE",
+    "SplitPart",
+    "label_ratios",
+    "make_split_book",
+    "parse_split_book",
+    "read_split_book",
+]
 
 SPLITS_FILE: Final = "splits.json"
 FOLDS: Final = 5
@@ -147,12 +156,27 @@ def read_split_book(path: str | Path) -> dict[str, list[SplitPart]]:
     path = Path(path)
     file = path / SPLITS_FILE if path.is_dir() else path
     try:
-        book = json.loads(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+    except OSError as err:
+        raise FileError(file, err.strerror or str(err)) from err
+    return parse_split_book(text, file)
+
+
+def parse_split_book(text: str, file: str | Path = SPLITS_FILE) -> dict[str, list[SplitPart]]:
+    """The splits in the text of a `splits.json`, by kind.
+
+    Args:
+        text: Of `make_split_book`.
+        file: Named in errors.
+
+    Raises:
+        FileError: As of `read_split_book`.
+    """
+    try:
+        book = json.loads(text)
         if book["schema_version"] != _VERSION:
             raise FileError(file, f"{book['schema_version']} is not {_VERSION}", field="schema_version")
         kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in book["splits"].items()}
-    except OSError as err:
-        raise FileError(file, err.strerror or str(err)) from err
     except (ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
     for parts in kinds.values():

@@ -12,7 +12,7 @@ from foretouch.models.card import combined_sha256, read_card
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.touch_model import Member, TouchModel
 
-__all__ = ["DEFAULT_MODEL", "available_models", "load_model"]
+__all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
 
 DEFAULT_MODEL: Final = "touchnet-v1"
 
@@ -33,7 +33,7 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
         ModelError: If there is no such model, or it is damaged (see `checkpoint.load_network`), or its
             networks do not predict each modality once.
     """
-    path = _find(name_or_path)
+    path = find_card(name_or_path)
     card = read_card(path)
     if card["kind"] == "network":
         return TouchModel([_member(path)[0]], card)
@@ -62,7 +62,15 @@ def _member(path: Path) -> tuple[Member, str]:
     return Member(net.config, fold(net), familiar), card["sha256"]
 
 
-def _find(name_or_path: str | Path) -> Path:
+def find_card(name_or_path: str | Path) -> Path:
+    """Path of a model's card; whether it is there is not asked, except for shipped ones.
+
+    Args:
+        name_or_path: As of `load_model`.
+
+    Raises:
+        ModelError: If it is neither a shipped name nor the path of a card or of weights.
+    """
     name = DEFAULT_MODEL if str(name_or_path) == "default" else str(name_or_path)
     if name in available_models():
         return _shipped() / f"{name}.json"

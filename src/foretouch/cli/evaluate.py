@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch evaluate`: how good a model is on a dataset, beside what needs no model."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from foretouch.cli.output import print_json, print_table, warn
+
+__all__ = ["add_arguments", "run", "show_scores"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The model, the samples, and how they are split for the baselines."""
+    parser.add_argument("model", metavar="MODEL", help="default, a shipped name, or a checkpoint")
+    parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
+    parser.add_argument(
+        "--split",
+        metavar="NAME",
+        default="random",
+        help="KIND or KIND/PART: test samples, and what the baselines are fitted to (random, object, time, labels/T50)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the baselines")
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 0 however bad the model is."""
+    from foretouch.learning.collection import load_collection
+    from foretouch.learning.judging import judge
+
+    data = load_collection(arguments.dataset)
+    result = judge(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
+    scores = dict(result["scores"])
+    record = {"split": arguments.split, "data_sha256": data.sha256, "samples": result["samples"]}
+    record |= {"same_data": result["same_data"], **scores.pop("model"), "baselines": scores}
+    if arguments.json:
+        print_json({"model": arguments.model, "dataset": arguments.dataset, **record})
+        return 0
+    if result["same_data"]:
+        warn("the model was trained on these data: its own figures tell how well it remembers")
+    show_scores(result, arguments.split)
+    return 0
+
+
+def show_scores(result: Mapping[str, Any], split: str) -> None:
+    """A table: a row for the model and each baseline, a column a modality.
+
+    Args:
+        result: Of `foretouch.learning.judging.judge`.
+        split: Named in the title.
+    """
+    scores = result["scores"]
+    modalities = list(scores["model"])
+    rows = [
+        [
+            name,
+            *[f"{table[key]['rmse']:.0f}  {table[key]['nrmse']:.3f}  {table[key]['skill']:+.2f}" for key in modalities],
+        ]
+        for name, table in scores.items()
+    ]
+    title = (
+        f"{result['samples']} samples, split {split}: rmse [counts], rmse / range, skill (0: training mean, 1: perfect)"
+    )
+    print_table(title, ["", *modalities], rows)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run on disk: it resumes bit for bit, keeps its last good state, and refuses to become another run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from safetensors.torch import load_file
+
+from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.learning.collection import Collection, load_collection
+from foretouch.learning.judging import judge
+from foretouch.learning.metrics import score
+from foretouch.learning.run import LOG_FILE, STATE_FILE, RunConfig, train_run
+from foretouch.learning.split_book import SPLITS_FILE, make_split_book
+from foretouch.learning.training_state import read_state, write_state
+
+MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
+BASE = {
+    "name": "tiny",
+    "model": MODEL,
+    "train": {"epochs": 4, "batch_size": 8, "target_scaling": "standardised"},
+    "srgan": {
+        "epochs": 4,
+        "batch_size": 5,
+        "learning_rate": 0.001,
+        "generator": {"widths": [6], "stride": 2, "channels": 3},
+    },
+}
+
+
+def config(**changes) -> RunConfig:
+    return RunConfig.from_mapping({**BASE, **changes})
+
+
+@pytest.fixture(scope="session")
+def store(samples, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "boxes"
+    facts = [SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in samples]
+    with StoreWriter(path, {}) as writer:
+        for sample in samples:
+            writer.write(sample)
+        writer.attach(SPLITS_FILE, make_split_book(facts, 3))
+    return path
+
+
+@pytest.fixture(scope="session")
+def data(store) -> Collection:
+    return load_collection(store)
+
+
+def stop_after(epoch: int):
+    def say(record) -> None:
+        if record.get("epoch") == epoch:
+            raise KeyboardInterrupt
+
+    return say
+
+
+def quiet(_record) -> None:
+    pass
+
+
+@pytest.mark.parametrize("method", ["supervised", "srgan"])
+def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) -> None:
+    chosen = config(method=method, split="labels/T50", validation=0.2)
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    with pytest.raises(KeyboardInterrupt):
+        train_run(chosen, data, tmp_path / "cut", stop_after(1))
+    assert not (tmp_path / "cut" / "tiny.json").exists()
+    cut = train_run(chosen, data, tmp_path / "cut", quiet, resume=True)
+    one, two = load_file(whole.with_suffix(".safetensors")), load_file(cut.with_suffix(".safetensors"))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert json.loads(whole.read_text())["sha256"] == json.loads(cut.read_text())["sha256"]
+    logs = [(tmp_path / name / LOG_FILE).read_text() for name in ("whole", "cut")]
+    assert logs[0] == logs[1]
+    assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
+    file = tmp_path / "tiny.yaml"
+    file.write_text(yaml.safe_dump({**BASE, "train": {"epochs": 120, "batch_size": 8}}))
+    words = [sys.executable, "-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "--resume"]
+    words += ["-o", str(tmp_path / "run")]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=env, text=True)
+    for _ in range(20):
+        assert "epoch" in process.stdout.readline()
+    process.send_signal(signal.SIGKILL)
+    process.wait(30)
+    process.stdout.close()
+    assert not (tmp_path / "run" / "tiny.json").exists()
+    chosen = config(train={"epochs": 120, "batch_size": 8})
+    cut = train_run(chosen, data, tmp_path / "run", quiet, resume=True)
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
+
+
+def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(data, tmp_path) -> None:
+    said: list[dict] = []
+    card_path = train_run(config(split="labels/T30"), data, tmp_path / "run", said.append)
+    result, card = said[-1], json.loads(card_path.read_text())
+    (part,) = data.parts("labels/T30")
+    assert result["samples"] == len(part.test)
+    assert set(result["scores"]) == {"model", "training_mean", "object_mean", "object_time_trees", "geometry_trees"}
+    assert set(result["scores"]["model"]) == {"PDC_TH"}
+    train, test = (
+        np.array([data.samples[k].touch.vector() for k in data.index(ids)]) for ids in (part.train, part.test)
+    )
+    mean = np.tile(train.mean(0), (len(test), 1))
+    assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(score(mean, test, mean)["PDC_TH"].rmse)
+    assert card["skill"]["labels/T30"] == result["scores"]["model"]
+    assert card["data"]["sha256"] == data.sha256
+    assert card["split"]["train"] == len(part.train)
+
+
+def test_validation_chooses_the_epoch_and_patience_ends(data, tmp_path) -> None:
+    said: list[dict] = []
+    chosen = config(validation=0.25, patience=2, train={**BASE["train"], "epochs": 60, "learning_rate": 0.05})
+    card = train_run(chosen, data, tmp_path / "run", said.append)
+    errors = [record["validation"] for record in said[:-1]]
+    best = int(np.argmin(errors))
+    assert len(errors) == best + 3
+    assert json.loads(card.read_text())["training"]["best_epoch"] == best
+    tensors, plain = read_state(tmp_path / "run" / STATE_FILE)
+    weights = load_file(card.with_suffix(".safetensors"))
+    assert plain["best"]["error"] == errors[best]
+    assert torch.equal(weights["output.weight"], tensors["best/output.weight"])
+    assert not torch.equal(weights["output.weight"], tensors["net/output.weight"])
+
+
+def test_a_loss_that_diverges_leaves_the_last_good_state(data, tmp_path) -> None:
+    wild = {**BASE["train"], "epochs": 50, "optimiser": "sgd", "learning_rate": 10.0, "schedule": "constant"}
+    with pytest.raises(DatasetError, match=r"not finite (in|after the last batch of) epoch"):
+        train_run(config(train=wild), data, tmp_path / "run", quiet)
+    if (tmp_path / "run" / STATE_FILE).exists():
+        tensors, _ = read_state(tmp_path / "run" / STATE_FILE)
+        assert all(torch.isfinite(value).all() for value in tensors.values())
+    assert not (tmp_path / "run" / "tiny.json").exists()
+
+
+def test_a_run_becomes_no_other_run(data, tmp_path) -> None:
+    train_run(config(), data, tmp_path / "run", quiet)
+    with pytest.raises(FileError, match="holds a run already; --resume"):
+        train_run(config(), data, tmp_path / "run", quiet)
+    with pytest.raises(ConfigError, match=r"model: .* a run resumes as it began"):
+        train_run(config(model={**MODEL, "head_widths": [17]}), data, tmp_path / "run", quiet, resume=True)
+
+
+def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(DatasetError, match="no sample is unlabelled; choose a split that withholds labels"):
+        train_run(config(method="srgan"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'time' has 5 parts; choose one: time/block 0"):
+        train_run(config(split="time"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'labels/T20' is none of labels/T10, labels/T30"):
+        train_run(config(split="labels/T20"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'day' is none of random, object, time, labels"):
+        train_run(config(split="day"), data, out, quiet)
+    with pytest.raises(ConfigError, match="patience: needs validation"):
+        config(patience=3)
+    assert not out.exists()
+
+
+def test_the_state_before_survives_a_full_disk(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    write_state(file, {"a": torch.ones(3)}, {"epoch": 1})
+    (tmp_path / (STATE_FILE + ".part")).symlink_to("/dev/full")
+    with pytest.raises(FileError, match="the one before is kept: No space left"):
+        write_state(file, {"a": torch.zeros(3)}, {"epoch": 2})
+    tensors, plain = read_state(file)
+    assert (tensors["a"].tolist(), plain["epoch"]) == ([1.0, 1.0, 1.0], 1)
+
+
+def test_a_damaged_state_is_named(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    with pytest.raises(FileError, match="there is nothing to resume"):
+        read_state(file)
+    write_state(file, {"a": torch.ones(300)}, {"epoch": 1})
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(FileError, match="is no state of training"):
+        read_state(file)
+
+
+def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_path) -> None:
+    card = train_run(config(), data, tmp_path / "run", quiet)
+    judged = judge(card, data, data.parts("random"), baselines={})
+    assert judged["samples"] == len(data.samples)
+    assert judged["same_data"]
+    assert set(judged["scores"]) == {"model"}
+    other = Collection(data.name, data.samples, "another", data.splits)
+    assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
