@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import REST, level
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.recording import HOLD, RecordedDataset, verify_dataset
@@ -233,6 +234,19 @@ def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
 
     graph.until(heard)
     graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 electrodes are 0") or heard())
+
+
+def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path) -> None:
+    (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
+    data = serialize_message(biotac_all_to_msg({}, "rh", time.time_ns()))
+    one = node._inputs_of["/rh/tactile"]
+    for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
+        gid = {"data": publisher}
+        stamps = {"received_timestamp": 1, "source_timestamp": 1}
+        one._receive(data, {"publication_sequence_number": sequence, "publisher_gid": gid, **stamps})
+    graph.until(lambda: accounts(node.status())["/rh/tactile"].received == 6)
+    assert accounts(node.status())["/rh/tactile"].lost == 2
+    assert node.status().lost == 2
 
 
 def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, tmp_path) -> None:
