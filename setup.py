@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metadata and pins stand in setup.cfg; here is what has to be listed by code."""
 
-from glob import glob
+from pathlib import Path
 
 from setuptools import setup
 
@@ -11,8 +11,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/foretouch"]),
         ("share/foretouch", ["package.xml"]),
-        ("share/foretouch/launch", glob("launch/*.launch.py")),
-        ("share/foretouch/config", glob("config/*.yaml") + glob("config/*.rviz")),
+        *(
+            (f"share/foretouch/{folder}", sorted(map(str, Path(folder).glob("*.*"))))
+            for folder in ("launch", "config", "config/models", "config/scenes", "config/train")
+        ),
     ],
     entry_points={
         "console_scripts": [
