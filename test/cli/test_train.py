@@ -65,3 +65,12 @@ def test_what_is_wrong_is_told_in_one_line(call, simulated, tmp_path) -> None:
     assert "does not exist" in absent.err
     assert call("evaluate", tmp_path / "x.json", simulated).err.endswith("no such model card\n")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.real_data
+def test_the_shipped_model_knows_what_it_was_trained_on(call, real_data) -> None:
+    folder = real_data / "vision2tactile"
+    answer = call("evaluate", "default", folder, "--json")
+    assert answer.status == 0, answer.err
+    assert answer.records[0]["same_data"] is True
+    assert answer.records[0]["PDC_TH"]["skill"] > 0.5  # by heart: its skill on held-out grasps is half of that

@@ -14,6 +14,7 @@ import torch
 import yaml
 from safetensors.torch import load_file
 
+from foretouch.config import load_yaml
 from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError, FileError
@@ -200,3 +201,27 @@ def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_pa
     assert set(judged["scores"]) == {"model"}
     other = Collection(data.name, data.samples, "another", data.splits)
     assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
+
+
+@pytest.mark.parametrize(
+    "recipe", sorted((Path(__file__).parents[2] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
+    resolved = RunConfig.from_mapping(load_yaml(recipe), recipe.name)
+    assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
+
+
+def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
+    recipe = Path(__file__).parents[2] / "config/train/p2_srgan.yaml"
+    chosen = RunConfig.from_mapping(load_yaml(recipe))
+    loss = chosen.srgan.loss
+    assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
+    assert (chosen.srgan.optimiser, chosen.srgan.learning_rate) == ("adam", 0.01)
+    assert (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake) == (1.0, 10.0, 0.1)
+    assert (chosen.model.n_points, chosen.model.channel_count, chosen.model.head_size) == (750, 6, 1039)
+    assert chosen.srgan.generator.n_points == 750
+
+
+def test_a_cloud_without_the_channel_is_named(data, tmp_path) -> None:
+    with pytest.raises(DatasetError, match=rf"{data.samples[0].id}: channels: the model needs xyz\+rgb"):
+        train_run(config(model={**MODEL, "channels": "xyz+rgb"}), data, tmp_path / "run", quiet)

@@ -46,22 +46,23 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def show_scores(result: Mapping[str, Any], split: str) -> None:
-    """A table: a row for the model and each baseline, a column a modality.
+    """A table: a row for the model and each baseline, one modality after the other.
 
     Args:
         result: Of `foretouch.learning.judging.judge`.
         split: Named in the title.
     """
     scores = result["scores"]
-    modalities = list(scores["model"])
     rows = [
         [
-            name,
-            *[f"{table[key]['rmse']:.0f}  {table[key]['nrmse']:.3f}  {table[key]['skill']:+.2f}" for key in modalities],
+            key if who == "model" else "",
+            who,
+            f"{row[key]['rmse']:.1f}",
+            f"{row[key]['nrmse']:.4f}",
+            f"{row[key]['skill']:+.3f}",
         ]
-        for name, table in scores.items()
+        for key in scores["model"]
+        for who, row in scores.items()
     ]
-    title = (
-        f"{result['samples']} samples, split {split}: rmse [counts], rmse / range, skill (0: training mean, 1: perfect)"
-    )
-    print_table(title, ["", *modalities], rows)
+    title = f"{result['samples']} samples, split {split}; skill: 0 is the training mean, 1 is perfect"
+    print_table(title, ["", "who", "rmse (counts)", "rmse / range", "skill"], rows)

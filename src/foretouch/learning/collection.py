@@ -14,6 +14,7 @@ import numpy.typing as npt
 from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import sample_digest
+from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
 from foretouch.learning.split_book import SPLITS_FILE, SplitPart, make_split_book, parse_split_book, read_split_book
 from foretouch.types import GraspSample
@@ -32,12 +33,14 @@ class Collection:
         samples: In order; without those that the operator discarded.
         sha256: Over the samples in order: that of the training store they make.
         splits: The parts of each kind.
+        aliases: Other hashes by which cards may name the same samples.
     """
 
     name: str
     samples: tuple[GraspSample, ...]
     sha256: str
     splits: dict[str, list[SplitPart]]
+    aliases: tuple[str, ...] = ()
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -94,4 +97,5 @@ def load_collection(path: str | Path) -> Collection:
     else:
         facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
         splits = parse_split_book(make_split_book(facts))
-    return Collection(path.name, samples, content.hexdigest(), splits)
+    aliases = (folder_sha256(path),) if opened.kind == "vision2tactile" else ()
+    return Collection(path.name, samples, content.hexdigest(), splits, aliases)

@@ -2,7 +2,7 @@
 """A trained model and the baselines on the same samples of a split.
 
 The baselines are fitted to the training side of each part. The model is taken as it is: where it was trained on
-these very samples, its figures say how well it remembers, and `seen` counts them so far as the data's hash tells.
+these very samples, its figures say how well it remembers; `same_data` tells so where hash and card agree.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def judge(
         name: {key: _plain(one) for key, one in score(value, labels, reference, ranges, modalities).items()}
         for name, value in values.items()
     }
-    same = any(member["data"].get("sha256") == data.sha256 for _, member in loaded)
+    same = any(member["data"].get("sha256") in (data.sha256, *data.aliases) for _, member in loaded)
     return {"scores": scores, "samples": len(tested), "same_data": same}
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from foretouch.cloud.frame import UnitSphereFrame
 from foretouch.cloud.sampling import sample_indices
-from foretouch.errors import DatasetError
+from foretouch.errors import CloudError, DatasetError, ModelError
 from foretouch.models.familiarity import describe
 from foretouch.models.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
 from foretouch.models.settings import ModelConfig
@@ -51,8 +51,8 @@ class TrainingSet:
             unlabelled: Whether samples without a label may be among them.
 
         Raises:
-            DatasetError: If there is none, or a label is absent or no reading of a working sensor; named by id.
-            CloudError: If a cloud is unusable.
+            DatasetError: If there is none, or a label is absent or no reading of a working sensor, or a cloud is
+                unusable or lacks a channel of the network; named by id.
         """
         if not samples:
             raise DatasetError("training set: no sample")
@@ -60,13 +60,13 @@ class TrainingSet:
         for sample in samples:
             missing = unlabelled and sample.touch is None
             labels.append(np.full(TOUCH_SIZE, np.nan) if missing else _label(sample))
-            usable = finite_points(sample.cloud, config)
-            frame = UnitSphereFrame.fit(usable.xyz)
-            points = sample_channels(usable, np.arange(usable.size), frame, config)
+            try:
+                points, grasp, spans = _prepared(sample, config)
+            except (CloudError, ModelError) as err:
+                raise DatasetError(f"{sample.id}: {err}") from err
             clouds.append(points)
-            grasps.append(prepare_grasps([sample.grasp], frame, config)[0])
-            # On the points that prediction will choose, for the gap to the nearest depends on their number.
-            lengths.append(describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0])
+            grasps.append(grasp)
+            lengths.append(spans)
         ids = tuple(sample.id for sample in samples)
         return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config, ids)
 
@@ -96,6 +96,16 @@ def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
             pairs.append((seen[key], sample.id))
         seen.setdefault(key, sample.id)
     return pairs
+
+
+def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
+    """Of one sample: all its points, its grasp, and its lengths."""
+    usable = finite_points(sample.cloud, config)
+    frame = UnitSphereFrame.fit(usable.xyz)
+    points = sample_channels(usable, np.arange(usable.size), frame, config)
+    # On the points that prediction will choose, for the gap to the nearest depends on their number.
+    lengths = describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
+    return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
 
 
 def _label(sample: GraspSample) -> Float64:
