@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,3 +51,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_cloud(folder / "object.pcd", cloud.take(image.labels == 2))
     np.savez(folder / "empty.npz", xyz=np.full((4, 5, 3), np.nan, np.float32))
     return folder
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    """A DDS domain beyond those that the tests of the nodes take, and below 102, whose ports Linux hands out."""
+    return {**os.environ, "ROS_DOMAIN_ID": str(76 + os.getpid() % 25), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.ros
 def record(*words: object) -> subprocess.Popen[str]:
     environment = {
         **os.environ,
-        "ROS_DOMAIN_ID": str(101 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": str(76 + os.getpid() % 25),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     command = [sys.executable, "-m", "foretouch.cli.main", "record", *map(str, words)]

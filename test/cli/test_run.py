@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -20,12 +19,6 @@ from foretouch.simulation.depth_scene import random_scene
 from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def environment() -> dict[str, str]:
-    """A DDS domain of this test's own, beyond those that other tests take."""
-    return {**os.environ, "ROS_DOMAIN_ID": str(101 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def _run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
