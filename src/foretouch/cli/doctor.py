@@ -164,11 +164,14 @@ def _camera() -> Finding:
     from foretouch.errors import ForetouchError
 
     try:
-        from foretouch.camera.device import LiveSource, describe
+        from foretouch.camera import list_devices
 
-        return Finding("RealSense", "ok", describe(LiveSource().find()))
+        devices = list_devices()
     except (ForetouchError, ImportError) as err:
         return Finding("RealSense", "optional", str(err))
+    if not devices:
+        return Finding("RealSense", "optional", "no RealSense device is connected")
+    return Finding("RealSense", "ok", ", ".join(devices))
 
 
 def _tried(name: str, code: str, mend: str) -> Finding:

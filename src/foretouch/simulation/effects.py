@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import cast
 
 import numpy as np
@@ -15,7 +16,7 @@ from foretouch.simulation.state import SampleState
 from foretouch.simulation.streams import SampleKey
 from foretouch.simulation.world import World
 
-__all__ = ["Effect", "Job", "Needed", "always", "guarded", "keys"]
+__all__ = ["Effect", "Job", "Needed", "always", "called_for", "guarded", "keys"]
 
 Needed = Callable[[SceneConfig, ObjectConfig], str | None]
 
@@ -86,6 +87,17 @@ def keys(*names: str) -> frozenset[str]:
 def always(reason: str) -> Needed:
     """For effects without which there is no sample."""
     return lambda _scene, _item: reason
+
+
+def called_for(path: str) -> Needed:
+    """For effects that run where a field of the scene is given.
+
+    Args:
+        path: Of the field, such as `camera.noise`; `objects.` stands for the object of the sample.
+    """
+    value = attrgetter(path.removeprefix("objects."))
+    of_object = path.startswith("objects.")
+    return lambda scene, item: path if value(item if of_object else scene) is not None else None
 
 
 def guarded(state: SampleState, effect: Effect) -> SampleState:

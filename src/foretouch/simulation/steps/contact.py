@@ -9,7 +9,7 @@ import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip, weigh
-from foretouch.simulation.effects import Effect, Job, keys
+from foretouch.simulation.effects import Effect, Job, called_for, keys
 from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.state import SampleState
@@ -72,15 +72,11 @@ def _held(job: Job, state: SampleState) -> None:
             )
 
 
-def _gravity(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    return "gravity" if scene.gravity is not None else None
-
-
 EFFECTS = (
     Effect(
         "weight",
         _weight,
-        _gravity,
+        called_for("gravity"),
         off="no gravity",
         reads=keys("bodies", "touches"),
         writes=keys("weight"),
@@ -98,5 +94,5 @@ EFFECTS = (
         for level in LEVELS
         if level != "auto"
     ),
-    Effect("held", _held, _gravity, off="no gravity", reads=keys("weight"), modifies=keys("contacts")),
+    Effect("held", _held, called_for("gravity"), off="no gravity", reads=keys("weight"), modifies=keys("contacts")),
 )

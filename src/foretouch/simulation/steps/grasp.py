@@ -9,7 +9,7 @@ import numpy as np
 
 from foretouch.errors import GraspError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.hand import FingerFrame, finger_frames
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
@@ -99,7 +99,7 @@ EFFECTS = (
     Effect(
         "execution_error",
         _execution_error,
-        lambda scene, _item: "grasps.error" if scene.grasps.error is not None else None,
+        called_for("grasps.error"),
         off="no grasps.error",
         modifies=keys("fingers", "targets"),
         again=True,

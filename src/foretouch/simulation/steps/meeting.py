@@ -10,7 +10,7 @@ import numpy as np
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.body import Body
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.pressing import pad_of, surface_behind
 from foretouch.simulation.scene.ranges import draw
@@ -123,7 +123,7 @@ EFFECTS = (
     Effect(
         "surface",
         _surface,
-        lambda _scene, item: "objects.surface" if item.surface is not None else None,
+        called_for("objects.surface"),
         off="no objects.surface",
         reads=keys("bodies", "pads", "touches"),
         modifies=keys("relief"),

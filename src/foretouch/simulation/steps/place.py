@@ -9,7 +9,7 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.body import Body
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.scene import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
@@ -99,7 +99,7 @@ EFFECTS = (
     Effect(
         "clutter",
         _clutter,
-        lambda scene, _item: "clutter" if scene.clutter is not None else None,
+        called_for("clutter"),
         off="no clutter",
         modifies=keys("bodies"),
     ),

@@ -9,7 +9,7 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_scene import FIRST_OBJECT
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.state import SampleState
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.types import Cloud
@@ -55,7 +55,7 @@ EFFECTS = (
     Effect(
         "colour",
         _colour,
-        lambda _scene, item: "objects.colour" if item.colour is not None else None,
+        called_for("objects.colour"),
         off="no objects.colour",
         reads=keys("normals", "pixels", "window"),
         modifies=keys("cloud"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
-from foretouch.simulation.effects import Effect, Job, Needed, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.fingertip import (
     Finger,
     creep,
@@ -26,7 +26,7 @@ from foretouch.simulation.fingertip import (
     white_noise,
 )
 from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, pad_of, surface_behind
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
 from foretouch.types import ELECTRODES, Float64, Touch
@@ -176,13 +176,6 @@ def _touch(pdc: Float64, electrodes: Float64) -> Touch:
     return Touch(float(pdc[0]), float(pdc[1]), thumb, middle)
 
 
-def _if(name: str) -> Needed:
-    def needed(scene: SceneConfig, _item: ObjectConfig) -> str | None:
-        return f"fingers.{name}" if getattr(scene.fingers, name) is not None else None
-
-    return needed
-
-
 _TIMED = keys("times", "load", "hold_row", "series")
 _SERIES = keys("series")
 
@@ -196,23 +189,36 @@ EFFECTS = (
         reads=keys("readings"),
         writes=_TIMED,
     ),
-    Effect("timeline", _timeline, _if("timeline"), off="no fingers.timeline", reads=keys("readings"), writes=_TIMED),
+    Effect(
+        "timeline",
+        _timeline,
+        called_for("fingers.timeline"),
+        off="no fingers.timeline",
+        reads=keys("readings"),
+        writes=_TIMED,
+    ),
     Effect(
         "slip",
         _slip,
-        _if("slip"),
+        called_for("fingers.slip"),
         off="no fingers.slip",
         reads=keys("readings", "bodies", "touches", "pads", "targets", "load"),
         modifies=_SERIES,
         again=True,
     ),
-    Effect("creep", _creep, _if("creep"), off="no fingers.creep", modifies=_SERIES),
+    Effect("creep", _creep, called_for("fingers.creep"), off="no fingers.creep", modifies=_SERIES),
     Effect(
-        "drift", _drift, _if("drift"), off="no fingers.drift", reads=keys("times", "load"), modifies=_SERIES, again=True
+        "drift",
+        _drift,
+        called_for("fingers.drift"),
+        off="no fingers.drift",
+        reads=keys("times", "load"),
+        modifies=_SERIES,
+        again=True,
     ),
-    Effect("noise", _noise, _if("noise"), off="no fingers.noise", modifies=_SERIES, again=True),
-    Effect("scan_hold", _scan, _if("scan"), off="no fingers.scan", modifies=_SERIES, again=True),
-    Effect("dead_electrodes", _dead, _if("dead"), off="no fingers.dead", modifies=_SERIES),
+    Effect("noise", _noise, called_for("fingers.noise"), off="no fingers.noise", modifies=_SERIES, again=True),
+    Effect("scan_hold", _scan, called_for("fingers.scan"), off="no fingers.scan", modifies=_SERIES, again=True),
+    Effect("dead_electrodes", _dead, called_for("fingers.dead"), off="no fingers.dead", modifies=_SERIES),
     Effect(
         "counts",
         _counts,

@@ -9,7 +9,7 @@ from foretouch.errors import SimulationError
 from foretouch.simulation.body import Hits
 from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effects import Effect, Job, always, called_for, keys
 from foretouch.simulation.state import SampleState, Window
 from foretouch.simulation.view import CameraView
 from foretouch.simulation.world import World
@@ -136,21 +136,21 @@ _DEPTH_EFFECTS = (
     Effect(
         "flying_pixels",
         _flying_pixels,
-        lambda scene, _item: "camera.flying_pixels" if scene.camera.flying_pixels is not None else None,
+        called_for("camera.flying_pixels"),
         off="no camera.flying_pixels",
         modifies=keys("depth"),
     ),
     Effect(
         "depth_noise",
         _noise,
-        lambda scene, _item: "camera.noise" if scene.camera.noise is not None else None,
+        called_for("camera.noise"),
         off="no camera.noise",
         modifies=keys("depth"),
     ),
     Effect(
         "stereo_shadow",
         _shadow,
-        lambda scene, _item: "camera.stereo" if scene.camera.stereo is not None else None,
+        called_for("camera.stereo"),
         off="no camera.stereo",
         reads=keys("exact_depth"),
         modifies=keys("depth"),
@@ -158,7 +158,7 @@ _DEPTH_EFFECTS = (
     Effect(
         "holes",
         _holes,
-        lambda scene, _item: "camera.holes" if scene.camera.holes is not None else None,
+        called_for("camera.holes"),
         off="no camera.holes",
         reads=keys("normals", "labels", "window"),
         modifies=keys("depth"),
@@ -166,7 +166,7 @@ _DEPTH_EFFECTS = (
     Effect(
         "depth_steps",
         _quantise,
-        lambda scene, _item: "camera.z_step_m" if scene.camera.z_step_m is not None else None,
+        called_for("camera.z_step_m"),
         off="no camera.z_step_m",
         modifies=keys("depth"),
     ),
