@@ -168,10 +168,10 @@ def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
 def test_what_a_crash_left_unwritten_is_booked_as_lost(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     writer.config = QUICK.replace(accounts_s=0.1)
-    writer._accounted_s -= 1.0
+    writer._file._accounted_s -= 1.0
     writer.receive("/cloud", 5)  # in a queue when the process dies
     writer.append(record(0))
-    writer._mcap.abandon()
+    writer._file.abandon()
     writer._release.close()
     (report,) = verify_dataset(tmp_path / "ds")
     assert report.told() == [f"{writer.file}: byte {report.size}: not finished: no index; repair makes one"]

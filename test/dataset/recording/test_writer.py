@@ -26,6 +26,7 @@ from recording_builders import (
 
 from foretouch.dataset.recording import (
     SAMPLE_TOPIC,
+    Accounts,
     Identity,
     RecordedDataset,
     RecordingConfig,
@@ -160,6 +161,79 @@ def test_every_message_is_accounted_for(tmp_path: Path) -> None:
     assert report.accounts is not None
     assert report.accounts.topics == writer.accounts.topics
     assert report.messages == {TACTILE: 6, SAMPLE_TOPIC: 1}
+
+
+def test_losses_stand_beside_the_sum_and_outlive_a_repair(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        writer.add_topic(TACTILE, TACTILE_TYPE)
+        writer.lose(TACTILE, 3)
+        writer.lose(TACTILE, 2)  # a count in all, which never goes back
+        writer.receive(TACTILE)
+        writer.write(TACTILE, MESSAGE, 0)
+    (report,) = verify_dataset(tmp_path / "ds")
+    assert report.clean
+    assert report.accounts is not None
+    account = report.accounts.topics[TACTILE]
+    assert (account.received, account.written, account.lost) == (1, 1, 3)
+    writer.file.write_bytes(writer.file.read_bytes()[:-20])
+    repair_dataset(tmp_path / "ds")
+    (report,) = verify_dataset(tmp_path / "ds")
+    assert report.clean
+    assert report.accounts is not None
+    assert report.accounts.topics[TACTILE].lost == 3
+
+
+def test_accounts_of_early_recordings_tell_of_no_loss() -> None:
+    early = {TACTILE: '{"received": 7, "written": 5, "dropped": {"queue full": 2}}'}
+    account = Accounts.from_mapping(early).topics[TACTILE]
+    assert (account.received, account.written, account.dropped, account.lost) == (7, 5, {"queue full": 2}, 0)
+    with pytest.raises(DatasetError, match="is no account"):
+        Accounts.from_mapping({TACTILE: '{"received": "many"}'})
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_what_its_owner_still_holds_is_booked_in_the_file_however_the_session_ends(tmp_path: Path, full: bool) -> None:
+    writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
+    writer.add_topic(TACTILE, TACTILE_TYPE)
+
+    def book() -> None:
+        writer.receive(TACTILE, 4)
+        writer.drop(TACTILE, "session ended", 4)
+
+    writer.before_end = book
+    writer.receive(TACTILE)
+    writer.write(TACTILE, MESSAGE, 0)
+    if full:
+        writer.config = replace(QUICK, min_free_mb=1e9)
+        with pytest.raises(FileError, match="disk almost full"):
+            writer.flush()
+    writer.close()
+    (report,) = verify_dataset(tmp_path / "ds")
+    assert report.clean
+    assert report.accounts is not None
+    account = report.accounts.topics[TACTILE]
+    assert account == writer.accounts.topics[TACTILE]
+    assert account.received == 5
+    assert account.dropped == ({"session ended": 4, "disk full": 1} if full else {"session ended": 4})
+
+
+def test_a_disk_that_fails_at_the_start_is_named_and_lets_go_of_the_dataset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.writev
+    calls: list[int] = []
+
+    def failing(fd: int, buffers: list[memoryview]) -> int:
+        calls.append(fd)
+        if len(calls) == 3:  # magic and header, metadata, then the topic of the samples
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return real(fd, buffers)
+
+    monkeypatch.setattr(os, "writev", failing)
+    with pytest.raises(FileError, match=r"session-0001.mcap: No space left on device \(errno 28\)"):
+        RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
+    monkeypatch.undo()
+    RecordingWriter(tmp_path / "ds", IDENTITY, QUICK).close()
 
 
 def test_accounts_that_do_not_add_up_are_a_fault(tmp_path: Path) -> None:

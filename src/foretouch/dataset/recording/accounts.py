@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of every message: received = written + dropped for a reason, for each topic."""
+"""What became of every message: received = written + dropped for a reason, for each topic.
+
+Beside it stands what the middleware lost on the way: such messages were never received, and are no part of the sum.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from foretouch.errors import DatasetError
 
@@ -21,11 +25,13 @@ class TopicAccount:
         received: Messages that arrived.
         written: Messages in the file.
         dropped: Messages given up, by reason.
+        lost: Messages that the middleware lost before they arrived.
     """
 
     received: int = 0
     written: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    lost: int = 0
 
     @property
     def pending(self) -> int:
@@ -51,6 +57,21 @@ class Accounts:
         """Messages were given up."""
         self._of(topic).dropped[reason] += count
 
+    def lose(self, topic: str, total: int) -> None:
+        """So many messages, in all, were lost on the way here; the count never goes back."""
+        if total > 0:
+            account = self._of(topic)
+            account.lost = max(account.lost, total)
+
+    def add(self, other: Accounts) -> None:
+        """Sum up: the counts of another recording beside these."""
+        for topic, theirs in other.topics.items():
+            account = self._of(topic)
+            account.received += theirs.received
+            account.written += theirs.written
+            account.dropped.update(theirs.dropped)
+            account.lost += theirs.lost
+
     def settle(self, reason: str) -> None:
         """Drop what is pending: at the end, nothing may be."""
         for account in self.topics.values():
@@ -65,18 +86,25 @@ class Accounts:
             if a.pending
         ]
 
-    def to_mapping(self) -> dict[str, str]:
-        """As MCAP metadata: one JSON text a topic."""
+    def to_record(self) -> dict[str, dict[str, Any]]:
+        """By topic, in plain types."""
         return {
-            topic: json.dumps(
-                {"received": a.received, "written": a.written, "dropped": dict(sorted(a.dropped.items()))}
-            )
+            topic: {
+                "received": a.received,
+                "written": a.written,
+                "dropped": dict(sorted(a.dropped.items())),
+                "lost": a.lost,
+            }
             for topic, a in sorted(self.topics.items())
         }
 
+    def to_mapping(self) -> dict[str, str]:
+        """As MCAP metadata: one JSON text a topic."""
+        return {topic: json.dumps(counts) for topic, counts in self.to_record().items()}
+
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, str]) -> Accounts:
-        """What `to_mapping` gave.
+        """What `to_mapping` gave; recordings of early versions tell nothing of losses.
 
         Raises:
             DatasetError: If a text is no account.
@@ -86,9 +114,12 @@ class Accounts:
             try:
                 counts = json.loads(text)
                 dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
-                accounts.topics[topic] = TopicAccount(int(counts["received"]), int(counts["written"]), dropped)
-            except (ValueError, KeyError, TypeError, AttributeError) as err:
+                received, written, lost = (
+                    int(n) for n in (counts["received"], counts["written"], counts.get("lost", 0))
+                )
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
                 raise DatasetError(f"accounts: {topic}: {text[:80]!r} is no account") from err
+            accounts.topics[topic] = TopicAccount(received, written, dropped, lost)
         return accounts
 
     def _of(self, topic: str) -> TopicAccount:

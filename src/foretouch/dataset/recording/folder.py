@@ -33,6 +33,7 @@ __all__ = [
     "is_vacant",
     "lock",
     "new_session_path",
+    "opened_to_write",
     "read_identity",
     "require_same",
     "session_files",
@@ -154,6 +155,27 @@ def lock(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(fd)
+
+
+@contextmanager
+def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
+    """Be the only writer of a dataset that is of this hand and camera; it is made where there is none.
+
+    Raises:
+        FileError: If another process writes, it is of another kind, or it cannot be written.
+    """
+    if not (path / MANIFEST).exists() and not is_vacant(path):
+        raise FileError(path, "exists, and is no dataset to go on with")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise FileError(path, f"{err.strerror or err} (errno {err.errno})") from err
+    with lock(path):
+        if (path / MANIFEST).exists():
+            require_same(path, identity)
+        else:
+            create_manifest(path, identity)
+        yield
 
 
 def sync_folder(path: Path) -> None:

@@ -12,39 +12,20 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
 
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, ChunkIndex, DataEnd, Header, McapRecord, Metadata, MetadataIndex, Schema
 
+from foretouch.dataset.recording.mcap_index import MAGIC, TIME_END, FileIndex, encode_record, message_index
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["MAGIC", "McapFile", "McapMessage"]
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 _CHUNK_START = struct.Struct("<BQQQQIIQ")  # opcode, length, start, end, size, crc, no compression, size of the data
 _MESSAGE_START = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_INDEX_START = struct.Struct("<BQHI")
-_INDEX_ENTRY = struct.Struct("<QQ")
 _WRITEV_MAX = 1000  # buffers a call; the system takes 1024
-_TIME_END = 2**63
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +48,7 @@ class McapMessage:
 
     def __post_init__(self) -> None:
         for name in ("log_time_ns", "publish_time_ns"):
-            if not 0 <= getattr(self, name) < _TIME_END:
+            if not 0 <= getattr(self, name) < TIME_END:
                 raise DatasetError(f"{name}: {getattr(self, name)} is no time since 1970")
 
 
@@ -89,17 +70,17 @@ class McapFile:
         except OSError as err:
             raise FileError(self.path, _told(err)) from err
         self.size = 0
-        self.message_count = 0
-        self.counts: Counter[int] = Counter()
         self._crc = 0
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._unused: set[int] = set()
-        self._chunk_index = bytearray()
-        self._chunk_count = 0
-        self._metadata_index: list[MetadataIndex] = []
-        self._times = (_TIME_END, 0)
-        self._commit([MAGIC, _record(Header(profile="ros2", library=library))])
+        self._index = FileIndex()
+        self._commit([MAGIC, encode_record(Header(profile="ros2", library=library))])
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return self._index.message_count
 
     def add_channel(self, topic: str, type_name: str, definition: str, qos: str = "") -> int:
         """Declare a topic.
@@ -128,7 +109,7 @@ class McapFile:
             metadata={"offered_qos_profiles": qos},
             schema_id=schema.id,
         )
-        self._commit([*([_record(schema)] if new else []), _record(channel)])
+        self._commit([*([encode_record(schema)] if new else []), encode_record(channel)])
         self._schemas[type_name] = schema
         self._channels[number] = channel
         self._unused.add(number)
@@ -159,14 +140,10 @@ class McapFile:
         start, end = min(times), max(times)
         length = _CHUNK_START.size - 9 + size
         chunk_offset = self.size
-        index, index_offsets = _message_index(offsets, chunk_offset + 9 + length)
+        index, index_offsets = message_index(offsets, chunk_offset + 9 + length)
         self._commit([_CHUNK_START.pack(6, length, start, end, size, crc, 0, size), *parts, index])
         self._unused -= offsets.keys()
-        self.counts.update(message.channel for message in messages)
-        self.message_count += len(messages)
-        self._times = (min(start, self._times[0]), max(end, self._times[1]))
-        self._chunk_count += 1
-        self._chunk_index += _record(
+        self._index.add_chunk(
             ChunkIndex(
                 message_start_time=start,
                 message_end_time=end,
@@ -177,15 +154,16 @@ class McapFile:
                 compression="",
                 compressed_size=size,
                 uncompressed_size=size,
-            )
+            ),
+            (message.channel for message in messages),
         )
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append named texts; of several with one name the last counts (raises as `write_chunk`)."""
-        data = _record(Metadata(name=name, metadata=dict(values)))
+        data = encode_record(Metadata(name=name, metadata=dict(values)))
         index = MetadataIndex(offset=self.size, length=len(data), name=name)
         self._commit([data])
-        self._metadata_index.append(index)
+        self._index.add_metadata(index)
 
     def sync(self) -> None:
         """Have the system put all that was written on the disk.
@@ -205,8 +183,8 @@ class McapFile:
             FileError: If the system refuses; every chunk is still in the file, without an index.
         """
         try:
-            self._commit([_record(DataEnd(self._crc))])
-            self._commit(self._summary())
+            self._commit([encode_record(DataEnd(self._crc))])
+            self._commit(self._index.summary(self.size, self._schemas.values(), self._channels.values()))
             self.sync()
         finally:
             self.abandon()
@@ -223,7 +201,7 @@ class McapFile:
         schemas = {schema.id: schema for schema in self._schemas.values()}
         needed = sorted({self._channels[number].schema_id for number in fresh})
         records: list[McapRecord] = [schemas[number] for number in needed]
-        return b"".join(map(_record, [*records, *(self._channels[number] for number in fresh)]))
+        return b"".join(map(encode_record, [*records, *(self._channels[number] for number in fresh)]))
 
     def _commit(self, parts: Sequence[bytes | bytearray | memoryview]) -> None:
         """Write all, or leave the file as it was."""
@@ -246,56 +224,6 @@ class McapFile:
             os.lseek(self._fd, self.size, os.SEEK_SET)
         except OSError:
             self.abandon()  # the remnant stays: readers stop before it, and nothing may be written after it
-
-    def _summary(self) -> list[bytes]:
-        start, end = self._times
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self.counts),
-            chunk_count=self._chunk_count,
-            message_count=self.message_count,
-            message_end_time=end,
-            message_start_time=start if self.message_count else 0,
-            metadata_count=len(self._metadata_index),
-            schema_count=len(self._schemas),
-        )
-        groups = [
-            (Opcode.SCHEMA, b"".join(map(_record, self._schemas.values()))),
-            (Opcode.CHANNEL, b"".join(map(_record, self._channels.values()))),
-            (Opcode.STATISTICS, _record(statistics)),
-            (Opcode.CHUNK_INDEX, bytes(self._chunk_index)),
-            (Opcode.METADATA_INDEX, b"".join(map(_record, self._metadata_index))),
-        ]
-        offset = self.size
-        offsets = []
-        for opcode, data in groups:
-            if data:
-                offsets.append(_record(SummaryOffset(group_opcode=opcode, group_start=offset, group_length=len(data))))
-            offset += len(data)
-        body = b"".join([*(data for _, data in groups), *offsets])
-        footer = _record(Footer(summary_start=self.size, summary_offset_start=offset, summary_crc=0))[:-4]
-        crc = zlib.crc32(footer, zlib.crc32(body))
-        return [body, footer, struct.pack("<I", crc), MAGIC]
-
-
-def _message_index(offsets: Mapping[int, list[tuple[int, int]]], start: int) -> tuple[bytes, dict[int, int]]:
-    """The index records of one chunk, and where each begins."""
-    data = bytearray()
-    places = {}
-    for channel, entries in offsets.items():
-        places[channel] = start + len(data)
-        size = len(entries) * _INDEX_ENTRY.size
-        data += _INDEX_START.pack(7, 6 + size, channel, size)
-        for entry in entries:
-            data += _INDEX_ENTRY.pack(*entry)
-    return bytes(data), places
-
-
-def _record(record: McapRecord) -> bytes:
-    builder: Any = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())
 
 
 def _write_all(fd: int, parts: Sequence[bytes | bytearray | memoryview], total: int) -> None:

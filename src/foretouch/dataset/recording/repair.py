@@ -9,15 +9,10 @@ original stays beside it under `<name>.before-repair`.
 from __future__ import annotations
 
 import os
-import re
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
-
-from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
 
 from foretouch import __version__
 from foretouch.dataset.recording.accounts import Accounts, TopicAccount
@@ -25,29 +20,15 @@ from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files, sync_folder
 from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
 from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
-from foretouch.dataset.recording.scan import (
-    Chunk,
-    Damage,
-    Declaration,
-    RawMessage,
-    RawRecord,
-    check_record,
-    chunk_at,
-    declaration,
-    mapped,
-    messages_of,
-    next_chunk,
-    records,
-)
+from foretouch.dataset.recording.rescue import Declarations, is_readable, samples_in, walk
+from foretouch.dataset.recording.scan import Chunk, Damage, RawMessage, RawRecord, mapped, messages_of, next_chunk
 from foretouch.dataset.recording.verify import verify_file
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import FileError
 
 __all__ = ["RepairReport", "repair_dataset", "repair_file"]
 
 _KEPT: Final = ".before-repair"
 _LOST: Final = "lost before repair"
-_HEAD = 31  # bytes of a message's record before its CDR
-_MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
 
 @dataclass(eq=False)
@@ -132,12 +113,12 @@ def _replace(path: Path, repaired: Path) -> Path:
 
 
 def _write_repaired(part: Path, data: memoryview, report: RepairReport) -> None:
-    declared = _Declarations(data)
+    declared = Declarations(data)
     file = McapFile(part, f"foretouch {__version__}")
     try:
         copy = _Copy(file, declared, report)
         file.write_metadata(ABOUT, {**declared.about, "repaired_by": f"foretouch {__version__}"})
-        for item in _walk(data):
+        for item in walk(data):
             copy.take(data, item)
         report.messages = file.message_count
         file.write_metadata(ACCOUNTS, copy.accounts().to_mapping())
@@ -146,67 +127,10 @@ def _write_repaired(part: Path, data: memoryview, report: RepairReport) -> None:
         file.abandon()
 
 
-def _walk(data: memoryview) -> Iterator[Chunk | RawRecord | Damage]:
-    """All that can be found, in order; a `Damage` stands for bytes that are skipped."""
-    start = len(MAGIC)
-    while start < len(data):
-        for record in records(data, start):
-            start = record.offset
-            if isinstance(record, Damage):
-                yield record
-                break
-            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                return
-            chunk = record.opcode == Opcode.CHUNK
-            item = chunk_at(data, record) if chunk else check_record(data, record) or record
-            if isinstance(item, Damage):
-                yield item
-                break
-            yield item
-            start = record.end
-        else:
-            return
-        following = next_chunk(data, start + 1)
-        start = len(data) if following is None else following.offset
-
-
-class _Declarations:
-    """Schemas, channels and metadata of a file, wherever an intact copy of them stands."""
-
-    def __init__(self, data: memoryview) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.about: dict[str, str] = {}
-        self.accounts = Accounts()
-        proven: list[Schema | Channel] = []
-        for item in _walk(data):
-            if isinstance(item, RawRecord):
-                self._take(declaration(data, item))
-            elif isinstance(item, Chunk) and item.intact(data):
-                inside = messages_of(data, item.start, item.end)
-                contents = (declaration(data, record) for record in inside if isinstance(record, RawRecord))
-                proven += [content for content in contents if isinstance(content, (Schema, Channel))]
-        for content in proven:  # those under a checksum come last, and so count
-            self._take(content)
-
-    def _take(self, content: Declaration | Damage | None) -> None:
-        if isinstance(content, Schema):
-            self.schemas[content.id] = content
-        elif isinstance(content, Channel):
-            self.channels[content.id] = content
-        elif isinstance(content, Metadata) and content.name == ABOUT:
-            self.about = content.metadata
-        elif isinstance(content, Metadata) and content.name == ACCOUNTS:
-            try:
-                self.accounts = Accounts.from_mapping(content.metadata)
-            except DatasetError:
-                return  # the one before counts
-
-
 class _Copy:
     """Copies what is intact into a new file."""
 
-    def __init__(self, file: McapFile, declared: _Declarations, report: RepairReport) -> None:
+    def __init__(self, file: McapFile, declared: Declarations, report: RepairReport) -> None:
         self._file = file
         self._declared = declared
         self._report = report
@@ -245,7 +169,7 @@ class _Copy:
             lost = old.received - written - dropped.total()
             if lost > 0:
                 dropped[_LOST] += lost
-            result.topics[topic] = TopicAccount(written + dropped.total(), written, dropped)
+            result.topics[topic] = TopicAccount(written + dropped.total(), written, dropped, old.lost)
         return result
 
     def _add(self, topic: str, type_name: str, definition: str, qos: str) -> int:
@@ -265,7 +189,7 @@ class _Copy:
                 cdr = data[item.start : item.end]
                 if number is None and is_intact(cdr):
                     number = self._topics[SAMPLE_TOPIC]
-                if number is None or (number == self._topics[SAMPLE_TOPIC] and not _readable(cdr)):
+                if number is None or (number == self._topics[SAMPLE_TOPIC] and not is_readable(cdr)):
                     self._report.lost.append(Damage(item.start, "a message whose declaration or content is damaged"))
                     continue
                 kept.append(McapMessage(number, cdr, item.log_time_ns, item.publish_time_ns, item.sequence))
@@ -274,7 +198,7 @@ class _Copy:
 
     def _rescue(self, data: memoryview, start: int, end: int) -> None:
         """Keep the samples in bytes that are damaged somewhere: each is proven by its own checksum."""
-        for cdr in _samples_in(data, start, end):
+        for cdr in samples_in(data, start, end):
             stamp_ns = decode_sample(bytes(cdr)).record.sample.stamp_ns
             number = self._topics[SAMPLE_TOPIC]
             self._write([McapMessage(number, cdr, stamp_ns, stamp_ns, self._report.samples)], [SAMPLE_TOPIC])
@@ -283,38 +207,3 @@ class _Copy:
         self._file.write_chunk(messages)
         self._written.update(topics)
         self._report.samples = self._written[SAMPLE_TOPIC]
-
-
-def _samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
-    """Intact samples between two places, whatever of the records around them is damaged."""
-    at = start
-    for head, stop in _message_heads(data, start, end):
-        if head < at:
-            continue
-        for last in sorted({stop, end}):
-            cdr = data[head + _HEAD : last]
-            if last <= end and _readable(cdr):
-                yield cdr
-                at = last
-                break
-
-
-def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, int]]:
-    """Where messages may begin and end: as a walk finds them up to the damage, and whatever looks like one."""
-    heads: dict[int, int] = {}
-    for match in _MESSAGE_START.finditer(data, start, end):
-        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
-        heads[match.start()] = match.start() + 9 + length
-    for record in records(data, start, end):
-        heads[record.offset] = end if isinstance(record, Damage) else record.end
-    return sorted(heads.items())
-
-
-def _readable(cdr: memoryview) -> bool:
-    if not is_intact(cdr):
-        return False
-    try:
-        decode_sample(bytes(cdr))
-    except DatasetError:
-        return False
-    return True

@@ -28,37 +28,19 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from foretouch import __version__
 from foretouch.dataset.recording.accounts import Accounts
-from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.folder import (
-    MANIFEST,
-    create_manifest,
-    is_vacant,
-    lock,
-    new_session_path,
-    require_same,
-    session_files,
-    sync_folder,
-)
-from foretouch.dataset.recording.mcap_file import McapFile, McapMessage
-from foretouch.dataset.recording.messages import (
-    ABOUT,
-    ACCOUNTS,
-    SAMPLE_TOPIC,
-    SAMPLE_TYPE,
-    SCHEMA_VERSION,
-    encode_sample,
-)
-from foretouch.dataset.recording.places import sample_ids
+from foretouch.dataset.recording.folder import new_session_path, opened_to_write
+from foretouch.dataset.recording.mcap_file import McapMessage
+from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample
 from foretouch.dataset.recording.policy import RecordingConfig
-from foretouch.dataset.recording.record import Identity, SampleRecord, check_name
-from foretouch.errors import DatasetError, FileError, ForetouchError
+from foretouch.dataset.recording.record import Identity, SampleRecord
+from foretouch.dataset.recording.sample_names import SampleNames
+from foretouch.dataset.recording.session_file import SessionFile
+from foretouch.errors import FileError, ForetouchError
 
 __all__ = ["RecordingWriter"]
 
@@ -75,10 +57,11 @@ class RecordingWriter:
 
     Attributes:
         path: Of the dataset.
-        file: Of the session.
         accounts: What became of every message; the samples are among them, under `SAMPLE_TOPIC`.
         samples: Samples appended.
         labelled: Those with a touch.
+        before_end: Called once before the last accounts are written, however the session ends: its owner books what
+            became of messages that it still holds.
 
     Raises:
         FileError: If another process records into the dataset, or it is of another hand, camera or version, or of
@@ -92,25 +75,19 @@ class RecordingWriter:
         self.accounts = Accounts()
         self.samples = 0
         self.labelled = 0
+        self.before_end: Callable[[], None] = lambda: None
         self._closed = False
-        self._definitions = Definitions()
         self._guard = threading.RLock()
-        self._channels: dict[str, int] = {}
-        self._types: dict[str, str] = {}
         self._pending: list[tuple[str, McapMessage]] = []
         self._pending_bytes = 0
-        self._unsynced_samples = 0
-        self._flushed_s = self._synced_s = self._accounted_s = time.monotonic()
+        self._flushed_s = time.monotonic()
         with ExitStack() as stack:
-            self._open_dataset(stack)
-            self._ids = {i for file in session_files(self.path) for i in sample_ids(file)}
-            self._last_number = max((_number(i) for i in self._ids), default=0)
-            self.file = new_session_path(self.path)
-            self._mcap = McapFile(self.file, f"foretouch {__version__}")
-            stack.callback(self._mcap.abandon)
-            self._mcap.write_metadata(ABOUT, self._about())
-            self.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
-            self._sync(self.path)
+            stack.enter_context(opened_to_write(self.path, identity))
+            self._names = SampleNames(self.path)
+            self._file = SessionFile(new_session_path(self.path), identity)
+            stack.callback(self._file.abandon)
+            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, self._file.define(SAMPLE_TYPE, None), "")
+            self._file.sync(self.path)
             self._release = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -122,6 +99,11 @@ class RecordingWriter:
         self.close()
 
     @property
+    def file(self) -> Path:
+        """Of the session."""
+        return self._file.path
+
+    @property
     def closed(self) -> bool:
         """Whether the session has ended, by `close` or by a disk that is full or failed."""
         return self._closed
@@ -129,7 +111,7 @@ class RecordingWriter:
     @property
     def bytes_written(self) -> int:
         """Size of the session's file so far."""
-        return self._mcap.size
+        return self._file.size
 
     @property
     def free_bytes(self) -> int:
@@ -151,18 +133,11 @@ class RecordingWriter:
             FileError: If the session has ended, or the disk fails.
         """
         with self._guard:
-            if topic in self._channels:
-                if self._types[topic] != type_name:
-                    raise DatasetError(f"{topic}: holds {self._types[topic]}, not {type_name}")
+            if self._file.declares(topic, type_name):
                 return
             self._require_open()
-            if definition is not None:
-                self._definitions.learn(type_name, definition)
-            text = self._definitions.text(type_name)
-            self._guarded(
-                lambda: self._channels.__setitem__(topic, self._mcap.add_channel(topic, type_name, text, qos))
-            )
-            self._types[topic] = type_name
+            text = self._file.define(type_name, definition)
+            self._guarded(lambda: self._file.declare(topic, type_name, text, qos))
 
     def receive(self, topic: str, count: int = 1) -> None:
         """Book the arrival of messages, on arrival; each must later be written or dropped."""
@@ -179,6 +154,11 @@ class RecordingWriter:
         """
         with self._guard:
             self.accounts.drop(topic, reason, count)
+
+    def lose(self, topic: str, total: int) -> None:
+        """Book what the middleware has lost so far, in all; such messages are no part of those received."""
+        with self._guard:
+            self.accounts.lose(topic, total)
 
     def write(
         self,
@@ -205,12 +185,11 @@ class RecordingWriter:
         """
         with self._guard:
             self._require_open()
-            channel = self._channel(topic)
-            sequence = (
-                self.accounts.topics[topic].written if sequence is None and topic in self.accounts.topics else sequence
-            )
+            channel = self._file.channel(topic)
+            if sequence is None:
+                sequence = self.accounts.topics[topic].written if topic in self.accounts.topics else 0
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
-            self._pending.append((topic, McapMessage(channel, data, log_time_ns, sent, sequence or 0)))
+            self._pending.append((topic, McapMessage(channel, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
             late = time.monotonic() - self._flushed_s >= self.config.chunk_s
             if late or self._pending_bytes >= self.config.chunk_bytes:
@@ -232,19 +211,17 @@ class RecordingWriter:
         """
         with self._guard:
             self._require_open()
-            record = self._named(record)
+            record = self._names.named(record)
             data = encode_sample(record, self.identity)
             now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = McapMessage(self._channels[SAMPLE_TOPIC], data, now, sample.stamp_ns, self.samples)
+            message = McapMessage(self._file.channel(SAMPLE_TOPIC), data, now, sample.stamp_ns, self.samples)
             self.accounts.receive(SAMPLE_TOPIC)
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]
             self._pending_bytes = len(data)
-            self._unsynced_samples += 1
-            self._write_pending()
-            self._ids.add(sample.id)
-            self._last_number = max(self._last_number, _number(sample.id))
+            self._write_pending(samples=1)
+            self._names.take(sample.id)
             self.samples += 1
             self.labelled += sample.touch is not None
             self._after_write()
@@ -261,7 +238,7 @@ class RecordingWriter:
         """Write what was collected, and wait until all is on the disk (raises as `write`)."""
         with self._guard:
             self.flush()
-            self._guarded(self._sync)
+            self._guarded(self._file.sync)
 
     def close(self) -> None:
         """Write what was collected, the accounts and the index, and end the session; more than once does no harm.
@@ -275,70 +252,23 @@ class RecordingWriter:
             self._write_pending()
             self._end("not written when the session ended")
 
-    def _open_dataset(self, stack: ExitStack) -> None:
-        """Take the lock, and make the dataset or compare it."""
-        if not (self.path / MANIFEST).exists() and not is_vacant(self.path):
-            raise FileError(self.path, "exists, and is no dataset to go on with")
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as err:
-            raise FileError(self.path, f"{err.strerror or err} (errno {err.errno})") from err
-        stack.enter_context(lock(self.path))
-        if (self.path / MANIFEST).exists():
-            require_same(self.path, self.identity)
-        else:
-            create_manifest(self.path, self.identity)
-
-    def _about(self) -> dict[str, str]:
-        facts = {"schema_version": str(SCHEMA_VERSION), "foretouch": __version__, "session": self.file.stem}
-        for name, values in (("hand", self.identity.hand), ("camera", self.identity.camera)):
-            facts |= {f"{name}.{fact}": value for fact, value in sorted(values.items())}
-        return facts
-
-    def _named(self, record: SampleRecord) -> SampleRecord:
-        sample = record.sample
-        check_name(sample.object, "object")
-        if not sample.id:
-            sample = replace(sample, id=f"{sample.object}/{self._last_number + 1:06d}")
-        if sample.id in self._ids:
-            raise DatasetError(f"{self.path}: id {sample.id} is taken")
-        return replace(record, sample=sample)
-
-    def _channel(self, topic: str) -> int:
-        if topic not in self._channels:
-            raise DatasetError(f"{self.file}: {topic} was not declared by add_topic")
-        return self._channels[topic]
-
     def _require_open(self) -> None:
         if self._closed:
             raise FileError(self.file, "the session has ended")
 
-    def _write_pending(self) -> None:
+    def _write_pending(self, samples: int = 0) -> None:
         if not self._pending:
             return
         if self.free_bytes < self._pending_bytes:
             self._stop(f"disk almost full: less than {self.config.min_free_mb:g} MB would be left", "disk full")
-        self._guarded(lambda: self._mcap.write_chunk([message for _, message in self._pending]))
+        self._guarded(lambda: self._file.write([message for _, message in self._pending], samples))
         for topic, _ in self._pending:
             self.accounts.write(topic)
         self._pending, self._pending_bytes = [], 0
         self._flushed_s = time.monotonic()
 
     def _after_write(self) -> None:
-        now = time.monotonic()
-        if now - self._accounted_s >= self.config.accounts_s:
-            self._accounted_s = now
-            self._guarded(lambda: self._mcap.write_metadata(ACCOUNTS, self.accounts.to_mapping()))
-        due = 0 < self.config.fsync_samples <= self._unsynced_samples
-        if due or 0 < self.config.fsync_s <= now - self._synced_s:
-            self._guarded(self._sync)
-
-    def _sync(self, folder: Path | None = None) -> None:
-        self._mcap.sync()
-        if folder is not None:
-            sync_folder(folder)
-        self._unsynced_samples = 0
-        self._synced_s = time.monotonic()
+        self._guarded(lambda: self._file.keep_up(self.config, self.accounts))
 
     def _guarded(self, action: Callable[[], object]) -> None:
         """Do something with the file; if it fails, the session ends with all that was acknowledged."""
@@ -358,16 +288,9 @@ class RecordingWriter:
 
     def _end(self, reason: str) -> None:
         self._closed = True
+        self.before_end()
         self.accounts.settle(reason)
         try:
-            self._mcap.write_metadata(ACCOUNTS, self.accounts.to_mapping())
-            self._mcap.finish()
+            self._file.finish(self.accounts)
         finally:
-            self._mcap.abandon()
             self._release.close()
-
-
-def _number(sample_id: str) -> int:
-    """The number in an id that a writer gave; others are no numbers of ours."""
-    name = sample_id.rpartition("/")[2]
-    return int(name) if 6 <= len(name) <= 9 and name.isdecimal() and name.isascii() else 0  # 10 digits: unix times

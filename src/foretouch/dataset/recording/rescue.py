@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds what is intact in a damaged recording: chunks by their checksums, declarations and samples by their own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from foretouch.dataset.recording.accounts import Accounts
+from foretouch.dataset.recording.mcap_file import MAGIC
+from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, decode_sample, is_intact
+from foretouch.dataset.recording.scan import (
+    Chunk,
+    Damage,
+    Declaration,
+    RawRecord,
+    check_record,
+    chunk_at,
+    declaration,
+    messages_of,
+    next_chunk,
+    records,
+)
+from foretouch.errors import DatasetError
+
+__all__ = ["Declarations", "is_readable", "samples_in", "walk"]
+
+_HEAD = 31  # bytes of a message's record before its CDR
+_MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
+
+
+def walk(data: memoryview) -> Iterator[Chunk | RawRecord | Damage]:
+    """All that can be found, in order; a `Damage` stands for bytes that are skipped."""
+    start = len(MAGIC)
+    while start < len(data):
+        for record in records(data, start):
+            start = record.offset
+            if isinstance(record, Damage):
+                yield record
+                break
+            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            chunk = record.opcode == Opcode.CHUNK
+            item = chunk_at(data, record) if chunk else check_record(data, record) or record
+            if isinstance(item, Damage):
+                yield item
+                break
+            yield item
+            start = record.end
+        else:
+            return
+        following = next_chunk(data, start + 1)
+        start = len(data) if following is None else following.offset
+
+
+class Declarations:
+    """Schemas, channels and metadata of a file, wherever an intact copy of them stands.
+
+    Args:
+        data: The file.
+
+    Attributes:
+        schemas: By number.
+        channels: By number.
+        about: Versions, hand and camera, as text.
+        accounts: The last in the file that can be read.
+    """
+
+    def __init__(self, data: memoryview) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.about: dict[str, str] = {}
+        self.accounts = Accounts()
+        proven: list[Schema | Channel] = []
+        for item in walk(data):
+            if isinstance(item, RawRecord):
+                self._take(declaration(data, item))
+            elif isinstance(item, Chunk) and item.intact(data):
+                inside = messages_of(data, item.start, item.end)
+                contents = (declaration(data, record) for record in inside if isinstance(record, RawRecord))
+                proven += [content for content in contents if isinstance(content, (Schema, Channel))]
+        for content in proven:  # those under a checksum come last, and so count
+            self._take(content)
+
+    def _take(self, content: Declaration | Damage | None) -> None:
+        if isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif isinstance(content, Metadata) and content.name == ABOUT:
+            self.about = content.metadata
+        elif isinstance(content, Metadata) and content.name == ACCOUNTS:
+            try:
+                self.accounts = Accounts.from_mapping(content.metadata)
+            except DatasetError:
+                return  # the one before counts
+
+
+def samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
+    """Intact samples between two places, whatever of the records around them is damaged."""
+    at = start
+    for head, stop in _message_heads(data, start, end):
+        if head < at:
+            continue
+        for last in sorted({stop, end}):
+            cdr = data[head + _HEAD : last]
+            if last <= end and is_readable(cdr):
+                yield cdr
+                at = last
+                break
+
+
+def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, int]]:
+    """Where messages may begin and end: as a walk finds them up to the damage, and whatever looks like one."""
+    heads: dict[int, int] = {}
+    for match in _MESSAGE_START.finditer(data, start, end):
+        length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
+        heads[match.start()] = match.start() + 9 + length
+    for record in records(data, start, end):
+        heads[record.offset] = end if isinstance(record, Damage) else record.end
+    return sorted(heads.items())
+
+
+def is_readable(cdr: memoryview) -> bool:
+    """Whether the bytes are a whole sample."""
+    if not is_intact(cdr):
+        return False
+    try:
+        decode_sample(bytes(cdr))
+    except DatasetError:
+        return False
+    return True
