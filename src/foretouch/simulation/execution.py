@@ -111,7 +111,8 @@ class SimulatedHand:
         self._grasp: Grasp | None = None
         self._idle_rows = 0
         self._elapsed_s = 0.0
-        sensor = tuple(self._drift() if effect.name == "drift" else effect for effect in reading.EFFECTS)
+        today = [effect for effect in reading.EFFECTS if effect.name != "sessions"]  # one hand, one day
+        sensor = tuple(self._drift() if effect.name == "drift" else effect for effect in today)
         closing = tuple(self._given() if effect.name == "grasp" else effect for effect in grasp.EFFECTS)
         # What a resting fingertip does by itself: all that changes the series and asks for no contact.
         alone = [effect for effect in sensor if effect.modifies == keys("series") and effect.name != "slip"]

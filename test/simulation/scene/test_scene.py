@@ -22,13 +22,26 @@ def test_every_scene_of_the_repository_loads_and_can_be_explained(path: Path) ->
 
 
 def test_the_promised_scenes_are_there() -> None:
-    assert {p.stem for p in SCENES} >= {"deformables", "rigid", "clutter", "lookalikes", "clean"}
+    assert {p.stem for p in SCENES} >= {"deformables", "rigid", "clutter", "lookalikes", "clean", "unseen_objects"}
 
 
 def test_the_scene_that_models_are_trained_on_is_frozen() -> None:
     """Renew the hash, printed by `foretouch simulate SCENE --explain --json`, only together with every model."""
     path = next(p for p in SCENES if p.stem == "deformables")
     assert load_scene(path).sha256() == path.with_suffix(".sha256").read_text().strip()
+
+
+def test_a_setting_younger_than_the_frozen_scenes_counts_where_it_is_given() -> None:
+    plain = scene(CAN)
+    assert "sessions" in plain.to_mapping()["fingers"]
+    assert scene(CAN, fingers={"sessions": {}}).sha256() != plain.sha256()
+    assert scene(CAN | {"shape": "random", "first_variant": 1}).sha256() != scene(CAN | {"shape": "random"}).sha256()
+
+
+def test_the_unseen_objects_are_enough_to_calibrate_and_to_judge_on() -> None:
+    config = load_scene(next(p for p in SCENES if p.stem == "unseen_objects"))
+    assert len(config.objects) >= 90
+    assert config.fingers.sessions is not None
 
 
 def test_look_alikes_differ_in_stiffness_only() -> None:
@@ -49,6 +62,7 @@ def test_look_alikes_differ_in_stiffness_only() -> None:
         ({"objects": [CAN | {"thickness_m": 0.01}]}, r"can.thickness_m: 0.01 m of a rigid object; give young_pa"),
         ({"objects": [CAN | {"young_pa": 2e4}]}, r"can.young_pa: 20000 Pa of no layer; give thickness_m"),
         ({"objects": [CAN | {"variants": 3}]}, r"can.variants: 3, but the shape can has one"),
+        ({"objects": [CAN | {"first_variant": 3}]}, r"can.first_variant: 3, but the shape can has one"),
         ({"objects": [CAN | {"size_m": [0.1, 0.1]}]}, r"size_m: \[0.1, 0.1\] is not three lengths"),
         ({"objects": [CAN | {"size_m": [0.2, 0.3, 0.2]}]}, r"can.size_m: 0.2 m at its narrowest, the hand opens 0.13"),
         ({"objects": [CAN | {"pose": {"x_m": [0.6, 0.65]}}]}, r"objects\[0\] can.pose: may lie outside of the view"),

@@ -52,6 +52,19 @@ def test_steady_noise_is_that_of_the_real_sensor() -> None:
     assert noise.lag1 == pytest.approx(0.38, abs=0.08)
 
 
+def test_a_session_moves_tare_and_touch_of_one_object_alike() -> None:
+    """Slots 0 and 2 show one object, slot 1 the other."""
+    plain, moved = (
+        scene(CAN, CAN | {"name": "tin"}, **HELD),
+        scene(CAN, CAN | {"name": "tin"}, fingers={"sessions": {}}, **HELD),
+    )
+    shifts = [(run(moved, *SERIES, slot=k).series - run(plain, *SERIES, slot=k).series) for k in range(3)]
+    for shift in shifts:
+        np.testing.assert_allclose(shift[0], shift[1], atol=1e-9)
+    np.testing.assert_allclose(shifts[0], shifts[2], atol=1e-9)
+    assert np.abs(shifts[1] - shifts[0]).max() > 1.0
+
+
 def test_noise_moves_tare_and_touch_apart() -> None:
     plain, noisy = run(scene(**HELD), *SERIES), run(scene(fingers={"noise": {}}, **HELD), *SERIES)
     moved = (noisy.series - plain.series)[..., 1:]

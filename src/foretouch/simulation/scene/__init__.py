@@ -2,6 +2,7 @@
 """Scenes: typed, read from YAML, contradictions named."""
 
 from foretouch.simulation.scene.camera import CameraConfig
+from foretouch.simulation.scene.families import FamilyConfig, draw_objects
 from foretouch.simulation.scene.fingers import FingersConfig
 from foretouch.simulation.scene.grasps import GraspsConfig
 from foretouch.simulation.scene.scene import GravityConfig, SceneConfig, load_scene
@@ -10,6 +11,7 @@ from foretouch.simulation.scene.things import ClutterConfig, ObjectConfig, PoseC
 __all__ = [
     "CameraConfig",
     "ClutterConfig",
+    "FamilyConfig",
     "FingersConfig",
     "GraspsConfig",
     "GravityConfig",
@@ -18,5 +20,6 @@ __all__ = [
     "SceneConfig",
     "SurfaceConfig",
     "TableConfig",
+    "draw_objects",
     "load_scene",
 ]

@@ -6,19 +6,25 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final, Self
 
 import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.scene.camera import CameraConfig
+from foretouch.simulation.scene.families import FamiliesConfig
 from foretouch.simulation.scene.fingers import FingersConfig
 from foretouch.simulation.scene.grasps import GraspsConfig
 from foretouch.simulation.scene.things import ClutterConfig, ObjectConfig, TableConfig
 
 __all__ = ["FIDELITIES", "GravityConfig", "SceneConfig", "load_scene"]
+
+_YOUNGER: Final = {"first_variant": 0, "sessions": None}
+"""Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""
 
 FIDELITIES = ("auto", "hertz", "winkler", "layer")
 
@@ -64,9 +70,22 @@ class SceneConfig(Settings):
             if self.gravity is not None and item.mass_kg is None:
                 raise ConfigError(f"objects[{k}] {item.name}.mass_kg: absent, but the scene has gravity")
 
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
+        """As of all settings; besides, `families` are drawn here and stand after the objects that are listed."""
+        given = dict(mapping)
+        if "families" in given:
+            families = FamiliesConfig.from_mapping({"families": given.pop("families")}, source)
+            given["objects"] = [*given.get("objects", []), *(item.to_mapping() for item in families.objects())]
+        return super().from_mapping(given, source)
+
     def sha256(self) -> str:
-        """Hash of all settings, defaults included, so that a changed default is a changed scene."""
-        text = json.dumps(self.to_mapping(), sort_keys=True, separators=(",", ":"))
+        """Hash of all settings, defaults included, so that a changed default is a changed scene.
+
+        Settings that came after scenes were frozen count only where they are given: left at their defaults they
+        change no sample.
+        """
+        text = json.dumps(_without_younger(self.to_mapping()), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -77,6 +96,15 @@ def load_scene(path: str | Path) -> SceneConfig:
         ConfigError: Names file, field and rule.
     """
     return SceneConfig.from_mapping(load_yaml(path), str(path))
+
+
+def _without_younger(value: Any) -> Any:
+    """Plain settings without those of `_YOUNGER` that are at their defaults."""
+    if isinstance(value, list):
+        return [_without_younger(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: _without_younger(item) for key, item in value.items() if key not in _YOUNGER or item != _YOUNGER[key]}
 
 
 def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:

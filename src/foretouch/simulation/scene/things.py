@@ -10,7 +10,7 @@ from foretouch.errors import ConfigError
 from foretouch.simulation.objects import SHAPES
 from foretouch.simulation.scene.ranges import require_range
 
-__all__ = ["ClutterConfig", "ObjectConfig", "PoseConfig", "SurfaceConfig", "TableConfig"]
+__all__ = ["RESTS", "ClutterConfig", "ObjectConfig", "PoseConfig", "SurfaceConfig", "TableConfig"]
 
 RESTS = ("upright", "side", "any")
 
@@ -45,6 +45,7 @@ class ObjectConfig(Settings):
     name: str = setting("object", "Label of its samples")
     shape: str = setting("can", "Shape of its mesh", choices=SHAPES)
     variants: int = setting(1, "Members of the family that are used, for the shape random", minimum=1, maximum=10_000)
+    first_variant: int = setting(0, "The first member of the family that is used", minimum=0, maximum=10_000)
     size_m: tuple[float, ...] = setting((0.07, 0.07, 0.1), "Bounding box along its own x, y and z (up)", unit="m")
     size_spread: float = setting(
         0.0, "Largest relative change of its size from sample to sample", minimum=0.0, maximum=0.5
@@ -72,8 +73,9 @@ class ObjectConfig(Settings):
             raise ConfigError(f"{self.name}.thickness_m: {self.thickness_m} m of a rigid object; give young_pa too")
         if self.young_pa is not None and self.thickness_m is None:
             raise ConfigError(f"{self.name}.young_pa: {self.young_pa:g} Pa of no layer; give thickness_m too")
-        if self.variants > 1 and self.shape != "random":
-            raise ConfigError(f"{self.name}.variants: {self.variants}, but the shape {self.shape} has one")
+        if self.shape != "random" and (self.variants > 1 or self.first_variant > 0):
+            field = "variants" if self.variants > 1 else "first_variant"
+            raise ConfigError(f"{self.name}.{field}: {getattr(self, field)}, but the shape {self.shape} has one")
         if self.colour is not None and len(self.colour) != 3:
             raise ConfigError(f"{self.name}.colour: {list(self.colour)} is not red, green and blue")
 

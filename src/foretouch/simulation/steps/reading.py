@@ -29,6 +29,7 @@ from foretouch.simulation.pressing import command_of, contact_failure, contact_p
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.state import SampleState
+from foretouch.simulation.streams import SampleKey
 from foretouch.types import ELECTRODES, Float64, Touch
 
 __all__ = ["EFFECTS"]
@@ -130,6 +131,17 @@ def _drift(job: Job, state: SampleState) -> None:
     state.series[..., 1:] += electrodes[:, None, None]
 
 
+def _sessions(job: Job, state: SampleState) -> None:
+    """All grasps of one object share a session, tare and touch alike."""
+    config, scene = job.scene.fingers.sessions, job.scene
+    if config is None:
+        return
+    rng = SampleKey(job.key.seed, job.key.slot % len(scene.objects)).stream(job.name)
+    state.series[..., 0] += config.pdc_counts * rng.standard_normal(2)
+    common, alone = rng.standard_normal((2, 1)), rng.standard_normal((2, ELECTRODES))
+    state.series[..., 1:] += config.finger_counts * common + config.electrode_counts * alone
+
+
 def _noise(job: Job, state: SampleState) -> None:
     config, timeline = job.scene.fingers.noise, job.scene.fingers.timeline
     if config is None:
@@ -216,6 +228,7 @@ EFFECTS = (
         modifies=_SERIES,
         again=True,
     ),
+    Effect("sessions", _sessions, called_for("fingers.sessions"), off="no fingers.sessions", modifies=_SERIES),
     Effect("noise", _noise, called_for("fingers.noise"), off="no fingers.noise", modifies=_SERIES, again=True),
     Effect("scan_hold", _scan, called_for("fingers.scan"), off="no fingers.scan", modifies=_SERIES, again=True),
     Effect("dead_electrodes", _dead, called_for("fingers.dead"), off="no fingers.dead", modifies=_SERIES),
