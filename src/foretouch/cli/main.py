@@ -26,6 +26,7 @@ COMMANDS = {
     "dataset": "Look into, verify, repair and convert recorded grasps",
     "train": "Train a touch model from a configuration",
     "evaluate": "Score a model and the baselines on a dataset",
+    "experiment": "Rebuild an experiment: its table, figures and manifest",
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps with what the hand feels, into a dataset",
     "replay": "Play a recording or a folder of clouds into the ROS graph",

@@ -17,11 +17,13 @@ import numpy.typing as npt
 from foretouch.learning.geometry_features import geometry_features
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["BASELINES", "Baseline", "geometry_trees", "object_mean", "object_time_trees", "training_mean"]
+__all__ = ["BASELINES", "TREES", "Baseline", "geometry_trees", "object_mean", "object_time_trees", "training_mean"]
 
 Features = npt.NDArray[np.float64]
 
-_TREES: Final = 300
+TREES: Final = 300
+"""Of a forest."""
+
 _LEAF: Final = 3
 _FEATURE_SHARE: Final = 0.5
 
@@ -52,19 +54,24 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
     return predicted
 
 
-def object_time_trees(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def object_time_trees(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
     """Extremely randomised trees that see which object it is and when, and nothing else."""
     names = sorted({sample.object for sample in train})
-    return _trees(_object_time(train, names), labels, _object_time(test, names), seed)
+    return _forest(_object_time(train, names), labels, _object_time(test, names), seed, trees)
 
 
-def geometry_trees(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+def geometry_trees(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
     """Extremely randomised trees on `geometry_features`."""
-    return _trees(
+    return _forest(
         np.array([geometry_features(sample) for sample in train]),
         labels,
         np.array([geometry_features(sample) for sample in test]),
         seed,
+        trees,
     )
 
 
@@ -86,11 +93,11 @@ def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Featur
     return table
 
 
-def _trees(train: Features, labels: Float64, test: Features, seed: int) -> Float64:
+def _forest(train: Features, labels: Float64, test: Features, seed: int, trees: int) -> Float64:
     from sklearn.ensemble import ExtraTreesRegressor
 
     forest = ExtraTreesRegressor(
-        n_estimators=_TREES, min_samples_leaf=_LEAF, max_features=_FEATURE_SHARE, random_state=seed, n_jobs=1
+        n_estimators=trees, min_samples_leaf=_LEAF, max_features=_FEATURE_SHARE, random_state=seed, n_jobs=1
     )
     scale = labels.std(axis=0) + 1e-9  # so that no electrode outweighs another in the choice of a split
     forest.fit(train, labels / scale)

@@ -14,44 +14,18 @@ import numpy as np
 from foretouch.errors import DatasetError
 from foretouch.learning.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.metrics import Score, score
-from foretouch.learning.splits import Fold, group_folds, random_folds, time_folds
+from foretouch.learning.splits import Fold, make_folds
 from foretouch.learning.train import TrainConfig, predict_set, train_network
 from foretouch.learning.training_set import TrainingSet
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["NETWORK", "SPLITS", "evaluate", "make_folds"]
+__all__ = ["NETWORK", "evaluate"]
 
 NETWORK = "network"
-SPLITS = ("random", "time", "object")
-"""Random five folds, five blocks of time within each object, and one object left out."""
-
-_FOLDS = 5
-
 Scores = dict[str, Score]
 Predictor = Callable[[Fold], Float64]
 Mapper = Callable[[Predictor, Sequence[Fold]], Iterator[Float64]]
-
-
-def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fold]:
-    """The folds of a named split.
-
-    Args:
-        samples: All samples.
-        split: Out of `SPLITS`.
-        seed: Shuffles the random split.
-
-    Raises:
-        DatasetError: If there is no such split, or too few samples for it.
-    """
-    objects = [sample.object for sample in samples]
-    if split == "random":
-        return random_folds(len(samples), _FOLDS, np.random.default_rng(seed))
-    if split == "time":
-        return time_folds(objects, [sample.stamp_ns for sample in samples], _FOLDS)
-    if split == "object":
-        return group_folds(objects)
-    raise DatasetError(f"split: {split!r} is none of {', '.join(SPLITS)}")
 
 
 def evaluate(

@@ -25,8 +25,9 @@ from foretouch import __version__
 from foretouch.config import Settings, load_yaml, parse_overrides, setting
 from foretouch.dataset.vision2tactile import folder_sha256, read_folder
 from foretouch.errors import ForetouchError
-from foretouch.learning.evaluation import NETWORK, SPLITS, evaluate
+from foretouch.learning.evaluation import NETWORK, evaluate
 from foretouch.learning.metrics import Score, mean_skill
+from foretouch.learning.splits import SPLITS
 from foretouch.learning.train import TrainConfig, train_network
 from foretouch.learning.training_set import TrainingSet, duplicate_labels
 from foretouch.models.checkpoint import save_network

@@ -15,13 +15,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
+from foretouch.types import GraspSample
 
-__all__ = ["Fold", "group_folds", "random_folds", "time_folds"]
+__all__ = ["SPLITS", "Fold", "group_folds", "make_folds", "random_folds", "time_folds"]
+
+SPLITS: Final = ("random", "time", "object")
+"""Random five folds, five blocks of time within each object, and one object left out."""
+
+_FOLDS: Final = 5
 
 Indices = npt.NDArray[np.intp]
 
@@ -38,6 +45,27 @@ class Fold:
     train: Indices
     test: Indices
     name: str = ""
+
+
+def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fold]:
+    """The folds of a named split.
+
+    Args:
+        samples: All samples.
+        split: Out of `SPLITS`.
+        seed: Shuffles the random split.
+
+    Raises:
+        DatasetError: If there is no such split, or too few samples for it.
+    """
+    objects = [sample.object for sample in samples]
+    if split == "random":
+        return random_folds(len(samples), _FOLDS, np.random.default_rng(seed))
+    if split == "time":
+        return time_folds(objects, [sample.stamp_ns for sample in samples], _FOLDS)
+    if split == "object":
+        return group_folds(objects)
+    raise DatasetError(f"split: {split!r} is none of {', '.join(SPLITS)}")
 
 
 def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:

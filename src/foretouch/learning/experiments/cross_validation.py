@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well is another grasp of the same sessions predicted? P1's five random folds, over all objects.
+
+The easiest question: neighbours in time land on both sides, so object, session and drift are known.
+"""
+
+from __future__ import annotations
+
+from foretouch.learning.experiments.experiment import Experiment
+from foretouch.learning.experiments.folds import FoldRunner, split_parts
+from foretouch.learning.experiments.real_grasps import PRESETS, RealGraspSettings, load, score_table
+from foretouch.learning.experiments.tables import skill_tables
+
+__all__ = ["EXPERIMENT"]
+
+_RUNNER = FoldRunner(split_parts("random"))
+
+EXPERIMENT = Experiment(
+    name="cross_validation",
+    question="How well is another grasp of the same sessions predicted?",
+    module=__name__,
+    settings=RealGraspSettings,
+    presets=PRESETS,
+    load=load,
+    cells=_RUNNER.cells,
+    run=_RUNNER.run,
+    tabulate=score_table,
+    summarise=skill_tables,
+    data_folder="vision2tactile",
+)

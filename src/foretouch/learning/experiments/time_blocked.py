@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well is a later or earlier grasp of the same objects predicted? Five blocks of time within each object.
+
+The folds do not depend on the seed, which here only moves the predictors.
+"""
+
+from __future__ import annotations
+
+from foretouch.learning.experiments.experiment import Experiment
+from foretouch.learning.experiments.folds import FoldRunner, split_parts
+from foretouch.learning.experiments.real_grasps import PRESETS, RealGraspSettings, load, score_table
+from foretouch.learning.experiments.tables import skill_tables
+
+__all__ = ["EXPERIMENT"]
+
+_RUNNER = FoldRunner(split_parts("time"))
+
+EXPERIMENT = Experiment(
+    name="time_blocked",
+    question="How well is a later or earlier grasp of the same objects predicted?",
+    module=__name__,
+    settings=RealGraspSettings,
+    presets=PRESETS,
+    load=load,
+    cells=_RUNNER.cells,
+    run=_RUNNER.run,
+    tabulate=score_table,
+    summarise=skill_tables,
+    data_folder="vision2tactile",
+)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Skill of each predictor with its interval: a panel for each table and modality."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+__all__ = ["LEAST_SKILL", "draw", "draw_skills"]
+
+Rows = Sequence[Mapping[str, Any]]
+
+LEAST_SKILL: Final = -1.5
+"""What lies below is drawn at this edge, as an arrow with its number."""
+
+_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
+
+
+def draw(rows: Rows, folder: Path) -> list[Path]:
+    """`skill.png`: tables below each other, modalities side by side."""
+    shown = [row for row in rows if row["object"] == "all" and row["skill"] is not None]
+    tables = list(dict.fromkeys(row["table"] for row in shown))
+    who = list(dict.fromkeys(row["predictor"] for row in shown))
+    height = 1.0 + len(tables) * (0.7 + 0.3 * len(who))
+    figure = Figure(figsize=(12.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(tables), len(_MODALITIES), squeeze=False, sharey=True, sharex=True)
+    for line, table in zip(grid, tables, strict=True):
+        for axes, modality in zip(line, _MODALITIES, strict=True):
+            draw_skills(axes, [r for r in shown if r["table"] == table and r["modality"] == modality], who)
+            axes.set_title(f"{table}: {modality}", fontsize=10)
+    grid[0, 0].invert_yaxis()
+    for axes in grid[-1]:
+        axes.set_xlabel("skill (0: training mean)")
+    path = folder / "skill.png"
+    figure.savefig(path, dpi=120)
+    return [path]
+
+
+def draw_skills(axes: Axes, rows: Rows, who: Sequence[str]) -> None:
+    """Skill and interval of each predictor, one above the other."""
+    for row in rows:
+        place = who.index(row["predictor"])
+        colour = f"C{place % 10}"
+        if row["skill"] < LEAST_SKILL:
+            axes.plot(LEAST_SKILL, place, marker="<", color=colour, clip_on=False)
+            axes.annotate(f" {row['skill']:.1f}", (LEAST_SKILL, place), va="center", fontsize=8)
+            continue
+        axes.plot(row["skill"], place, marker="o", color=colour)
+        if row["skill_low"] is not None:
+            axes.plot([max(row["skill_low"], LEAST_SKILL), row["skill_high"]], [place, place], color=colour)
+    axes.axvline(0.0, color="grey", linewidth=0.8)
+    axes.set_yticks(range(len(who)), who)
+    axes.grid(visible=True, axis="x", alpha=0.3)
