@@ -41,7 +41,7 @@ def test_ctrl_c_ends_the_recording_in_order(tmp_path: Path) -> None:
     assert process.returncode == 0, err
     last = json.loads(out.splitlines()[-1])
     assert (last["recording"], last["reason"], last["samples"]) == (False, "", 0)
-    assert last["sensors"] == {"TH": "no data", "MF": "no data"}
+    assert last["sensors"] == {"TH": "no data", "MF": "no data", "camera": "no data"}
     (report,) = verify_dataset(tmp_path / "set")
     assert (report.finished, report.faults) == (True, [])
 

@@ -25,6 +25,7 @@ def describe(name):
         ("perception", {"namespace", "camera", "points", "model", "params_file", "one_process", "rviz"}),
         ("camera", {"namespace", "params_file"}),
         ("replay", {"path", "namespace", "model", "params_file", "rviz"}),
+        ("recorder", {"record", "object", "folder", "tactile", "tactile_type", "namespace", "params_file"}),
     ],
 )
 def test_arguments_are_few_named_and_described(name, arguments):
@@ -45,3 +46,23 @@ def test_perception_is_one_process_or_three(together, executables):
     )
     nodes = module.perception(context)
     assert len(nodes) == executables
+
+
+def test_the_recorder_is_given_what_was_said_and_no_more():
+    from launch import LaunchContext
+
+    module, _ = describe("recorder")
+    context = LaunchContext()
+    context.launch_configurations.update(
+        {**dict.fromkeys(module.PARAMETERS, ""), "object": "7", "namespace": "/left", "params_file": ""}
+    )
+    (node,) = module.recorder(context)
+    assert node.node_executable == "foretouch_recorder"
+
+
+def test_the_launch_file_of_the_recorder_names_parameters_that_it_has():
+    from foretouch.ros.recorder_config import RecorderConfig
+
+    module, _ = describe("recorder")
+    known = {*RecorderConfig().to_mapping(), *(f"tactile.{name}" for name in RecorderConfig().tactile.to_mapping())}
+    assert set(module.PARAMETERS.values()) <= known

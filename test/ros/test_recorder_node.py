@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,94 +12,15 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import REST, level
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2
+from robot_builders import MS, QUICK, accounts, start
 
-from foretouch.dataset.recording import HOLD, RecordedDataset, verify_dataset
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject
-from foretouch.ros.clouds import objects_to_msg
-from foretouch.ros.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
+from foretouch.dataset.recording import HOLD, RecordedDataset, TopicAccount, verify_dataset
+from foretouch.ros.conversions import stamp_to_msg
 from foretouch.ros.tactile_messages import biotac_all_to_msg
-from foretouch.types import Cloud, Grasp
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 pytestmark = pytest.mark.ros
-
-MS = 1_000_000
-FRAME = "camera_depth_optical_frame"
-QUICK = {
-    "pairing__guard_s": 0.02,
-    "pairing__tare_s": 0.2,
-    "pairing__wait_s": 1.0,
-    "pairing__clock_s": 10.0,  # the robot below is in a hurry: its stamps run ahead of the clock
-}
-
-
-class Robot:
-    """A camera, a planner and a hand in one: publishes what a grasp looks like, with stamps that it chooses."""
-
-    def __init__(self, graph: Any) -> None:
-        self.clouds = graph.talk(PointCloud2, "object_cloud")
-        self.grasps = graph.talk(GraspArray, "grasps")
-        self.hand = graph.talk(BiotacAll, "/rh/tactile")
-        self.told = graph.talk(ExecutedGrasp, "executed_grasp")
-        for topic in ("object_cloud", "grasps", "/rh/tactile", "executed_grasp"):
-            graph.matched(topic)
-        self.now = time.time_ns()
-        self.sent = {"/rh/tactile": 0, "object_cloud": 0, "grasps": 0, "executed_grasp": 0}
-        self._rng = np.random.default_rng(0)
-
-    def see(self, name: str) -> None:
-        """A cloud whose points tell the grasp, and a grasp planned on it."""
-        xyz = self._rng.normal(size=(300, 3)).astype(np.float32)
-        self.cloud = Cloud(xyz, None, FRAME, self.now)
-        self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
-        grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")
-        other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), np.eye(3), 0.5, f"{name} too", "7")
-        messages = [grasp_to_msg(grasp), grasp_to_msg(other)]
-        self.grasps.publish(GraspArray(header=header_to_msg(FRAME, self.now), grasps=messages))
-        self.sent["object_cloud"] += 1
-        self.sent["grasps"] += 1
-
-    def feel(self, counts: np.ndarray, readings: int) -> None:
-        """So many readings at 100 Hz by the stamps, as fast as they can be sent."""
-        for _ in range(readings):
-            noisy = np.round(counts + self._rng.normal(0, 1, 50) * np.r_[0.3, 0.3, np.full(48, 4.0)]).astype(np.int16)
-            fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
-            self.hand.publish(biotac_all_to_msg(fingers, "rh", self.now))
-            self.now += 10 * MS
-            self.sent["/rh/tactile"] += 1
-            time.sleep(0.001)
-
-    def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
-        """Rest, approach, hold, release; gives the times."""
-        self.now = max(self.now, time.time_ns() - 700 * MS)  # what is felt below is then stamped about now
-        self.see(name)
-        self.now += MS
-        self.feel(REST, 40)
-        times = {"start": stamp_to_msg(self.now)}
-        self.feel(REST, 5)
-        times["contact"] = stamp_to_msg(self.now)
-        self.feel(level(number), 20)
-        times["release"] = stamp_to_msg(self.now)
-        self.feel(REST, 10)
-        if tell:
-            self.told.publish(
-                ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=True, **times)
-            )
-            self.sent["executed_grasp"] += 1
-        return times
-
-
-def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[Any]]:
-    told = graph.listen(RecorderStatus, "recorder_status")
-    (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
-    assert node.state_name == "active"
-    return node, Robot(graph), told
-
-
-def accounts(status: Any) -> dict[str, Any]:
-    return {topic.topic.removeprefix("/foretouch/"): topic for topic in status.topics}
 
 
 def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path) -> None:
@@ -122,7 +41,11 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
         assert one.reliable
     assert status.received == status.used == sum(robot.sent.values())
     assert dict(zip(status.outcomes, status.outcome_counts, strict=True)) == {"recorded": 3}
-    assert list(status.sensor_states) == ["alive", "alive"]
+    assert dict(zip(status.sensors, status.sensor_states, strict=True)) == {
+        "TH": "alive",
+        "MF": "alive",
+        "camera": "alive",
+    }
 
     (report,) = verify_dataset(tmp_path / "set")
     assert not report.faults
@@ -239,14 +162,19 @@ def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path) -> None:
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
     data = serialize_message(biotac_all_to_msg({}, "rh", time.time_ns()))
-    one = node._inputs_of["/rh/tactile"]
+    one = node._intake.inputs["/rh/tactile"]
     for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
         gid = {"data": publisher}
         stamps = {"received_timestamp": 1, "source_timestamp": 1}
         one._receive(data, {"publication_sequence_number": sequence, "publisher_gid": gid, **stamps})
-    graph.until(lambda: accounts(node.status())["/rh/tactile"].received == 6)
+    graph.until(lambda: accounts(node.status())["/rh/tactile"].written == 6)
     assert accounts(node.status())["/rh/tactile"].lost == 2
     assert node.status().lost == 2
+    node.end()
+    assert accounts(node.status())["/rh/tactile"].lost == 2
+    (report,) = verify_dataset(tmp_path / "set")
+    account = report.accounts.topics["/rh/tactile"]
+    assert (account.received, account.written, account.lost) == (6, 6, 2)
 
 
 def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, tmp_path) -> None:
@@ -261,9 +189,22 @@ def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, 
     assert "disk almost full" in status.reason
     assert not status.recording
     graph.until(lambda: told and "disk almost full" in told[-1].reason)
+    robot.feel(REST, 7)
+    graph.until(lambda: sum(node.status().drop_counts) >= sum(status.drop_counts) + 7)
+    status = node.status()
+    (report,) = verify_dataset(tmp_path / "set")
+    assert not report.faults
     for topic in status.topics:
-        assert topic.received == topic.written + sum(topic.drop_counts)
+        dropped = dict(zip(topic.drop_reasons, topic.drop_counts, strict=True))
+        assert topic.received == topic.written + sum(dropped.values())
         assert topic.waiting == 0
-    assert not any(report.faults for report in verify_dataset(tmp_path / "set"))
+        # What the file tells and what only the status can tell add up to all that was sent.
+        late = dropped.pop("after close", 0)
+        account = report.accounts.topics.get(topic.topic, TopicAccount())
+        assert (account.received, account.dropped) == (topic.received - late, dropped)
+    graph.until(lambda: accounts(node.status())["/rh/tactile"].received == robot.sent["/rh/tactile"])
+    assert "after close" in accounts(node.status())["/rh/tactile"].drop_reasons
+    node.end()
+    assert accounts(node.status())["/rh/tactile"].received == robot.sent["/rh/tactile"]
     with RecordedDataset(tmp_path / "set") as dataset:
         assert len(dataset) == 1

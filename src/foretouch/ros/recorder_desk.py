@@ -14,6 +14,8 @@ from rclpy.serialization import deserialize_message
 
 from foretouch.dataset.cdr import read_header
 from foretouch.dataset.pairing import (
+    ALIVE,
+    NO_DATA,
     ContactEpisodes,
     CountedOut,
     Execution,
@@ -40,7 +42,8 @@ from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
 __all__ = ["DeskConfig", "Roles", "SampleDesk"]
 
-_SILENT_S = 1.0
+_SILENT_S = 1.0  # of the hand
+_BLIND_S = 3.0  # the objects of a busy scene may come once a second
 _KEPT_ERRORS = 1000
 
 
@@ -83,7 +86,6 @@ class SampleDesk:
         warn: Told of grasps that were counted out, in words.
 
     Attributes:
-        health: Of the fingertips.
         last_sample: Id of the latest with a touch.
         errors_ns: Pairing errors of the latest 1000 [ns].
     """
@@ -97,7 +99,6 @@ class SampleDesk:
         append: Callable[[SampleRecord], str],
         warn: Callable[[str], None],
     ) -> None:
-        self.health = SensorHealth()
         self.last_sample = ""
         self.errors_ns: deque[int] = deque(maxlen=_KEPT_ERRORS)
         self._adapter = adapter
@@ -121,13 +122,22 @@ class SampleDesk:
         self._unreadable: Counter[str] = Counter()
         self._used_clouds: set[int] = set()
         self._last_unlabelled_ns: int | None = None
+        self._health = SensorHealth()
         self._last_tactile_s = time.monotonic()
+        self._last_cloud_s: float | None = None
         self._lock = threading.Lock()  # of the book: labels come from a service
 
     @property
     def outcomes(self) -> Counter[str]:
         """Executed grasps by outcome."""
         return +self._book.outcomes
+
+    @property
+    def sensors(self) -> dict[str, str]:
+        """State by finger, and of the camera: `alive`, `no data`, or what is wrong."""
+        last = self._last_cloud_s
+        sees = last is not None and time.monotonic() - last <= _BLIND_S
+        return {**self._health.states, "camera": ALIVE if sees else NO_DATA}
 
     @property
     def oddities(self) -> Counter[str]:
@@ -166,7 +176,7 @@ class SampleDesk:
     def settle(self, *, ending: bool = False) -> None:
         """Make the samples that are complete by now; at the end, all (raises as `take`)."""
         if time.monotonic() - self._last_tactile_s > _SILENT_S:
-            self.health.silence()
+            self._health.silence()
         with self._lock:
             results = self._book.poll(time.monotonic(), ending=ending)
         for result in results:
@@ -193,7 +203,7 @@ class SampleDesk:
         reading = self._adapter.read(deserialize_message(arrival.data, self._adapter.message))
         stamp = arrival.received_ns if reading.stamp_ns is None else reading.stamp_ns
         self._last_tactile_s = time.monotonic()
-        self.health.update(reading.counts)
+        self._health.update(reading.counts)
         self._buffer.add(TouchReading(stamp, reading.counts, reading.others, arrival.received_ns))
         if self._buffer.oddities["clock_jump"] != self._jumps:
             self._jumps = self._buffer.oddities["clock_jump"]
@@ -204,6 +214,7 @@ class SampleDesk:
 
     def _take_cloud(self, arrival: Arrival) -> None:
         header = read_header(arrival.data)
+        self._last_cloud_s = time.monotonic()
         for gone in self._clouds.add(header.stamp_ns, arrival.data, time.monotonic()):
             self._give_up(gone)
 

@@ -43,14 +43,15 @@ class Inbox:
         self._bytes = 0
         self._waiting: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
+        self._late: Counter[str] = Counter()
         self._closed = False
 
     def put(self, arrival: Arrival) -> None:
         """Take a message in; returns at once."""
         with self._changed:
             if self._closed:
-                return  # the session is over: no part of its accounts
-            if self._bytes + len(arrival.data) > self._most:
+                self._late[arrival.topic] += 1  # the session's accounts are complete
+            elif self._bytes + len(arrival.data) > self._most:
                 self._refused[arrival.topic] += 1
             else:
                 self._arrivals.append(arrival)
@@ -80,6 +81,11 @@ class Inbox:
         """Whether it takes nothing in any more."""
         with self._changed:
             return self._closed
+
+    def late(self) -> Counter[str]:
+        """Messages that came when it was closed already, by topic."""
+        with self._changed:
+            return Counter(self._late)
 
     def waiting(self) -> Counter[str]:
         """Messages that wait, those included that did not fit and are not yet told, by topic."""

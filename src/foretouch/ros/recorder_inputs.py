@@ -2,7 +2,9 @@
 """Subscriptions of the recorder: serialised messages, reliable wherever that is offered, and what was lost on the way.
 
 A reliable subscriber gets nothing from a best-effort publisher. So every input begins reliable, and is made anew with
-best effort as soon as a publisher on its topic offers no more; it is made reliable again when all do.
+best effort as soon as a publisher on its topic offers no more; it is made reliable again when all do. A parameter
+`qos_overrides.<topic>.subscription.reliability` ends that: then the input is what the parameter says, and a publisher
+that offers less is told of.
 """
 
 from __future__ import annotations
@@ -15,11 +17,15 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.ros.recorder_inbox import Arrival
 
 __all__ = ["InputTopic", "RecorderInput"]
+
+_ADAPTED = QoSPolicyKind.RELIABILITY
+_OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
 
 
 @dataclass(frozen=True)
@@ -50,20 +56,34 @@ class RecorderInput:
         node: Subscribes.
         topic: What to.
         take: Called with every message, in a thread of the executor; must return at once.
+        mismatch: Told of topic, `publisher` and event where a publisher offers less than a parameter asks for.
+
+    Attributes:
+        name: Full name of the topic.
+        reliable: Whether lost messages are sent again.
     """
 
-    def __init__(self, node: Node, topic: InputTopic, take: Callable[[Arrival], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topic: InputTopic,
+        take: Callable[[Arrival], None],
+        mismatch: Callable[[str, str, Any], None],
+    ) -> None:
         self.topic = topic
+        self.name: str = node.resolve_topic_name(topic.name)
         self.reliable = True
         self._node = node
         self._take = take
+        self._mismatch = mismatch
+        wish = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
+        self._pinned = wish in getattr(node, "_parameter_overrides", {})
         self._lock = threading.Lock()
         self._last: dict[bytes, int] = {}
         self._gaps = 0
         self._events = 0
         self._group = MutuallyExclusiveCallbackGroup()
         self._subscription = self._subscribe()
-        self.name: str = self._subscription.topic_name
 
     @property
     def lost(self) -> int:
@@ -78,6 +98,8 @@ class RecorderInput:
 
     def adapt(self) -> bool:
         """Look at what the publishers offer; whether the subscription was made anew."""
+        if self._pinned:
+            return False
         offered = {info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(self.name)}
         reliable = ReliabilityPolicy.BEST_EFFORT not in offered
         if not offered or reliable == self.reliable:
@@ -93,19 +115,25 @@ class RecorderInput:
 
     def _subscribe(self) -> Any:
         reliability = ReliabilityPolicy.RELIABLE if self.reliable else ReliabilityPolicy.BEST_EFFORT
-        return self._node.create_subscription(
+        profile = QoSProfile(depth=self.topic.depth, reliability=reliability)
+        subscription = self._node.create_subscription(
             self.topic.message,
             self.topic.name,
             self._receive,
-            QoSProfile(depth=self.topic.depth, reliability=reliability),
+            profile,
             callback_group=self._group,
+            qos_overriding_options=QoSOverridingOptions((*_OVERRIDDEN, *[_ADAPTED] * self._pinned)),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=lambda _: None,  # `adapt` sees to it
-                message_lost=self._lose,
-                use_default_callbacks=False,
+                incompatible_qos=self._differ, message_lost=self._lose, use_default_callbacks=False
             ),
             raw=True,
         )
+        self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
+        return subscription
+
+    def _differ(self, event: Any) -> None:
+        if self._pinned:  # else `adapt` sees to it
+            self._mismatch(self.topic.name, "publisher", event)
 
     def _receive(self, data: bytes, info: Any) -> None:
         sequence = info.get("publication_sequence_number")

@@ -8,7 +8,6 @@ waits for the disk, pairs and makes samples. Services have a callback group of t
 from __future__ import annotations
 
 import time
-from collections import Counter, deque
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -17,22 +16,22 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.pairing import Interval, Label
-from foretouch.dataset.recording import Outcome, RecordingWriter
+from foretouch.dataset.pairing import Label
+from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.recording.record import check_name
-from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.conversions import stamp_ns
+from foretouch.errors import ConfigError
 from foretouch.ros.node_base import ForetouchNode
 from foretouch.ros.recorder_config import RecorderConfig
 from foretouch.ros.recorder_desk import DeskConfig, Roles, SampleDesk
-from foretouch.ros.recorder_inbox import Arrival, Inbox
-from foretouch.ros.recorder_inputs import InputTopic, RecorderInput
+from foretouch.ros.recorder_inbox import Inbox
+from foretouch.ros.recorder_inputs import InputTopic
+from foretouch.ros.recorder_intake import Intake
 from foretouch.ros.recorder_samples import SampleMaker
+from foretouch.ros.recorder_services import RecorderServices
 from foretouch.ros.recorder_session import Session, SessionView
-from foretouch.ros.recorder_status import Inflow, status_to_msg
+from foretouch.ros.recorder_status import status_to_msg
 from foretouch.ros.tactile_adapters import TactileAdapter, make_adapter
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
-from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
 __all__ = ["RecorderNode"]
 
@@ -41,25 +40,25 @@ _TICK_S = 0.5
 _DEPTH = 1000  # messages that the middleware may hold while this process does not get to run
 _CLOUD_DEPTH = 100
 _RAW_DEPTH = 20
-_OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 
 
 class RecorderNode(ForetouchNode[RecorderConfig]):
-    """The recorder as a lifecycle node; deactivating it ends the recording."""
+    """The recorder as a lifecycle node; deactivating it ends the recording.
+
+    Attributes:
+        path: Of the dataset at hand, or of the last one; "" before the first.
+        reason: Why the last recording ended by itself, or "".
+    """
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        self._inputs_of: dict[str, RecorderInput] = {}
+        self.path = ""
+        self.reason = ""
+        self._intake: Intake | None = None
+        self._offered: RecorderServices | None = None
         self._adapter: TactileAdapter | None = None
-        self._roles: Roles | None = None
-        self._inbox: Inbox | None = None
         self._session: Session | None = None
         self._view = SessionView()
-        self._path = ""
-        self._file = ""
-        self._reason = ""
         self._duration_s = 0.0
-        self._arrived: Counter[str] = Counter()
-        self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=11)
         super().__init__(name, RecorderConfig, **options)
 
     # Hooks of the base.
@@ -68,23 +67,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         """Subscribe, advertise, offer the services."""
         self._adapter = make_adapter(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
-        for topic in self._wanted(self._adapter):
-            one = RecorderInput(self, topic, self._take)
-            self._inputs_of[one.name] = one
-        names = {one.topic.name: name for name, one in self._inputs_of.items()}
-        self._roles = Roles(
-            tactile=names[self.config.tactile_topic],
-            clouds=names["object_cloud"],
-            grasps=names["grasps"],
-            executed=names["executed_grasp"],
-        )
+        self._intake = Intake(self, self._wanted(self._adapter), self._mismatch)
         group = MutuallyExclusiveCallbackGroup()
-        self._services = [
-            self.create_service(StartRecording, "start_recording", self._start_recording, callback_group=group),
-            self.create_service(StopRecording, "stop_recording", self._stop_recording, callback_group=group),
-            self.create_service(LabelGrasp, "label_grasp", self._label_grasp, callback_group=group),
-        ]
         self._timer = self.create_timer(_TICK_S, self._tick, callback_group=group)
+        self._offered = RecorderServices(self, group)
 
     def start(self) -> None:
         """Record, where the settings say so."""
@@ -97,18 +83,16 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def teardown(self) -> None:
         """Listen no more."""
-        for one in self._inputs_of.values():
-            one.destroy()
-        if self._adapter is not None:
-            for service in self._services:
-                self.destroy_service(service)
+        if self._offered is not None:
+            self._offered.destroy()
             self.destroy_timer(self._timer)
-        self._inputs_of.clear()
-        self._adapter = self._roles = None
+        if self._intake is not None:
+            self._intake.destroy()
+        self._offered = self._intake = self._adapter = None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
-        return (self._reason,) if self._reason else ()
+        return (self.reason,) if self.reason else ()
 
     def notes(self) -> dict[str, str]:
         """The counts."""
@@ -136,6 +120,11 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         return self._session is not None and not self._session.ended.is_set()
 
     @property
+    def in_session(self) -> bool:
+        """Whether there is something to end: a session that goes on, or has just ended by itself."""
+        return self._session is not None
+
+    @property
     def samples(self) -> int:
         """Labelled samples of the session at hand, or of the last one."""
         return self._view_now().samples
@@ -157,18 +146,85 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             FileError: If it cannot be written, or is of another hand or camera.
         """
         if self.recording:
-            raise ConfigError(f"{self._path} is being recorded; stop it first")
+            raise ConfigError(f"{self.path} is being recorded; stop it first")
         self.end()
         if label:
             check_name(label, "object")
-        assert self._adapter is not None  # noqa: S101  setup made both
-        assert self._roles is not None  # noqa: S101
+        assert self._intake is not None  # noqa: S101  setup made it
         config = self.config
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
         writer = RecordingWriter(target, config.who(), config.writing)
-        for name, one in self._inputs_of.items():
+        for name, one in self._intake.inputs.items():
             writer.add_topic(name, one.topic.type_name)
-            one.reset()
+        inbox = Inbox(config.queue_mb * _MB)
+        self._intake.open(inbox)
+        self._session = Session(writer, inbox, self._desk_maker(label, note), self._intake.lost, self._warn)
+        self.path, self.reason = str(target), ""
+        self.get_logger().info(f"recording into {writer.file}")
+        return target
+
+    def end(self) -> SessionView:
+        """End the session, if one goes on; gives what became of the last one."""
+        if self._intake is not None:
+            self._intake.close()
+        self._conclude()
+        return self._view
+
+    def label(self, label: Label) -> tuple[str, str]:
+        """What the operator says of a grasp (see `GraspBook.label`).
+
+        Raises:
+            ConfigError: If no session goes on.
+            PairingError: If the grasp is not known, or its sample is complete.
+        """
+        session = self._session
+        if session is None:
+            raise ConfigError("nothing is being recorded")
+        return session.desk.label(label)
+
+    def status(self) -> RecorderStatus:
+        """What `recorder_status` tells now."""
+        session, view = self._session, self._view_now()
+        return status_to_msg(
+            view,
+            {} if self._intake is None else self._intake.inflows(),
+            path=self.path,
+            recording=self.recording,
+            duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
+            reason=view.error or self.reason,
+            now_ns=self.get_clock().now().nanoseconds,
+        )
+
+    # Its own affairs.
+
+    def _tick(self) -> None:
+        intake = self._intake
+        for text in () if intake is None else intake.tick():
+            self.get_logger().info(text)
+        session = self._session
+        if session is not None and session.ended.is_set():  # by itself; what still comes is counted as such
+            self._conclude()
+            self.get_logger().error(self.reason or "the recording has ended")
+        self._status.publish(self.status())
+
+    def _conclude(self) -> None:
+        session = self._session
+        if session is not None:
+            session.close()
+            self._view, self.reason, self._session = session.view, session.view.error, None
+            self._duration_s = time.monotonic() - session.began_s
+
+    def _desk_maker(self, label: str, note: str) -> Any:
+        """Makes the desk of a session, given what writes a record."""
+        assert self._adapter is not None  # noqa: S101  setup made both
+        assert self._intake is not None  # noqa: S101
+        config, name = self.config, self._intake.name
+        roles = Roles(
+            tactile=name(config.tactile_topic),
+            clouds=name("object_cloud"),
+            grasps=name("grasps"),
+            executed=name("executed_grasp"),
+        )
         maker = SampleMaker(object=label, note=note, others=self._adapter.others, flags=self._adapter.flags)
         how = DeskConfig(
             pairing=config.pairing,
@@ -176,93 +232,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             assume_grasps=config.assume_grasps,
             unlabelled_s=config.unlabelled_s if config.unlabelled else None,
         )
-        inbox = Inbox(config.queue_mb * _MB)
-        make_desk = partial(SampleDesk, self._roles, self._adapter, maker, how, warn=self._warn)
-        self._session = Session(writer, inbox, make_desk, self._warn)
-        self._path, self._file, self._reason, self._inbox = str(target), str(writer.file), "", inbox
-        self.get_logger().info("recording into " + self._file)
-        return target
-
-    def end(self) -> SessionView:
-        """End the session, if one goes on; gives what became of the last one."""
-        session, self._inbox = self._session, None
-        if session is not None:
-            session.close()
-            self._view, self._reason, self._session = session.view, session.view.error, None
-            self._duration_s = time.monotonic() - session.began_s
-        return self._view
-
-    def status(self) -> RecorderStatus:
-        """What `recorder_status` tells now."""
-        session, inbox = self._session, self._inbox
-        waiting: Counter[str] = Counter() if inbox is None else inbox.waiting()
-        rates = self._rates()
-        inflows = {
-            name: Inflow(waiting=waiting[name], lost=one.lost, reliable=one.reliable, rate_hz=rates.get(name, 0.0))
-            for name, one in list(self._inputs_of.items())
-        }
-        view = self._view_now()
-        return status_to_msg(
-            view,
-            inflows,
-            path=self._path,
-            recording=self.recording,
-            duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
-            reason=view.error or self._reason,
-            now_ns=self.get_clock().now().nanoseconds,
-        )
-
-    # Callbacks.
-
-    def _take(self, arrival: Arrival) -> None:
-        self._arrived[arrival.topic] += 1
-        inbox = self._inbox
-        if inbox is not None:
-            inbox.put(arrival)
-
-    def _tick(self) -> None:
-        for one in self._inputs_of.values():
-            if one.adapt():
-                kind = "reliable" if one.reliable else "best effort"
-                self.get_logger().info(f"{one.name}: is offered {kind}, and subscribed to likewise")
-        self._ticks.append((time.monotonic(), Counter(self._arrived)))
-        session = self._session
-        if session is not None and session.ended.is_set():  # by itself: the disk takes no more
-            self.end()
-            self.get_logger().error(self._reason or "the recording has ended")
-        self._status.publish(self.status())
-
-    def _start_recording(self, request: Any, response: Any) -> Any:
-        try:
-            if self.state_name != "active":
-                raise ConfigError(f"the recorder is {self.state_name}")
-            response.path = str(self.begin(request.path, request.object, request.note))
-            response.success = True
-        except ForetouchError as err:
-            response.message = str(err)
-        return response
-
-    def _stop_recording(self, _request: Any, response: Any) -> Any:
-        if self._session is None:
-            response.message = self._reason or "nothing is being recorded"
-            return response
-        view = self.end()
-        response.path, response.samples, response.message = self._path, view.samples, view.error
-        response.success = not view.error
-        return response
-
-    def _label_grasp(self, request: Any, response: Any) -> Any:
-        session = self._session
-        try:
-            if session is None:
-                raise ConfigError("nothing is being recorded")
-            response.grasp_id, response.message = session.desk.label(_label(request))
-            response.success = True
-        except ForetouchError as err:
-            response.grasp_id, response.message = request.grasp_id, str(err)
-        return response
-
-    # Its own affairs.
+        return partial(SampleDesk, roles, self._adapter, maker, how, warn=self._warn)
 
     def _wanted(self, adapter: TactileAdapter) -> list[InputTopic]:
         topics = [
@@ -281,31 +251,3 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
     def _view_now(self) -> SessionView:
         session = self._session
         return self._view if session is None else session.view
-
-    def _rates(self) -> dict[str, float]:
-        if len(self._ticks) < 2:
-            return {}
-        (first_s, first), (last_s, last) = self._ticks[0], self._ticks[-1]
-        return {name: (last[name] - first[name]) / (last_s - first_s) for name in last}
-
-
-def _label(request: Any) -> Label:
-    """The request in the core's words.
-
-    Raises:
-        ConfigError: If the outcome is no known one.
-        DatasetError: If the label of the object is no plain name.
-    """
-    if request.outcome >= len(_OUTCOMES):
-        raise ConfigError(f"outcome: {request.outcome} is none of UNKNOWN, SUCCESS, FAILURE")
-    if request.object:
-        check_name(request.object, "object")
-    start, contact, release = (stamp_ns(time) for time in (request.start, request.contact, request.release))
-    return Label(
-        grasp_id=request.grasp_id,
-        object=request.object,
-        discard=request.discard,
-        note=request.note,
-        outcome=_OUTCOMES[request.outcome],
-        interval=Interval(start=start, contact=contact, release=release) if contact or release else None,
-    )

@@ -30,14 +30,14 @@ class SessionView:
     """What a session has done so far; nothing in it changes.
 
     Attributes:
-        accounts: By topic; what waits in the inbox is not among it.
+        accounts: By topic; neither what waits in the inbox is among it, nor what came after the session had ended.
         samples: With a touch.
         unlabelled: Without.
         outcomes: Executed grasps by outcome.
         oddities: Of the tactile stamps, and messages that could not be read.
         last_sample: Its id.
         pairing_errors_ns: Of the labelled samples, the latest 1000.
-        sensors: State by finger.
+        sensors: State by finger, and of the camera.
         bytes_written: Size of the file.
         bytes_per_s: At present.
         free_bytes: Until the session ends by itself.
@@ -65,6 +65,7 @@ class Session:
         writer: Open; closed here.
         inbox: Where messages come from.
         make_desk: Makes the desk, given what writes a record.
+        losses: Tells what the middleware has lost since the session began, by topic.
         warn: Told what goes wrong.
 
     Attributes:
@@ -78,16 +79,19 @@ class Session:
         writer: RecordingWriter,
         inbox: Inbox,
         make_desk: Callable[[Callable[[SampleRecord], str]], SampleDesk],
+        losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], None],
     ) -> None:
         self.writer = writer
         self.desk = make_desk(writer.append)
-        self.view = SessionView(sensors=dict(self.desk.health.states))
+        self.view = SessionView(sensors=self.desk.sensors)
         self.ended = threading.Event()
         self.began_s = time.monotonic()
         self._inbox = inbox
+        self._losses = losses
         self._warn = warn
         self._sizes: deque[tuple[float, int]] = deque()
+        writer.before_end = self._book_rest
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -114,24 +118,30 @@ class Session:
         self.ended.set()
 
     def _close(self, error: str) -> str:
-        """Account for what is left, and close the file."""
+        try:
+            self.writer.close()
+        except ForetouchError as err:
+            return error or str(err)
+        return error
+
+    def _book_rest(self) -> None:
+        """Take nothing more in, and account for what nobody will look into: called before the last accounts."""
         self._inbox.close()
         left, refused = self._inbox.take(0.0)
         for topic, count in (Counter(arrival.topic for arrival in left) + refused).items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "session ended", count)
-        try:
-            self.writer.close()
-        except ForetouchError as err:
-            return error or str(err)
-        finally:
-            self.writer.accounts.settle("session ended")
-        return error
+        self._book_losses()
+
+    def _book_losses(self) -> None:
+        for topic, count in self._losses().items():
+            self.writer.lose(topic, count)
 
     def _work(self, arrivals: list[Arrival], refused: Counter[str], *, ending: bool = False) -> None:
         for topic, count in refused.items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "queue full", count)
+        self._book_losses()
         for arrival in arrivals:  # booked before anything can fail
             self.writer.receive(arrival.topic)
         for arrival in arrivals:
@@ -163,7 +173,7 @@ class Session:
             oddities=self.desk.oddities,
             last_sample=self.desk.last_sample,
             pairing_errors_ns=tuple(self.desk.errors_ns),
-            sensors=dict(self.desk.health.states),
+            sensors=self.desk.sensors,
             bytes_written=size,
             bytes_per_s=(size - then) / (now - since_s) if now > since_s else 0.0,
             free_bytes=0 if error else self.writer.free_bytes,

@@ -14,22 +14,25 @@ from foretouch.ros.recorder_session import SessionView
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
 
-__all__ = ["Inflow", "status_to_msg"]
+__all__ = ["AFTER_CLOSE", "Inflow", "status_to_msg"]
+
+AFTER_CLOSE = "after close"
+"""Why messages are dropped that come when the disk is full: the one reason that stands in no file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inflow:
-    """What is known of a topic before its messages reach the session.
+    """What is known of a topic beside the session's accounts.
 
     Attributes:
         waiting: Messages in the queue.
-        lost: By the middleware.
+        late: Messages that came after the session had ended by itself: its file was closed and cannot tell of them.
         reliable: Whether lost messages are sent again.
         rate_hz: Of arrival [Hz].
     """
 
     waiting: int = 0
-    lost: int = 0
+    late: int = 0
     reliable: bool = True
     rate_hz: float = 0.0
 
@@ -59,6 +62,7 @@ def status_to_msg(
     accounts = {name: received.get(name, TopicAccount()) for name in (*inflows, *received)}
     topics = [_topic(name, account, inflows.get(name, Inflow())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
+    drops[AFTER_CLOSE] += sum(inflow.late for inflow in inflows.values())
     errors = [error * 1e-9 for error in view.pairing_errors_ns]
     flowing = recording and view.bytes_per_s > 0.0
     return RecorderStatus(
@@ -74,7 +78,7 @@ def status_to_msg(
         **_counts("drop_reasons", "drop_counts", drops),
         status=Status.FAILED if reason else Status.OK,
         reason=reason,
-        lost=sum(inflow.lost for inflow in inflows.values()),
+        lost=sum(topic.lost for topic in topics),
         topics=topics,
         **_counts("outcomes", "outcome_counts", view.outcomes),
         last_sample=view.last_sample,
@@ -89,11 +93,11 @@ def status_to_msg(
 def _topic(name: str, account: TopicAccount, inflow: Inflow) -> TopicAccountMsg:
     return TopicAccountMsg(
         topic=name,
-        received=account.received + inflow.waiting,
+        received=account.received + inflow.waiting + inflow.late,
         written=account.written,
         waiting=account.pending + inflow.waiting,
-        **_counts("drop_reasons", "drop_counts", account.dropped),
-        lost=inflow.lost,
+        **_counts("drop_reasons", "drop_counts", account.dropped + Counter({AFTER_CLOSE: inflow.late})),
+        lost=account.lost,
         reliable=inflow.reliable,
         rate=inflow.rate_hz,
     )

@@ -6,10 +6,12 @@ from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError,
 from foretouch.dataset.pairing.grasp_book import GraspBook
 from foretouch.dataset.pairing.kept_clouds import KeptCloud, KeptClouds
 from foretouch.dataset.pairing.linked import CountedOut, Execution, Label, Linked, Plan
-from foretouch.dataset.pairing.sensor_health import SensorHealth
+from foretouch.dataset.pairing.sensor_health import ALIVE, NO_DATA, SensorHealth
 from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchReading
 
 __all__ = [
+    "ALIVE",
+    "NO_DATA",
     "ContactEpisodes",
     "CountedOut",
     "Episode",

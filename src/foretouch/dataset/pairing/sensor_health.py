@@ -8,9 +8,10 @@ from foretouch.tactile.contact_detector import FINGER_COLUMNS
 from foretouch.tactile.validity import CONSTANT_SAMPLES
 from foretouch.types import Float32, Touch
 
-__all__ = ["ALIVE", "SensorHealth"]
+__all__ = ["ALIVE", "NO_DATA", "SensorHealth"]
 
 ALIVE = "alive"
+NO_DATA = "no data"
 _FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repeats an old message
 
 
@@ -26,7 +27,7 @@ class SensorHealth:
     """
 
     def __init__(self, constant: int = CONSTANT_SAMPLES, frozen: int = _FROZEN_SAMPLES) -> None:
-        self.states = dict.fromkeys(FINGER_COLUMNS, "no data")
+        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
         self._constant = constant
         self._frozen = frozen
         self._last: dict[str, Float32] = {}
@@ -45,7 +46,7 @@ class SensorHealth:
 
     def silence(self) -> None:
         """Nothing has come for a while."""
-        self.states = dict.fromkeys(FINGER_COLUMNS, "no data")
+        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
 
     def _count(self, finger: str, mine: Float32) -> None:
         last = self._last.get(finger)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot for the tests of the recorder: it sends what a grasp looks and feels like, with stamps that it chooses."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pair_builders import REST, level
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+from foretouch.ros.clouds import objects_to_msg
+from foretouch.ros.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
+from foretouch.ros.tactile_messages import biotac_all_to_msg
+from foretouch.types import Cloud, Grasp
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
+
+MS = 1_000_000
+FRAME = "camera_depth_optical_frame"
+QUICK = {
+    "pairing__guard_s": 0.02,
+    "pairing__tare_s": 0.2,
+    "pairing__wait_s": 1.0,
+    "pairing__clock_s": 10.0,  # the robot below is in a hurry: its stamps run ahead of the clock
+}
+
+
+class Robot:
+    """A camera, a planner and a hand in one: publishes what a grasp looks like, with stamps that it chooses."""
+
+    def __init__(self, graph: Any) -> None:
+        self.clouds = graph.talk(PointCloud2, "object_cloud")
+        self.grasps = graph.talk(GraspArray, "grasps")
+        self.hand = graph.talk(BiotacAll, "/rh/tactile")
+        self.told = graph.talk(ExecutedGrasp, "executed_grasp")
+        for topic in ("object_cloud", "grasps", "/rh/tactile", "executed_grasp"):
+            graph.matched(topic)
+        self.now = time.time_ns()
+        self.sent = {"/rh/tactile": 0, "object_cloud": 0, "grasps": 0, "executed_grasp": 0}
+        self._rng = np.random.default_rng(0)
+
+    def see(self, name: str) -> None:
+        """A cloud whose points tell the grasp, and a grasp planned on it."""
+        xyz = self._rng.normal(size=(300, 3)).astype(np.float32)
+        self.cloud = Cloud(xyz, None, FRAME, self.now)
+        self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
+        grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")
+        other = Grasp(np.array([0.0, 0.02, 0.5]), np.array([0.0, -0.02, 0.5]), np.eye(3), 0.5, f"{name} too", "7")
+        messages = [grasp_to_msg(grasp), grasp_to_msg(other)]
+        self.grasps.publish(GraspArray(header=header_to_msg(FRAME, self.now), grasps=messages))
+        self.sent["object_cloud"] += 1
+        self.sent["grasps"] += 1
+
+    def feel(self, counts: np.ndarray, readings: int) -> None:
+        """So many readings at 100 Hz by the stamps, as fast as they can be sent."""
+        for _ in range(readings):
+            noisy = np.round(counts + self._rng.normal(0, 1, 50) * np.r_[0.3, 0.3, np.full(48, 4.0)]).astype(np.int16)
+            fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
+            self.hand.publish(biotac_all_to_msg(fingers, "rh", self.now))
+            self.now += 10 * MS
+            self.sent["/rh/tactile"] += 1
+            time.sleep(0.001)
+
+    def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
+        """Rest, approach, hold, release; gives the times."""
+        self.now = max(self.now, time.time_ns() - 700 * MS)  # what is felt below is then stamped about now
+        self.see(name)
+        self.now += MS
+        self.feel(REST, 40)
+        times = {"start": stamp_to_msg(self.now)}
+        self.feel(REST, 5)
+        times["contact"] = stamp_to_msg(self.now)
+        self.feel(level(number), 20)
+        times["release"] = stamp_to_msg(self.now)
+        self.feel(REST, 10)
+        if tell:
+            self.told.publish(
+                ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=name, success=True, **times)
+            )
+            self.sent["executed_grasp"] += 1
+        return times
+
+
+def start(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, list[Any]]:
+    told = graph.listen(RecorderStatus, "recorder_status")
+    (node,) = graph.add("recorder", record=str(path), object="can", **{**QUICK, **parameters})
+    assert node.state_name == "active"
+    return node, Robot(graph), told
+
+
+def accounts(status: Any) -> dict[str, Any]:
+    return {topic.topic.removeprefix("/foretouch/"): topic for topic in status.topics}
