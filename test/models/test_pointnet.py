@@ -4,7 +4,10 @@
 import pytest
 import torch
 
-from foretouch.models.pointnet import InputTransform, make_layers, pool
+from foretouch.models import pointnet
+from foretouch.models.normalisation import freeze
+from foretouch.models.pointnet import InputTransform, PointNetFeatures, make_layers, pool
+from foretouch.models.settings import ModelConfig
 
 F64 = torch.float64
 
@@ -65,3 +68,61 @@ def test_the_transform_gives_the_same_with_and_without_gradients() -> None:
     with torch.no_grad():
         plain = transform(points)
     torch.testing.assert_close(transform(points), plain)
+
+
+def plain_features(net: PointNetFeatures, points: torch.Tensor) -> torch.Tensor:
+    """The plain composition: every layer over every point, torch's own batch norm, then the maximum."""
+
+    def run(stack: torch.nn.Module, x: torch.Tensor) -> torch.Tensor:
+        for layer in stack:
+            x = layer.linear(x)
+            x = torch.relu(layer.norm(x.flatten(0, -2)).view_as(x))
+        return x
+
+    if net.transform is not None:
+        matrix = net.transform.matrix(run(net.transform.cloud, run(net.transform.points, points).amax(dim=1)))
+        points = torch.cat([points[..., :3] @ matrix.view(-1, 3, 3), points[..., 3:]], dim=-1)
+    return run(net.layers, points).amax(dim=1)
+
+
+def features_and_gradients(
+    way, dtype: torch.dtype, mode: str, changes: dict[str, object]
+) -> tuple[list[torch.Tensor], dict[str, torch.Tensor]]:
+    torch.manual_seed(2)
+    config = ModelConfig(channels="xyz+normals", tnet_widths=(16, 32, 64, 32, 16), trunk_widths=(16, 32, 64))
+    net = PointNetFeatures(config.replace(**changes))
+    for layer in (module for module in net.modules() if isinstance(module, torch.nn.BatchNorm1d)):
+        torch.nn.init.normal_(layer.weight)  # negative scales too
+    points = torch.randn(6, 60, 6)
+    net = net.to(dtype).train()
+    if mode == "frozen":
+        net(points.to(dtype))
+        freeze(net)
+    x = points.to(dtype).requires_grad_()
+    features = way(net, x)
+    slopes = torch.linspace(-1.0, 2.0, features.numel(), dtype=dtype).view_as(features)
+    gradients = torch.autograd.grad((features * slopes).sum(), [x, *net.parameters()])
+    return [features, *gradients], net.state_dict()
+
+
+@pytest.mark.parametrize("changes", [{}, {"tnet": False}, {"trunk_widths": (32, 16)}], ids=str)
+@pytest.mark.parametrize("mode", ["frozen", "training"])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+def test_the_whole_network_equals_the_plain_composition(monkeypatch, dtype, mode, changes) -> None:
+    monkeypatch.setattr(pointnet, "_worth_moments", lambda _rows, linear: linear.in_features <= linear.out_features)
+    quick, quick_state = features_and_gradients(lambda net, x: net(x), dtype, mode, changes)
+    plain, plain_state = features_and_gradients(plain_features, F64, mode, changes)
+    nearness = 1e-10 if dtype is F64 else 1e-5
+    largest = max(float(two.detach().norm()) for two in plain[1:])  # the bias before a batch norm has none of its own
+    for one, two in zip(quick, plain, strict=True):
+        assert float((one - two).detach().norm()) <= nearness * max(0.1 * largest, float(two.detach().norm()))
+    for name, value in quick_state.items():
+        torch.testing.assert_close(value.double(), plain_state[name].double(), rtol=nearness, atol=nearness)
+
+
+def test_small_batches_take_the_plain_way_and_large_ones_the_quick(monkeypatch) -> None:
+    net = layers().train()
+    found = [net[-1].map_of(torch.randn(2, size, 8, dtype=F64)) is None for size in (10, 40_000)]
+    assert found == [True, False]
+    monkeypatch.setattr(pointnet, "_worth_moments", lambda *_: True)
+    assert net[-1].map_of(torch.randn(2, 8, dtype=F64)) is None  # rows of a head, not points

@@ -14,22 +14,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from foretouch.errors import ModelError
+from foretouch.models.batch_affine import Total, batch_affine, synced_norm
+from foretouch.models.pooling import pooled_affine
 from foretouch.models.settings import ModelConfig
 
 __all__ = ["InputTransform", "Layer", "PointNetFeatures", "make_layers", "pool"]
+
+_ENOUGH_VALUES: Final = 2**19
+"""Values of a layer, rows x outputs, from which moments are quicker than batch norm itself."""
+
+_ENOUGH_ROWS: Final = 32
+"""Rows for each input that a layer must have for the same: the moments' own matrices take inputs² each."""
 
 
 class Layer(nn.Module):
     """Linear map, batch norm over all leading axes (or none), ReLU.
 
     Shapes: (..., in_width) to (..., out_width).
+
+    Attributes:
+        total: Sums over the processes that share a batch out, for the statistics of batch norm; None where there is
+            one process. It is no part of the weights.
     """
+
+    total: Total | None = None
 
     def __init__(self, in_width: int, out_width: int, *, norm: bool = True) -> None:
         super().__init__()
@@ -51,14 +66,36 @@ class Layer(nn.Module):
         scale = self.norm.weight / torch.sqrt(variance + self.norm.eps)
         return self.linear.weight * scale[:, None], (self.linear.bias - mean) * scale + self.norm.bias
 
+    def map_of(self, x: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Weight and bias of the affine map that the layer is for this batch, where finding them is the quick way.
+
+        With batch norm in training that is `batch_affine`. The plain way is taken where there are few rows, as in the
+        head, or fewer outputs than inputs, or nothing but a prediction is wanted, for which `folding` exists.
+        """
+        if self.norm is None or not self.norm.training:
+            return self.folded() if self.training or torch.is_grad_enabled() else None
+        if x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
+            return batch_affine(x, self.linear, self.norm, self.total)
+        return None
+
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""
-        if self.affine and torch.is_grad_enabled():  # spares two passes over the points, and their gradients
-            return torch.relu(functional.linear(x, *self.folded()))
+        found = self.map_of(x)
+        if found is not None:  # spares two passes over the points, and their gradients
+            return torch.relu(functional.linear(x, *found))
         y: Tensor = self.linear(x)
-        if self.norm is not None:
-            y = self.norm(y.flatten(0, -2)).view_as(y)
-        return torch.relu(y)
+        if self.norm is None:
+            return torch.relu(y)
+        rows = y.flatten(0, -2)
+        if self.norm.training and self.total is not None:
+            return torch.relu(synced_norm(rows, self.norm, self.total).view_as(y))
+        return torch.relu(self.norm(rows).view_as(y))
+
+
+def _worth_moments(rows: int, linear: nn.Linear) -> bool:
+    if linear.in_features > linear.out_features:
+        return False
+    return rows * linear.out_features >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * linear.in_features
 
 
 def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:
@@ -66,31 +103,23 @@ def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:
     return nn.Sequential(*[Layer(a, b, norm=norm) for a, b in pairwise(widths)])
 
 
-def pool(layers: nn.Sequential, points: Tensor) -> Tensor:
+def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
     """The largest value of each feature over the points, after some layers.
-
-    Where the last layer is affine and gradients are wanted, the point that wins each feature is found without
-    them, and the feature is computed once more from that point alone. Value and gradient are the same, but
-    for rounding, and the gradient costs a product for each feature instead of one for each feature and point.
 
     Shapes: (B, N, C) to (B, F).
 
     Args:
         layers: At least one.
         points: The clouds.
+        precision: Of the search for the winners; see `pooled_affine`.
     """
     last = layers[-1]
-    if not (isinstance(last, Layer) and last.affine and torch.is_grad_enabled()):
-        features: Tensor = layers(points).amax(dim=1)
-        return features
     hidden: Tensor = layers[:-1](points)
-    weight, bias = last.folded()
-    with torch.no_grad():  # bias and ReLU move no winner
-        winner = (weight @ hidden.transpose(1, 2).contiguous()).argmax(dim=-1)
-    clouds, size = hidden.shape[:2]
-    rows = (winner + size * torch.arange(clouds, device=winner.device)[:, None]).flatten()
-    chosen = hidden.flatten(0, 1).index_select(0, rows).view(clouds, -1, hidden.shape[2])
-    return torch.relu((chosen * weight).sum(dim=-1) + bias)
+    found = last.map_of(hidden) if isinstance(last, Layer) else None
+    if found is None:
+        features: Tensor = last(hidden).amax(dim=1)
+        return features
+    return pooled_affine(hidden, *found, precision)
 
 
 class InputTransform(nn.Module):
@@ -99,7 +128,12 @@ class InputTransform(nn.Module):
     Only x, y, z are turned; colours and normals pass unchanged. It starts as the identity.
 
     Shapes: (B, N, C) to (B, N, C), C at least 3.
+
+    Attributes:
+        precision: Of the search for the winning points in training.
     """
+
+    precision: torch.dtype = torch.float32
 
     def __init__(self, channels: int, widths: Sequence[int]) -> None:
         super().__init__()
@@ -112,7 +146,7 @@ class InputTransform(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         """Turn the points."""
-        matrix = self.matrix(self.cloud(pool(self.points, points))).view(-1, 3, 3)
+        matrix = self.matrix(self.cloud(pool(self.points, points, self.precision))).view(-1, 3, 3)
         return torch.cat([points[..., :3] @ matrix, points[..., 3:]], dim=-1)
 
 
@@ -120,7 +154,12 @@ class PointNetFeatures(nn.Module):
     """The feature vector of a cloud: f(x) in P2, compared by the losses of the SR-GAN.
 
     Shapes: (B, N, C) to (B, F).
+
+    Attributes:
+        precision: Of the search for the winning points in training.
     """
+
+    precision: torch.dtype = torch.float32
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -132,4 +171,4 @@ class PointNetFeatures(nn.Module):
         """Features of each cloud."""
         if self.transform is not None:
             points = self.transform(points)
-        return pool(self.layers, points)
+        return pool(self.layers, points, self.precision)
