@@ -15,6 +15,9 @@ FIGURES: Final = {
     "time_blocked": "experiment_skills",
     "cross_type": "experiment_skills",
     "unseen_object": "experiment_touches",
+    "sim_to_real": "experiment_touches",
+    "noise_ceiling": "experiment_ceiling",
+    "lookalikes": "experiment_lookalikes",
 }
 """By experiment, the module beside this one whose `draw(rows, folder)` returns the paths that it wrote."""
 

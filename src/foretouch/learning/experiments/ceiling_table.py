@@ -53,21 +53,28 @@ def ceiling_rows(rows: Sequence[Row], draws: int) -> list[Row]:
 
 
 def ceiling_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """Skill of each row and its share of the ceiling."""
+    """Skill of everything, and the predictors' shares of the ceiling."""
+    notes = [
+        "skill: 0 is the mean of the training labels; [95 % interval by bootstrap over grasps]",
+        "only ... hidden: the ceiling if all else were known",
+    ]
+    skills = _body(rows, "skill")
+    shares = _body([row for row in rows if row["share"] is not None], "share")
+    title = f"noise ceiling: {rows[0]['grasps']} grasps"
+    told = Table(title, ["skill", *MODALITIES], skills, notes)
+    return [told, Table("what predictors tell of it", ["share", *MODALITIES], shares)] if shares else [told]
+
+
+def _body(rows: Sequence[Mapping[str, Any]], column: str) -> list[list[str]]:
     body = []
     for name in dict.fromkeys(row["name"] for row in rows):
         mine = {row["modality"]: row for row in rows if row["name"] == name}
-        body.append([name, *(_cell(mine[modality]) for modality in MODALITIES)])
-    notes = [
-        "skill [95 % interval by bootstrap over grasps]; in brackets its share of the ceiling's",
-        "'only ... hidden': the ceiling if all else were known",
-    ]
-    return [Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *MODALITIES], body, notes)]
+        body.append([name, *(_cell(mine[modality], column) for modality in MODALITIES)])
+    return body
 
 
-def _cell(row: Mapping[str, Any]) -> str:
-    told = f"{row['skill']:.2f} [{row['skill_low']:.2f}, {row['skill_high']:.2f}]"
-    return told if row["share"] is None else f"{told} ({row['share']:.2f} [{row['share_low']:.2f}, {row['share_high']:.2f}])"
+def _cell(row: Mapping[str, Any], column: str) -> str:
+    return f"{row[column]:.2f} [{row[f'{column}_low']:.2f}, {row[f'{column}_high']:.2f}]"
 
 
 def _table(rows: Sequence[Row], column: str) -> Float64:
@@ -100,4 +107,8 @@ def _ends(column: str, drawn: Float64 | None) -> Row:
     if drawn is None:
         return dict.fromkeys((column, f"{column}_low", f"{column}_high"))
     low, high = np.quantile(drawn[1:], [_TAIL, 1.0 - _TAIL])
-    return {column: round(float(drawn[0]), 6), f"{column}_low": round(float(low), 6), f"{column}_high": round(float(high), 6)}
+    return {
+        column: round(float(drawn[0]), 6),
+        f"{column}_low": round(float(low), 6),
+        f"{column}_high": round(float(high), 6),
+    }

@@ -50,13 +50,17 @@ class NoiseCeilingSettings(SimulatedSettings):
     repeats: int = setting(20, "Of each", minimum=2, maximum=10_000)
     alone: int = setting(60, "Of these grasps, those repeated with one cause at a time as well", minimum=0)
     split: str = setting(
-        "labels", "labels: 200 grasps an object are tested; object: a fifth of the objects", choices=("labels", "object")
+        "labels",
+        "labels: 200 grasps an object are tested; object: a fifth of the objects",
+        choices=("labels", "object"),
     )
     predictors: tuple[str, ...] = setting(
         ("object_mean", "geometry_trees"), "Who is compared with the ceiling", choices=tuple(PREDICTORS)
     )
     seed: int = setting(0, "Of the predictors", minimum=0)
-    effort: float = setting(1.0, "Share of trees and epochs; below 1 only to try things out", minimum=0.001, maximum=1.0)
+    effort: float = setting(
+        1.0, "Share of trees and epochs; below 1 only to try things out", minimum=0.001, maximum=1.0
+    )
     draws: int = setting(2000, "Resamples of the grasps for the intervals", minimum=100, maximum=1_000_000)
 
     def __post_init__(self) -> None:
@@ -69,7 +73,9 @@ def _sides(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[
     """Those trained on, and those that are repeated: evenly from the test side."""
     collection = data.collection
     part = collection.parts(settings.split)[0]
-    train, test = ([collection.samples[k] for k in collection.index(ids)] for ids in (part.train + part.unlabelled, part.test))
+    train, test = (
+        [collection.samples[k] for k in collection.index(ids)] for ids in (part.train + part.unlabelled, part.test)
+    )
     if settings.grasps > len(test):
         raise DatasetError(f"{collection.name}: {len(test)} test grasps are fewer than grasps, {settings.grasps}")
     chosen = np.linspace(0, len(test) - 1, settings.grasps).round().astype(int)

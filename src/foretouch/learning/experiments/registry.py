@@ -13,7 +13,15 @@ __all__ = ["EXPERIMENTS", "find_experiment"]
 
 EXPERIMENTS: Final = {
     name: f"foretouch.learning.experiments.{name}"
-    for name in ("cross_validation", "time_blocked", "cross_type", "unseen_object")
+    for name in (
+        "cross_validation",
+        "time_blocked",
+        "cross_type",
+        "unseen_object",
+        "noise_ceiling",
+        "lookalikes",
+        "sim_to_real",
+    )
 }
 
 

@@ -32,7 +32,7 @@ CAUSES: Final = {
 """What is hidden, by the effects that draw it: how far the hand closes; with which place of the pads; where it lands and
 how exactly it reaches its target; what the sensor adds over time."""
 
-_TRIES: Final = 5  # for each repeat that is wanted
+_TRIES: Final = 10  # for each repeat that is wanted
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,9 @@ def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Pat
         ConfigError: If nothing is given, or what is given is no scene.
     """
     if source is None:
-        raise ConfigError("experiment: no data; give --data a scene, such as config/scenes/deformables.yaml, or a store")
+        raise ConfigError(
+            "experiment: no data; give --data a scene, such as config/scenes/deformables.yaml, or a store"
+        )
     return source if is_store(source) else simulate_store(source, settings.samples, beside(out))
 
 

@@ -35,7 +35,7 @@ from foretouch.learning.experiments.tables import skill_tables
 from foretouch.learning.splits import Indices, make_folds
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "UnseenObjectSettings", "touch_draws"]
+__all__ = ["EXPERIMENT", "UnseenObjectSettings", "summarise_touches", "tabulate_touches", "touch_draws", "touch_rows"]
 
 _KNOW_ONLY_OBJECTS: Final = ("object_mean", "object_time_trees")
 """Of a new object they know nothing."""
@@ -95,12 +95,24 @@ def _run(cell: Cell, settings: UnseenObjectSettings, data: Collection) -> list[R
     train = [sample for sample in samples if sample.object != cell.values["part"]]
     labels, seed = labels_of(train), cell.values["seed"]
     fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels, seed)
+    return touch_rows(fitted, held, labels.mean(axis=0), settings)
+
+
+def touch_rows(fitted: Fitted, held: Sequence[GraspSample], mean: Float64, settings: UnseenObjectSettings) -> list[Row]:
+    """`error_rows` of one object after each number of touches of it, in tables of their own.
+
+    Args:
+        fitted: Was not fitted to any of these grasps.
+        held: All grasps of the object.
+        mean: (50,) of the labels that the skill compares with [counts].
+        settings: How many touches, in how many draws.
+    """
     fitted.predict(held)  # at once, so that a predictor that is fitted anew for each question is fitted once
     rows = []
     for count in settings.touches:
         tested, predicted = zip(*_after(fitted, held, count, settings), strict=True)
         everyone = [sample for draw in tested for sample in draw]
-        errors = error_rows(everyone, np.concatenate(predicted), labels_of(everyone), labels.mean(axis=0))
+        errors = error_rows(everyone, np.concatenate(predicted), labels_of(everyone), mean)
         rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 
@@ -121,12 +133,14 @@ def _table(count: int) -> str:
     return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
 
 
-def _tabulate(settings: UnseenObjectSettings, rows: Sequence[Row]) -> list[Row]:
+def tabulate_touches(settings: UnseenObjectSettings, rows: Sequence[Row]) -> list[Row]:
+    """Scores of the rows of `touch_rows`, with the number of touches as a column."""
     touches = {row["table"]: row["touches"] for row in rows}
     return [{"touches": touches[row["table"]], **row} for row in score_table(settings, rows)]
 
 
-def _summarise(rows: Sequence[Row]) -> list[Table]:
+def summarise_touches(rows: Sequence[Row]) -> list[Table]:
+    """One table of skills for each number of touches."""
     note = f"after touches, a predictor without a rule of its own adds n / (n + {SHRINKAGE:g}) of its mean residual"
     return skill_tables(rows, [note])
 
@@ -144,7 +158,7 @@ EXPERIMENT = Experiment(
     load=load,
     cells=_cells,
     run=_run,
-    tabulate=_tabulate,
-    summarise=_summarise,
+    tabulate=tabulate_touches,
+    summarise=summarise_touches,
     data_folder="vision2tactile",
 )
