@@ -3,7 +3,7 @@
 
 Each round starts a process that records samples and messages as fast as it can, ending its session and resuming
 the dataset every few samples. It tells the id of each sample on a pipe once `append` has returned. After a random
-time it is killed; then the dataset is repaired and verified, and every id that was told must be in it, with the
+time it is killed, counted from its start or, every second round, from its first sample; then the dataset is repaired and verified, and every id that was told must be in it, with the
 content that belongs to that id.
 
     python benchmarks/durability/kill.py [--rounds 100] [--seed 0] [--json]
@@ -88,16 +88,21 @@ def record_forever(folder: Path, fsync_samples: int) -> None:
 
 
 def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> Round:
-    """Start the recorder, kill it after a while, repair, verify and compare."""
+    """Start the recorder, kill it after a while, repair, verify and compare.
+
+    Every second kill waits for the first sample, so that a busy machine is hit at appending too, not at starting alone.
+    """
     known = set(_contents(folder))
     command = [sys.executable, __file__, "--child", str(folder), "--fsync-samples", str(fsync_samples)]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         if process.stdout.readline() != b"ready\n":
             raise SystemExit("the recorder did not start")
+        first = process.stdout.readline() if number % 2 else b""
         time.sleep(delay_s)
         process.send_signal(signal.SIGKILL)
-        told = [line.split() for line in process.stdout.read().decode().splitlines() if line.count(" ") == 1]
+        output = (first + process.stdout.read()).decode()
+    told = [line.split() for line in output.splitlines() if line.count(" ") == 1]
     acknowledged = {given: int(content) for given, content in told}
     repairs = repair_dataset(folder) if folder.exists() and (folder / "manifest.json").exists() else []
     cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recording_builders import write_dataset
+from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
+from foretouch.dataset.recording import RecordingWriter
 from foretouch.learning.split_book import read_split_book
 
 Call = Callable[..., Any]
@@ -111,3 +112,34 @@ def test_predictions_are_the_same_from_folder_dataset_and_store(call: Call, data
     for one, other in zip(*answers, strict=True):
         assert one["sample"] == other["sample"]
         assert one["predictions"] == other["predictions"]
+
+
+def test_edits_are_listed_and_undone(call: Call, dataset: Path) -> None:
+    (first,) = call("dataset", "edit", dataset, "--relabel", "cup", "--id", "ball/000001", "--json").records
+    assert first == {"edit": 1, "edits": ["1: relabel cup (1 samples)"]}
+    assert call("dataset", "edit", dataset, "--drop", "--id", "cup/000001").status == 0
+    assert call("dataset", "edit", dataset, "--merge", "sponge", "cup").status == 0
+    (record,) = call("dataset", "info", dataset, "--json").records
+    assert (record["objects"], record["discarded"], len(record["edits"])) == ({"cup": 9, "ball": 7}, 1, 3)
+    assert call("dataset", "edit", dataset, "--undo", "--json").records[0]["undone"] == 3
+    assert "relabel cup (8 samples) (undone)" in call("dataset", "edit", dataset).out
+    assert call("dataset", "edit", dataset, "--drop").err == "foretouch: --relabel and --drop need --id\n"
+    assert call("dataset", "edit", dataset, "--id", "x").err == "foretouch: --id needs --relabel or --drop\n"
+    assert call("dataset", "verify", dataset).status == 0
+
+
+def test_info_and_verify_tell_what_was_received_written_dropped_and_lost(call: Call, tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
+        writer.add_topic(TACTILE, TACTILE_TYPE)
+        writer.receive(TACTILE, 4)
+        writer.write(TACTILE, MESSAGE, 0)
+        writer.drop(TACTILE, "queue full", 3)
+        writer.lose(TACTILE, 2)
+        writer.append(record())
+    write_dataset(tmp_path / "ds", 1)
+    (info,) = call("dataset", "info", tmp_path / "ds", "--json").records
+    assert info["accounts"][TACTILE] == {"received": 6, "written": 3, "dropped": {"queue full": 3}, "lost": 2}
+    verified = call("dataset", "verify", tmp_path / "ds", "--json").records
+    assert [one["lost"] for one in verified] == [{TACTILE: 2}, {}]
+    assert [one["dropped"] for one in verified] == [{TACTILE: {"queue full": 3}}, {}]
+    assert "6 = 3 written + 3 dropped (queue full 3); 2 lost" in call("dataset", "info", tmp_path / "ds").out

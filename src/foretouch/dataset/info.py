@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from foretouch.dataset.recording import RecordedDataset
 from foretouch.dataset.samples import DISCARDED, SampleSetKind, open_samples
 from foretouch.types import TOUCH_SIZE, Float64
 
@@ -40,6 +41,8 @@ class SampleSetInfo:
         pairing_ms: Samples by pairing error, beside `PAIRING_EDGES_MS`; empty where none is known.
         hand, camera: Their identities.
         unfinished: Recordings that were cut off and not repaired.
+        accounts: What became of every message, by topic: received, written, dropped by reason, lost on the way.
+        edits: What was changed afterwards, in words.
     """
 
     kind: SampleSetKind
@@ -58,6 +61,8 @@ class SampleSetInfo:
     hand: dict[str, str] = field(default_factory=dict)
     camera: dict[str, str] = field(default_factory=dict)
     unfinished: list[str] = field(default_factory=list)
+    accounts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    edits: list[str] = field(default_factory=list)
 
 
 def describe(path: str | Path) -> SampleSetInfo:
@@ -74,6 +79,9 @@ def describe(path: str | Path) -> SampleSetInfo:
     with open_samples(path, unfinished=True) as samples:
         info = SampleSetInfo(kind=samples.kind, hand=dict(samples.identity.hand), camera=dict(samples.identity.camera))
         info.unfinished = [file.name for file in samples.unfinished]
+        if samples.kind == "recording":
+            with RecordedDataset(path) as recorded:
+                info.accounts, info.edits = recorded.accounts().to_record(), recorded.edits.told()
         for record in samples.records(discarded=True):
             sample = record.sample
             info.samples += 1

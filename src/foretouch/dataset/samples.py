@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.dataset.recording.reader import RecordedDataset, holds_samples
-from foretouch.dataset.recording.record import Identity, SampleRecord
+from foretouch.dataset.recording.record import DISCARDED, Identity, SampleRecord
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.vision2tactile import is_sample_folder, read_sample, sample_folders
 from foretouch.errors import DatasetError, FileError
@@ -21,9 +21,6 @@ from foretouch.types import GraspSample
 __all__ = ["DISCARDED", "SampleSet", "SampleSetKind", "is_sample_set", "only_finite", "open_samples"]
 
 SampleSetKind = Literal["recording", "store", "vision2tactile"]
-
-DISCARDED = "discarded"
-"""Flag of a sample that the operator does not want; it stays in the recording and goes no further."""
 
 _COLLECTION = Identity(
     hand={"name": "Shadow Hand with BioTac SP", "source": "vision2tactile"},

@@ -14,11 +14,14 @@ import numpy.typing as npt
 from foretouch.errors import DatasetError
 from foretouch.types import TOUCH_SIZE, Float32, Grasp, GraspSample
 
-__all__ = ["APPROACH", "HOLD", "REST", "Identity", "Outcome", "SampleRecord", "TouchSeries", "check_name"]
+__all__ = ["APPROACH", "DISCARDED", "HOLD", "REST", "Identity", "Outcome", "SampleRecord", "TouchSeries", "check_name"]
 
 REST: Final = 0
 APPROACH: Final = 1
 HOLD: Final = 2
+
+DISCARDED: Final = "discarded"
+"""Flag of a sample that the operator does not want; it stays in the recording and goes no further."""
 
 Outcome = Literal["unknown", "success", "failure"]
 

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
 
 from foretouch.dataset.recording.accounts import Accounts
+from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TYPE, decode_sample
@@ -86,13 +87,13 @@ class FileReport:
 
 
 def verify_dataset(path: str | Path) -> list[FileReport]:
-    """Verify the manifest and every recording of a dataset, or a single recording.
+    """Verify the manifest, the log of edits and every recording of a dataset, or a single recording.
 
     Returns:
         A report for the manifest (of a dataset) and one a file; an id that two samples share is a fault of the later.
 
     Raises:
-        FileError: If there is nothing of the kind, or the dataset is of another schema version.
+        FileError: If there is nothing of the kind, the manifest or the log is damaged, or of another version.
     """
     path = Path(path)
     if path.is_file():
@@ -100,6 +101,7 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     if not is_dataset(path):
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
     read_identity(path)
+    read_edits(path)
     reports = [verify_file(file) for file in session_files(path)]
     owners: dict[str, Path] = {}
     for report in reports:

@@ -80,7 +80,6 @@ class RecordingWriter:
         self._guard = threading.RLock()
         self._pending: list[tuple[str, McapMessage]] = []
         self._pending_bytes = 0
-        self._flushed_s = time.monotonic()
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
             self._names = SampleNames(self.path)
@@ -89,6 +88,7 @@ class RecordingWriter:
             self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, self._file.define(SAMPLE_TYPE, None), "")
             self._file.sync(self.path)
             self._release = stack.pop_all()
+        self._flushed_s = time.monotonic()
 
     def __enter__(self) -> Self:
         return self

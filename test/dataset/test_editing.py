@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Edits change what is read and never what was recorded; all can be taken back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY, QUICK, write_dataset
+
+from foretouch.dataset.build import build_store
+from foretouch.dataset.editing import drop, merge, relabel, undo
+from foretouch.dataset.importing import import_samples
+from foretouch.dataset.info import describe
+from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
+from foretouch.errors import DatasetError, FileError
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    write_dataset(tmp_path / "ds", 3)
+    write_dataset(tmp_path / "ds", 2, name="cans", first=3)
+    return tmp_path / "ds"
+
+
+def ids(path: Path) -> list[str]:
+    with RecordedDataset(path) as samples:
+        return [stored.record.sample.id for stored in samples]
+
+
+def test_edits_are_seen_by_whoever_reads_and_the_recordings_stay_as_they_are(dataset: Path, tmp_path: Path) -> None:
+    before = {file: file.read_bytes() for file in dataset.glob("session-*.mcap")}
+    assert relabel(dataset, ["ball/000001"], "cup") == 1
+    assert drop(dataset, ["cup/000001", "ball/000003"]) == 2  # by the ids that they have now
+    assert merge(dataset, "cans", "cup") == 3
+    assert ids(dataset) == ["cup/000001", "ball/000002", "ball/000003", "cup/000004", "cup/000005"]
+    info = describe(dataset)
+    assert (info.objects, info.discarded) == ({"cup": 3, "ball": 2}, 2)
+    assert info.edits == ["1: relabel cup (1 samples)", "2: drop (2 samples)", "3: relabel cup (2 samples)"]
+    result = build_store([dataset], tmp_path / "store")
+    assert [sample.id for sample in result.samples] == ["ball/000002", "cup/000004", "cup/000005"]
+    assert import_samples(dataset, tmp_path / "copy").samples == 5
+    assert ids(tmp_path / "copy") == ids(dataset)
+    assert {file: file.read_bytes() for file in before} == before
+    assert all(report.clean for report in verify_dataset(dataset))
+
+
+def test_undo_takes_back_one_edit_after_the_other(dataset: Path) -> None:
+    recorded = ids(dataset)
+    relabel(dataset, recorded[:2], "cup")
+    edited = ids(dataset)
+    drop(dataset, ["cup/000001"])
+    assert undo(dataset) == 2
+    assert (ids(dataset), describe(dataset).discarded) == (edited, 0)
+    assert undo(dataset) == 1
+    assert ids(dataset) == recorded
+    with pytest.raises(DatasetError, match="holds no edit to undo"):
+        undo(dataset)
+    assert describe(dataset).edits[0] == "1: relabel cup (2 samples) (undone)"
+
+
+@pytest.mark.parametrize("label", ["..", "a/b", "", "x\n"])
+def test_a_label_that_could_leave_a_folder_is_refused(dataset: Path, label: str) -> None:
+    with pytest.raises(DatasetError, match="is no plain name"):
+        relabel(dataset, ["ball/000001"], label)
+    with pytest.raises(DatasetError, match="is no plain name"):
+        merge(dataset, "ball", label)
+    assert not (dataset / "edits.jsonl").exists()
+
+
+def test_what_is_not_there_or_taken_or_being_written_is_refused(dataset: Path) -> None:
+    with pytest.raises(DatasetError, match="there is no sample ball/9, cup/1"):
+        drop(dataset, ["ball/9", "ball/000001", "cup/1"])
+    with pytest.raises(DatasetError, match="holds no sample of 'cup'"):
+        merge(dataset, "cup", "ball")
+    write_dataset(dataset, 1, name="ball", first=9)
+    relabel(dataset, ["ball/000006"], "cup")
+    with RecordingWriter(dataset, IDENTITY, QUICK), pytest.raises(FileError, match="is writing this dataset"):
+        undo(dataset)
+    with pytest.raises(FileError, match="does not exist"):
+        undo(dataset / "nothing")
+
+
+def test_two_samples_never_get_one_id(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "one", 1)
+    write_dataset(tmp_path / "other", 1, name="cup")
+    import_samples(tmp_path / "other", tmp_path / "one")
+    assert ids(tmp_path / "one") == ["ball/000001", "cup/000001"]
+    for taken in (
+        lambda: relabel(tmp_path / "one", ["cup/000001"], "ball"),
+        lambda: merge(tmp_path / "one", "cup", "ball"),
+    ):
+        with pytest.raises(DatasetError, match="id ball/000001 is taken"):
+            taken()
+
+
+def test_any_flipped_bit_of_the_log_is_found_and_an_edit_that_was_cut_off_does_not_count(
+    dataset: Path, rng: np.random.Generator
+) -> None:
+    relabel(dataset, ["ball/000001"], "cup")
+    edited = ids(dataset)
+    drop(dataset, ["cup/000001"])
+    log = dataset / "edits.jsonl"
+    good = log.read_bytes()
+    for place in {*range(0, len(good), 3), good.index(b"\n"), len(good) - 1}:
+        damaged = bytearray(good)
+        damaged[place] ^= 1 << int(rng.integers(7))
+        log.write_bytes(damaged)
+        with pytest.raises(FileError, match=r"edits\.jsonl: (line [12]|byte \d+): "):
+            verify_dataset(dataset)
+    for cut in range(good.index(b"\n") + 1, len(good)):
+        log.write_bytes(good[:cut])
+        assert (ids(dataset), describe(dataset).discarded) == (edited, 0)
+    assert drop(dataset, ["cup/000001"]) == 2
+    assert log.read_bytes() == good
