@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     parser = _parser(name)
-    parsed = parser.parse_args(arguments)
+    parsed = _parse(parser, arguments)
     if parsed.command is None:
         parser.print_help()
         return 2
@@ -58,6 +58,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return int(status)
+
+
+def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """Parse; `key=value` may stand behind the options too, where argparse alone refuses further positionals."""
+    parsed, late = parser.parse_known_args(arguments)
+    if any(word.startswith("-") or "=" not in word for word in late) or (late and not hasattr(parsed, "overrides")):
+        parser.error(f"unrecognized arguments: {' '.join(late)}")
+    if late:
+        parsed.overrides += late
+    return parsed
 
 
 def _parser(chosen: str | None) -> argparse.ArgumentParser:

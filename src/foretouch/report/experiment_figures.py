@@ -13,7 +13,7 @@ __all__ = ["FIGURES", "draw_figures"]
 FIGURES: Final = {
     "cross_validation": "experiment_skills",
     "time_blocked": "experiment_skills",
-    "cross_type": "experiment_skills",
+    "cross_type": "experiment_types",
     "unseen_object": "experiment_touches",
     "sim_to_real": "experiment_touches",
     "noise_ceiling": "experiment_ceiling",

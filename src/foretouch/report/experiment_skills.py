@@ -23,7 +23,8 @@ _MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 def draw(rows: Rows, folder: Path) -> list[Path]:
     """`skill.png`: tables below each other, modalities side by side."""
-    shown = [row for row in rows if row["object"] == "all" and row["skill"] is not None]
+    # The training mean has a skill of 0 by definition: it is the line.
+    shown = [r for r in rows if r["object"] == "all" and r["skill"] is not None and r["predictor"] != "training_mean"]
     tables = list(dict.fromkeys(row["table"] for row in shown))
     who = list(dict.fromkeys(row["predictor"] for row in shown))
     height = 1.0 + len(tables) * (0.7 + 0.3 * len(who))

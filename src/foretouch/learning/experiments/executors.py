@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import socket
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -61,13 +62,14 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
         import ray
     except ImportError as err:
         raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
+    _require_answer(address)
     try:
         if address == LOCAL_CLUSTER:
             # Named, for otherwise RAY_ADDRESS would be asked.
             ray.init(address="local", num_cpus=workers, include_dashboard=False, log_to_driver=False)
         else:
             ray.init(address=address, log_to_driver=False)
-    except (ConnectionError, ValueError, RuntimeError) as err:
+    except (ray.exceptions.RayError, ConnectionError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
     try:
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": _ONE_THREAD})(run_cell)
@@ -98,6 +100,18 @@ def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[Outco
         except BrokenProcessPool:
             return list(running.values())
     return []
+
+
+def _require_answer(address: str) -> None:
+    """Find out at once what Ray would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon:
+        return
+    try:
+        with socket.create_connection((host, int(port)), timeout=10.0):
+            return
+    except (OSError, ValueError, OverflowError) as err:
+        raise ConfigError(f"--address: {address}: no cluster answers: {err}") from err
 
 
 @contextmanager

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An experiment of someone's own whose cells can be slow, fail, or be killed, and leave a trace of each start."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import DatasetError
+from foretouch.learning.experiments import Cell, Experiment, Row, Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountingSettings(Settings):
+    cells: int = setting(6, "How many", minimum=1)
+    pause_s: float = setting(0.0, "That each takes", minimum=0.0)
+    broken: tuple[int, ...] = setting((), "Cells that refuse")
+    dies: tuple[int, ...] = setting((), "Cells whose process is killed each time")
+    dies_once: tuple[int, ...] = setting((), "Cells whose process is killed the first time")
+    trace: str = setting("", "Folder that gets a file a start")
+
+
+@dataclass(frozen=True)
+class Numbers:
+    values: tuple[float, ...]
+    sha256: str
+
+
+def load(settings: CountingSettings, path: Path) -> Numbers:
+    content = path.read_bytes()
+    return Numbers(tuple(map(float, content.split())), hashlib.sha256(content).hexdigest())
+
+
+def cells(settings: CountingSettings, data: Numbers) -> list[Cell]:
+    return [Cell(f"cell{k}", {"number": k}) for k in range(settings.cells)]
+
+
+def run(cell: Cell, settings: CountingSettings, data: Numbers) -> list[Row]:
+    number = cell.values["number"]
+    if settings.trace:
+        starts = len(list(Path(settings.trace).glob(f"{number}.*")))
+        Path(settings.trace, f"{number}.{starts}").touch()
+        if number in settings.dies_once and starts == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+    if number in settings.dies:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number in settings.broken:
+        raise DatasetError(f"cell {number}: is broken")
+    time.sleep(settings.pause_s)
+    noise = np.random.default_rng(number).normal(size=(40, 40))
+    return [{"value": float(np.linalg.svd(noise)[1].sum()) * value} for value in data.values]
+
+
+def tabulate(settings: CountingSettings, rows: Sequence[Row]) -> list[Row]:
+    return [{"number": row["number"], "value": row["value"], "empty": None} for row in rows]
+
+
+def summarise(rows: Sequence[Row]) -> list[Table]:
+    return [Table("counted", ["number", "value"], [[str(row["number"]), f"{row['value']:.1f}"] for row in rows])]
+
+
+EXPERIMENT = Experiment(
+    name="counting",
+    question="How far can one count?",
+    module=__name__,
+    settings=CountingSettings,
+    presets={"full": {}, "smoke": {"cells": 2}},
+    load=load,
+    cells=cells,
+    run=run,
+    tabulate=tabulate,
+    summarise=summarise,
+)
