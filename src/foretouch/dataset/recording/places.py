@@ -16,7 +16,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from foretouch.dataset.recording.mcap_file import MAGIC
-from foretouch.dataset.recording.messages import SAMPLE_TYPE
+from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.rescue import samples_beyond
 from foretouch.dataset.recording.scan import (
     INDEX_HEAD,
     Chunk,
@@ -88,9 +89,11 @@ def sample_places(path: Path, data: memoryview) -> Iterator[Place]:
 
 
 def sample_ids(path: Path) -> list[str]:
-    """The ids in a file, up to where it is cut off (raises as `sample_places`)."""
+    """The ids in a file, and behind where it seems cut off those that `repair` would save (raises as `sample_places`)."""
     with mapped(path) as data:
-        return [_id_of(path, data, place) for place in sample_places(path, data)]
+        ids = [_id_of(path, data, place) for place in sample_places(path, data)]
+        cut = next((one.offset for one in records(data, len(MAGIC)) if isinstance(one, Damage)), len(data))
+        return ids + [decode_sample(bytes(cdr)).record.sample.id for cdr in samples_beyond(data, cut)]
 
 
 def _require(path: Path, found: _T | Damage) -> _T:

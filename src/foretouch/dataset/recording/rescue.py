@@ -16,6 +16,7 @@ from foretouch.dataset.recording.scan import (
     Chunk,
     Damage,
     Declaration,
+    RawMessage,
     RawRecord,
     check_record,
     chunk_at,
@@ -26,15 +27,14 @@ from foretouch.dataset.recording.scan import (
 )
 from foretouch.errors import DatasetError
 
-__all__ = ["Declarations", "is_readable", "samples_in", "walk"]
+__all__ = ["Declarations", "is_readable", "samples_beyond", "samples_in", "walk"]
 
 _HEAD = 31  # bytes of a message's record before its CDR
 _MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
 
-def walk(data: memoryview) -> Iterator[Chunk | RawRecord | Damage]:
-    """All that can be found, in order; a `Damage` stands for bytes that are skipped."""
-    start = len(MAGIC)
+def walk(data: memoryview, start: int = len(MAGIC)) -> Iterator[Chunk | RawRecord | Damage]:
+    """All that can be found from a record on, in order; a `Damage` stands for bytes that are skipped."""
     while start < len(data):
         for record in records(data, start):
             start = record.offset
@@ -97,6 +97,20 @@ class Declarations:
                 self.accounts = Accounts.from_mapping(content.metadata)
             except DatasetError:
                 return  # the one before counts
+
+
+def samples_beyond(data: memoryview, start: int) -> Iterator[memoryview]:
+    """Intact samples from a record on that cannot be right, whatever follows it."""
+    for item in walk(data, start):
+        if isinstance(item, Damage):
+            following = next_chunk(data, item.offset + 1)
+            yield from samples_in(data, item.offset, len(data) if following is None else following.offset)
+        elif isinstance(item, Chunk) and not item.intact(data):
+            yield from samples_in(data, item.start, item.end)
+        elif isinstance(item, Chunk):
+            inside = messages_of(data, item.start, item.end)
+            found = (data[one.start : one.end] for one in inside if isinstance(one, RawMessage))
+            yield from filter(is_readable, found)
 
 
 def samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
