@@ -17,14 +17,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from geometry_msgs.msg import Pose, Quaternion
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.grasp import quaternion_xyzw
-from foretouch.ros.conversions import grasp_from_msg, header_to_msg, point_to_msg, stamp_ns, stamp_to_msg
+from foretouch.ros.conversions import grasp_from_msg, stamp_ns
+from foretouch.ros.hand_execution import Execution, Order, executed_to_msg
 from foretouch.ros.node_base import ForetouchNode, NodeConfig
 from foretouch.ros.tactile_messages import FINGERS, biotac_all_to_msg
 from foretouch.ros.worker import Worker
@@ -63,24 +62,6 @@ class HandConfig(NodeConfig):
             raise ConfigError(f"HandConfig.biotacs: {list(self.biotacs)} lacks TH or MF, which grasp")
 
 
-@dataclass(frozen=True, eq=False)
-class _Order:
-    """A grasp to execute: the message, the stamp of its cloud, and when it was taken (`time.monotonic`)."""
-
-    message: Any
-    planned_ns: int
-    arrived: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Execution:
-    """A course under way, and the number of the message that is its row 0."""
-
-    order: _Order
-    course: Course
-    first: int = 0
-
-
 class HandNode(ForetouchNode[HandConfig]):
     """The hand as a lifecycle node.
 
@@ -96,8 +77,8 @@ class HandNode(ForetouchNode[HandConfig]):
         self._newest: GraspArray | None = None
         self._taken_ns = -1  # stamp of the cloud whose grasp was taken last
         self._busy = False
-        self._ready: _Execution | None = None
-        self._current: _Execution | None = None
+        self._ready: Execution | None = None
+        self._current: Execution | None = None
         self._repeats = 0
         self._late = 0
         self._began = time.monotonic()
@@ -122,7 +103,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
         self._faults = MessageFaults(self.config.faults)
-        self._solver: Worker[_Order] = Worker("hand-contact", 1, self._solve, lambda _, why: self._give_up(why))
+        self._solver: Worker[Order] = Worker("hand-contact", 1, self._solve, lambda _, why: self._give_up(why))
         self._tactile = self.advertise(BiotacAll, "/rh/tactile", depth=_DEPTH)
         self._told = self.advertise(ExecutedGrasp, "executed_grasp", depth=_DEPTH)
         self._service = self.create_service(
@@ -198,7 +179,7 @@ class HandNode(ForetouchNode[HandConfig]):
             if planned_ns <= self._taken_ns:
                 return False, "there is no new grasp"
             self._busy, self._taken_ns = True, planned_ns
-        self._solver.put(_Order(newest, planned_ns, self.statistics.arrive()))
+        self._solver.put(Order(newest, planned_ns, self.statistics.arrive()))
         return True, newest.grasps[0].id
 
     def _give_up(self, reason: str) -> None:
@@ -212,12 +193,12 @@ class HandNode(ForetouchNode[HandConfig]):
 
     # Contact, in the solver's thread.
 
-    def _solve(self, order: _Order) -> None:
+    def _solve(self, order: Order) -> None:
         header = order.message.header
         try:
             if header.frame_id != self.config.frame_id:
                 raise ConfigError(f"grasps: frame {header.frame_id!r} is not the camera's, {self.config.frame_id!r}")
-            self._ready = _Execution(order, self._course(order))
+            self._ready = Execution(order, self._course(order))
         except ForetouchError as err:
             self.get_logger().warning(str(err))
             self._give_up("refused")
@@ -225,7 +206,7 @@ class HandNode(ForetouchNode[HandConfig]):
             self.get_logger().error(f"{type(err).__name__}: {err}")
             self._give_up("failed")
 
-    def _course(self, order: _Order) -> Course:
+    def _course(self, order: Order) -> Course:
         assert self._hand is not None  # noqa: S101  setup made it
         grasp = grasp_from_msg(order.message.grasps[0])
         slot = self.config.scene.slot(order.planned_ns)
@@ -282,25 +263,14 @@ class HandNode(ForetouchNode[HandConfig]):
             **{name: pair[1] for name, pair in zip(self._idle_fingers, idle, strict=True)},
         }
 
-    def _tell(self, execution: _Execution, first_ns: int, period_ns: int) -> None:
+    def _tell(self, execution: Execution, first_ns: int, period_ns: int) -> None:
         """Publish what was done, and be idle again."""
-        course, planned = execution.course, execution.order.message
-        grasp = planned.grasps[0]
-        times = {
-            name: stamp_to_msg(0 if row is None else first_ns + row * period_ns)
-            for name, row in (("start", course.start), ("contact", course.contact), ("release", course.release))
-        }
-        x, y, z, w = map(float, quaternion_xyzw(course.rotation))
-        achieved = Pose(position=point_to_msg(course.midpoint), orientation=Quaternion(x=x, y=y, z=z, w=w))
-        now_ns = first_ns + len(course.counts) * period_ns
-        header = header_to_msg(planned.header.frame_id, now_ns)
+        course = execution.course
         self.executed[course.reason or "success"] += 1
         if course.success:
             self.statistics.use(execution.order.arrived, (first_ns - execution.order.planned_ns) * 1e-9)
         else:
-            self.get_logger().warning(f"grasp {grasp.id}: {course.message}")
+            self.get_logger().warning(f"grasp {execution.order.message.grasps[0].id}: {course.message}")
             self.statistics.drop(course.reason)
         self._idle()
-        self._told.publish(
-            ExecutedGrasp(header=header, grasp_id=grasp.id, achieved=achieved, success=course.success, **times)
-        )
+        self._told.publish(executed_to_msg(execution, first_ns, period_ns))
