@@ -121,14 +121,18 @@ class Engine:
         self._world = World.of(self.scene)
         self._chains = [plan_chain(self.effects, self.scene, item, self.outputs) for item in self.scene.objects]
 
-    def run(self, key: SampleKey) -> SampleState:
+    def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:
         """Make one sample. Objects take turns: slot k shows object k modulo their number.
+
+        Args:
+            key: Which one.
+            item: In place of that object: one that calls for the same effects, such as itself of another material.
 
         Raises:
             SimulationError: If an effect refuses; `reason` says of which kind.
         """
         index = key.slot % len(self.scene.objects)
-        item = self.scene.objects[index]
+        item = self.scene.objects[index] if item is None else item
         state = SampleState()
         for effect in self._chains[index]:
             timing = self.timings[effect.name]

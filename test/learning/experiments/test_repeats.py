@@ -6,7 +6,7 @@ import pytest
 from sim_builders import SPONGE, scene
 
 from foretouch.errors import SimulationError
-from foretouch.learning.experiments.repeats import CAUSES, Repeater
+from foretouch.learning.experiments.repeats import CAUSES, STRANGER, Repeater
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.steps import EFFECTS
 from foretouch.simulation.streams import SampleKey
@@ -54,3 +54,18 @@ def test_a_grasp_that_never_succeeds_again_is_named() -> None:
     smooth = scene(SPONGE | {"friction": 0.0}, **HIDDEN)
     with pytest.raises(SimulationError, match="slot 0: 0 of 20 repeats succeed"):
         Repeater(smooth, EVERYTHING).repeat(0, 0, 2)
+
+
+def test_a_stranger_may_be_of_any_material_of_the_scene() -> None:
+    """A sponge and a hard look-alike: what is known of the object leaves less open than what is not."""
+    hard = SPONGE | {"name": "hard", "young_pa": 5e6}
+    both = scene(SPONGE, hard, **HIDDEN | {"fingers": {}})
+    command = frozenset({"command"})
+    known, strange = (Repeater(both, causes).repeat(0, 0, 6) for causes in (command, command | {STRANGER}))
+    assert np.ptp(strange.touches, axis=0).max() > 1.5 * np.ptp(known.touches, axis=0).max()
+
+
+def test_a_stranger_is_met_on_another_day() -> None:
+    days = scene(SPONGE, **HIDDEN | {"fingers": {"sessions": {}}})
+    assert np.ptp(Repeater(days, EVERYTHING).repeat(0, 0, 3).tares, axis=0).max() == 0.0
+    assert np.ptp(Repeater(days, frozenset({STRANGER})).repeat(0, 0, 3).tares, axis=0).max() > 1.0

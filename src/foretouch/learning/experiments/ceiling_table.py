@@ -12,42 +12,59 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.learning.experiments.experiment import Row, Table
+from foretouch.learning.experiments.repeats import STRANGER
 from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile.ranges import P2_RANGES
 from foretouch.types import Float64
 
 __all__ = ["CEILING", "ceiling_rows", "ceiling_tables"]
 
 CEILING: Final = "ceiling"
 WITH_TARE: Final = "ceiling, change from the tare"
+NEVER_TOUCHED: Final = "ceiling, object never touched"
+NEVER_TOUCHED_WITH_TARE: Final = "ceiling, object never touched, change from the tare"
 _TAIL: Final = 0.025
 _SEED: Final = 0
 
 
 def ceiling_rows(rows: Sequence[Row], draws: int) -> list[Row]:
-    """The rows of `results.csv`: a modality each, of the ceiling, of each cause alone and of each predictor.
+    """The rows of `results.csv`: a modality each, of the ceilings, of each cause alone and of each predictor.
 
     Args:
         rows: Of the cells. A predictor whose cell failed is not told of.
         draws: Of the bootstrap.
     """
-    repeated = [row for row in rows if row["what"] == "repeats"]
-    everything = [row for row in repeated if row["name"] == "all"]
+    causes: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["what"] == "repeats":
+            causes.setdefault(row["name"], []).append(row)
+    everything, strange = causes.pop("all", []), causes.pop(STRANGER, [])
     if not everything:
         return []
-    ceiling = _table(everything, "within")
     reference = _table(everything, "reference")
-    result = _told(CEILING, ceiling, reference, draws)
+    result = _told(CEILING, _table(everything, "within"), reference, draws)
     result += _told(WITH_TARE, _table(everything, "within_change"), reference, draws)
-    for cause in dict.fromkeys(row["name"] for row in repeated if row["name"] != "all"):
-        mine = [row for row in repeated if row["name"] == cause]
-        place = {row["id"]: k for k, row in enumerate(everything)}
-        same = reference[[place[row["id"]] for row in mine if row["id"] in place]]
-        if len(same) == len(mine):
+    if strange:
+        own = _table(strange, "reference")
+        result += _told(NEVER_TOUCHED, _table(strange, "within"), own, draws)
+        result += _told(NEVER_TOUCHED_WITH_TARE, _table(strange, "within_change"), own, draws)
+    known = {row["id"]: row["reference"] for row in everything}
+    for cause, mine in causes.items():
+        if all(row["id"] in known for row in mine):
+            same = np.array([known[row["id"]] for row in mine])
             result += _told(f"only {cause} hidden", _table(mine, "within"), same, draws)
-    for name in dict.fromkeys(row["name"] for row in rows if row["what"] == "predictor"):
-        predicted = {row["id"]: row["predicted"] for row in rows if row["what"] == "predictor" and row["name"] == name}
-        asked = np.array([predicted[row["id"]] for row in everything])
-        squared = (asked - _table(everything, "mean")) ** 2 + _table(everything, "rest")  # eq. 2
+    return result + _predictor_rows(rows, strange or everything, draws)
+
+
+def _predictor_rows(rows: Sequence[Row], repeated: Sequence[Row], draws: int) -> list[Row]:
+    """Of each predictor, asked about what was repeated."""
+    reference, ceiling = _table(repeated, "reference"), _table(repeated, "within")
+    result: list[Row] = []
+    asked = [row for row in rows if row["what"] == "predictor"]
+    for name in dict.fromkeys(row["name"] for row in asked):
+        said = {row["id"]: row["predicted"] for row in asked if row["name"] == name}
+        predicted = np.array([said[row["id"]] for row in repeated])
+        squared = (predicted - _table(repeated, "mean")) ** 2 + _table(repeated, "rest")  # eq. 2
         result += _told(name, squared, reference, draws, ceiling)
     return result
 
@@ -91,7 +108,9 @@ def _told(name: str, squared: Float64, reference: Float64, draws: int, ceiling: 
     rows = []
     for k, modality in enumerate(MODALITIES):
         rmse = float(np.sqrt(squared[:, columns([modality])].mean()))
+        low, high = P2_RANGES.of(modality)
         row = {"name": name, "modality": modality, "grasps": size, "rmse": round(rmse, 3)}
+        row["nrmse_p2"] = round(rmse / (high - low), 6)
         row |= _ends("skill", skill[:, k]) | _ends("share", None if share is None else share[:, k])
         rows.append(row)
     return rows

@@ -11,7 +11,8 @@ s² their variance (n - 1), p a prediction and µ the mean of the training label
 are free of bias for the squared error that one new execution would give, however few the repeats: in eqs. 2 and 3 the
 mean of n repeats lies s²/n from the true one. Skill is 1 - sum S / sum R as everywhere. What the repeats keep
 is the object itself, its pose and its cloud: more than a model gets, so the ceiling is an upper bound. A predictor's
-`share` is its skill over the ceiling's, on the same repeats.
+`share` is its skill over the ceiling's, on the same repeats. With `split: object` there is a second ceiling, for those
+who never touched the object: its material and its day are hidden too, and predictors are measured by that one.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.experiments.ceiling_table import ceiling_rows, ceiling_tables
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row
 from foretouch.learning.experiments.predictors import PREDICTORS, find_predictor, labels_of
-from foretouch.learning.experiments.repeats import CAUSES, Repeater
+from foretouch.learning.experiments.repeats import CAUSES, STRANGER, Repeater
 from foretouch.learning.experiments.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
@@ -84,7 +85,8 @@ def _sides(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[
 
 def _cells(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> list[Cell]:
     del data
-    blocks = [(_ALL, first) for first in range(0, settings.grasps, _BLOCK)]
+    whole = [_ALL, STRANGER] if settings.split == "object" else [_ALL]
+    blocks = [(cause, first) for cause in whole for first in range(0, settings.grasps, _BLOCK)]
     blocks += [(cause, first) for cause in CAUSES for first in range(0, settings.alone, _BLOCK)]
     repeated = [
         Cell(f"repeats+{cause}+{first}", {"what": "repeats", "name": cause, "first": first}) for cause, first in blocks
@@ -102,10 +104,10 @@ def _run(cell: Cell, settings: NoiseCeilingSettings, data: SimulatedGrasps) -> l
             {"id": sample.id, "predicted": row.tolist()} for sample, row in zip(test, fitted.predict(test), strict=True)
         ]
     cause, first = cell.values["name"], cell.values["first"]
-    end = settings.grasps if cause == _ALL else settings.alone
-    repeater = Repeater(data.scene, frozenset(CAUSES) if cause == _ALL else frozenset({cause}))
+    hidden = {_ALL: frozenset(CAUSES), STRANGER: frozenset({*CAUSES, STRANGER})}.get(cause, frozenset({cause}))
+    end = settings.alone if cause in CAUSES else settings.grasps
     grasps = test[first : min(first + _BLOCK, end)]
-    return list(_repeated(repeater, grasps, settings.repeats, labels.mean(axis=0)))
+    return list(_repeated(Repeater(data.scene, hidden), grasps, settings.repeats, labels.mean(axis=0)))
 
 
 def _repeated(repeater: Repeater, grasps: Sequence[GraspSample], count: int, mean: Float64) -> Iterator[Row]:

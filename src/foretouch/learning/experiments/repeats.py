@@ -16,12 +16,12 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.steps import EFFECTS
 from foretouch.simulation.streams import SampleKey
 from foretouch.types import Float64
 
-__all__ = ["CAUSES", "Repeater", "Repeats"]
+__all__ = ["CAUSES", "STRANGER", "Repeater", "Repeats"]
 
 CAUSES: Final = {
     "command": frozenset({"targets"}),
@@ -32,6 +32,11 @@ CAUSES: Final = {
 """What is hidden, by the effects that draw it: how far the hand closes; with which place of the pads; where it lands and
 how exactly it reaches its target; what the sensor adds over time."""
 
+STRANGER: Final = "stranger"
+"""Hidden as well of an object that was never touched: its day, and its material, for which each repeat takes that of
+any object of the scene."""
+
+_MATERIAL: Final = ("young_pa", "poisson", "thickness_m", "friction")
 _TRIES: Final = 10  # for each repeat that is wanted
 
 
@@ -53,14 +58,16 @@ class Repeater:
 
     Args:
         scene: The scene.
-        causes: Of `CAUSES`, those to draw anew; the others stay as they were in the sample.
+        causes: Of `CAUSES` and `STRANGER`, those to draw anew; the others stay as they were in the sample.
     """
 
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
-        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes))
+        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {STRANGER}))
+        self._strange = STRANGER in causes
+        if self._strange:
+            again |= {"sessions"}
         effects = [replace(effect, again=effect.name in again) for effect in EFFECTS]
         self._engine = Engine(scene, effects, ("touch", "tare"))
-        self._seed = scene.seed
 
     def repeat(self, slot: int, attempt: int, count: int) -> Repeats:
         """Execute one grasp again.
@@ -79,7 +86,9 @@ class Repeater:
             if len(touches) == count:
                 break
             try:
-                state = self._engine.run(SampleKey(self._seed, slot, attempt, number))
+                state = self._engine.run(
+                    SampleKey(self._engine.scene.seed, slot, attempt, number), self._item(slot, number)
+                )
             except SimulationError as err:
                 if err.reason == "effect":
                     raise  # a mistake in the program, not in the grasp
@@ -89,3 +98,14 @@ class Repeater:
         if len(touches) < 2:
             raise SimulationError(f"slot {slot}: {len(touches)} of {_TRIES * count} repeats succeed", "repeats")
         return Repeats(np.array(touches), np.array(tares))
+
+    def _item(self, slot: int, number: int) -> ObjectConfig:
+        """The object of a slot; of a stranger, as one repeat takes it."""
+        items = self._engine.scene.objects
+        item = items[slot % len(items)]
+        if not self._strange:
+            return item
+        others = [other for other in items if other.rigid == item.rigid]  # these call for the same effects
+        rng = np.random.default_rng([self._engine.scene.seed, slot, number])
+        other = others[int(rng.integers(len(others)))]
+        return item.replace(**{name: getattr(other, name) for name in _MATERIAL})

@@ -136,7 +136,8 @@ def _sessions(job: Job, state: SampleState) -> None:
     config, scene = job.scene.fingers.sessions, job.scene
     if config is None:
         return
-    rng = SampleKey(job.key.seed, job.key.slot % len(scene.objects)).stream(job.name)
+    session = SampleKey(job.key.seed, job.key.slot % len(scene.objects), 0, job.key.repeat)
+    rng = session.stream(job.name, again=job.again)
     state.series[..., 0] += config.pdc_counts * rng.standard_normal(2)
     common, alone = rng.standard_normal((2, 1)), rng.standard_normal((2, ELECTRODES))
     state.series[..., 1:] += config.finger_counts * common + config.electrode_counts * alone
