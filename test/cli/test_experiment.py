@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch experiment`: what a person and a program are told."""
+
+from pathlib import Path
+
+import pytest
+
+OWN = "own_experiments.counting"
+
+
+@pytest.fixture
+def numbers(tmp_path: Path) -> Path:
+    path = tmp_path / "numbers.txt"
+    path.write_text("1 2.5\n")
+    return path
+
+
+def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -> None:
+    words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers, "--workers", "1", "--json", "cells=3"]
+    answer = call(*words)
+    assert answer.status == 0, answer.err
+    *cells, summary = answer.records
+    assert [(record["cell"], record["done"], record["cells"]) for record in cells] == [
+        (f"cell{k}", k + 1, 3) for k in range(3)
+    ]
+    assert summary["status"] == "done"
+    assert (summary["cells"], summary["reused"], summary["rows"], summary["failed"]) == (3, 0, 6, {})
+    refused = call(*words)
+    assert refused.status == 1
+    assert "--resume goes on" in refused.err
+    (again,) = call(*words, "--resume").records
+    assert again["reused"] == 3
+
+
+def test_a_person_gets_the_table(call, tmp_path, numbers) -> None:
+    answer = call("experiment", OWN, "cells=2", "-o", tmp_path / "out", "--data", numbers, "--workers", "1")
+    assert answer.status == 0, answer.err
+    assert "How far can one count?" in answer.out
+    assert "counted" in answer.out
+    assert "2 cells (0 from before)" in answer.out
+
+
+def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
+    words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers, "--json", "cells=2", "broken=[1]"]
+    answer = call(*words)
+    assert answer.status == 1
+    assert answer.err == "foretouch: cell1: cell 1: is broken\n"
+    assert answer.records[-1]["failed"] == {"cell1": "cell 1: is broken"}
+    assert answer.records[-1]["rows"] == 2
+
+
+def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch) -> None:
+    monkeypatch.delenv("FORETOUCH_DATA", raising=False)
+    out = ["-o", tmp_path / "out"]
+    assert "'phrenology' is none of cross_validation" in call("experiment", "phrenology", *out).err
+    assert "No module named" in call("experiment", "no.such", *out).err
+    assert "holds no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
+    assert "-o DIR is needed" in call("experiment", OWN).err
+    assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
+    assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SystemExit) as wrong:
+        call("experiment", OWN, *out, "--bogus")
+    assert wrong.value.code == 2
+
+
+def test_list_names_all(call) -> None:
+    names = [record["name"] for record in call("experiment", "list", "--json").records]
+    assert {"cross_validation", "time_blocked", "cross_type", "unseen_object"} <= set(names)
+
+
+@pytest.mark.parametrize("name", ["cross_validation", "time_blocked", "cross_type", "unseen_object"])
+def test_figures_and_tables_follow_from_the_committed_csv_alone(call, tmp_path, name: str) -> None:
+    from foretouch.learning.experiments import find_experiment
+    from foretouch.learning.experiments.manifest import read_results
+
+    source = Path(__file__).parents[2] / "docs/results" / name
+    (tmp_path / "results.csv").write_bytes((source / "results.csv").read_bytes())
+    answer = call("experiment", name, "-o", tmp_path, "--redraw", "--json")
+    assert answer.status == 0, answer.err
+    drawn = answer.records[0]["figures"]
+    assert sorted(drawn) == sorted(path.name for path in source.glob("*.png"))
+    assert all((tmp_path / figure).stat().st_size > 10_000 for figure in drawn)
+    tables = find_experiment(name).summarise(read_results(tmp_path / "results.csv"))
+    assert all(len(row) == len(table.columns) for table in tables for row in table.rows)
+    assert any("geometry_trees" in row for table in tables for row in table.rows)
