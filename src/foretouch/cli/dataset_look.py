@@ -76,7 +76,7 @@ def verify(arguments: argparse.Namespace) -> int:
             lost = str(sum(record.get("lost", {}).values()))
             rows.append([str(record["file"]), record["status"], *counts, lost, str(len(record["faults"]))])
     if not arguments.json:
-        print_table("verified", ["file", "state", "samples", "messages", "bytes", "lost on the way", "faults"], rows)
+        print_table("verified", ["file", "state", "samples", "messages", "bytes", "lost", "faults"], rows)
     return int(failed)
 
 
