@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""P2's Fig. 3 on the simulated deformables: does an SR-GAN need fewer labels than a PointNet?
+
+Of 3200 training samples 10, 30, 50, 70 or 90 % lose their labels (T10...T90). The SR-GAN learns from all of them and from
+fake clouds, the PointNet from those with labels; both are judged on the same 800 test samples, in several runs, each
+modality by a network of its own. `label_ratio_training` tells how both are trained, `label_ratio_table` how they are
+compared, and `label_ratio_tuning` how the trials that stand in the presets were chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from foretouch.config import setting
+from foretouch.errors import ConfigError
+from foretouch.learning.experiments.experiment import Cell, Experiment, Row
+from foretouch.learning.experiments.label_ratio_data import RatioDataSettings, load_frozen, prepared, sides
+from foretouch.learning.experiments.label_ratio_table import compare_models, summarise
+from foretouch.learning.experiments.label_ratio_training import (
+    MODELS,
+    TRIALS,
+    configured,
+    error_row,
+    train_and_predict,
+)
+from foretouch.learning.experiments.simulated_data import SimulatedGrasps, prepare_simulated
+from foretouch.learning.split_book import RATIOS
+from foretouch.learning.srgan import SrganConfig
+from foretouch.models.settings import ModelConfig
+from foretouch.tactile.modalities import MODALITIES
+
+__all__ = ["EXPERIMENT", "QUICK", "SMOKE", "LabelRatioSettings", "NetworkSettings", "run_network"]
+
+QUICK: Final[dict[str, Any]] = {
+    "updates": 640,
+    "model": {
+        "n_points": 64,
+        "channels": "xyz+normals",
+        "metric_inputs": True,
+        "tnet": False,
+        "trunk_widths": [32, 64],
+        "head_widths": [64, 32],
+    },
+    "training": {
+        "batch_size": 16,
+        "optimiser": "adamw",
+        "learning_rate": 3e-3,
+        "schedule": "cosine",
+        "target_scaling": "standardised",
+        "generator": {"noise_length": 1, "widths": [16], "stride": 8},
+    },
+}
+"""64 of 750 points, features of 64 instead of 1024 values, no T-Net, a generator of 64 points."""
+
+SMOKE: Final[dict[str, Any]] = {**QUICK, "updates": 40}
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkSettings(RatioDataSettings):
+    """What both models of `label_ratio` share; the defaults are P2's sizes and recipe."""
+
+    modalities: tuple[str, ...] = setting(MODALITIES, "One network each", choices=MODALITIES)
+    updates: int | None = setting(
+        None, "Of each network, at every ratio; by default those of training.epochs", minimum=1, maximum=10_000_000
+    )
+    model: ModelConfig = ModelConfig(channels="xyz+normals")
+    training: SrganConfig = SrganConfig()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelRatioSettings(NetworkSettings):
+    """Of `label_ratio`."""
+
+    ratios: tuple[int, ...] = setting(RATIOS, "Percent without labels", choices=RATIOS)
+    seeds: tuple[int, ...] = setting((0, 1, 2, 3, 4), "Of the runs: five in P2", minimum=0)
+    pointnet: tuple[str, ...] = setting(
+        (), "Trial at each ratio, as `label_ratio_tuning` chose them", choices=tuple(TRIALS["pointnet"])
+    )
+    srgan: tuple[str, ...] = setting((), "The same of the SR-GAN", choices=tuple(TRIALS["srgan"]))
+    draws: int = setting(10_000, "Resamples for the intervals", minimum=100, maximum=1_000_000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for model in MODELS:
+            trials = getattr(self, model)
+            if len(trials) != len(self.ratios):
+                raise ConfigError(
+                    f"LabelRatioSettings.{model}: {len(trials)} trials are not one for each of {len(self.ratios)} ratios"
+                )
+
+
+def run_network(
+    cell: Cell, settings: NetworkSettings, data: SimulatedGrasps, *, held: float = 0.0, held_seed: int = 0
+) -> list[Row]:
+    """Train and judge the network of a cell with `ratio`, `model`, `trial`, `modality` and `seed`.
+
+    Args:
+        cell: The cell.
+        settings: Of the experiment.
+        data: The samples.
+        held: Share of the labelled samples that is judged instead of the test samples.
+        held_seed: Of whom that is.
+    """
+    what = cell.values
+    who = sides(data.collection, what["ratio"], held, held_seed)
+    ready = prepared(data, settings.model.replace(outputs=(what["modality"],)), settings.stock)
+    config = configured(settings.training, what["model"], what["trial"], len(who.train), settings.updates, what["seed"])
+    predicted, updates = train_and_predict(ready, who, what["model"], config)
+    objects = [data.collection.samples[k].object for k in who.judged]
+    return [{"updates": updates, **error_row(ready, who, predicted, objects)}]
+
+
+def _cells(settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Cell]:
+    """Run by run, so that a sweep that was cut short has every cell of the figure."""
+    del data
+    return [
+        Cell(
+            f"T{ratio}+{modality}+{model}+{seed}",
+            {"ratio": ratio, "modality": modality, "model": model, "seed": seed, "trial": getattr(settings, model)[k]},
+        )
+        for seed in settings.seeds
+        for k, ratio in enumerate(settings.ratios)
+        for modality in settings.modalities
+        for model in MODELS
+    ]
+
+
+def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Row]:
+    return run_network(cell, settings, data)
+
+
+def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
+    return compare_models(rows, settings.model.ranges, settings.draws)
+
+
+_CHOSEN: Final = {"pointnet": ["rate 0.003"] * len(RATIOS), "srgan": ["0.3/1/1, decay 0.3"] * len(RATIOS)}
+
+EXPERIMENT = Experiment(
+    name="label_ratio",
+    question="Does an SR-GAN predict touch from fewer labels than a PointNet of the same size, trained alike?",
+    module=__name__,
+    settings=LabelRatioSettings,
+    presets={
+        "paper": {**_CHOSEN},
+        "quick": {**QUICK, **_CHOSEN},
+        "smoke": {
+            **SMOKE,
+            **{model: trials[:2] for model, trials in _CHOSEN.items()},
+            "samples": 200,
+            "ratios": [50, 90],
+            "seeds": [0, 1],
+            "draws": 500,
+        },
+    },
+    load=load_frozen,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=summarise,
+    prepare=prepare_simulated,
+)
