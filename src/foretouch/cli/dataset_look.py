@@ -13,6 +13,7 @@ from foretouch.cli.output import print_json, print_table, warn
 from foretouch.errors import FileError, ForetouchError
 
 if TYPE_CHECKING:
+    from foretouch.dataset.info import SampleSetInfo
     from foretouch.dataset.samples import SampleSet
     from foretouch.types import GraspSample
 
@@ -28,30 +29,30 @@ def info(arguments: argparse.Namespace) -> int:
         edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
         print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": edges})
         return 0
-    rows = [
-        ["kind", found.kind],
-        [
-            "samples",
-            f"{found.samples} ({found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded)",
-        ],
-        ["objects", counted(found.objects)],
-        ["outcomes", counted(found.outcomes)],
-        ["flags", counted(found.flags)],
-        ["time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"],
-        ["points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"],
-        *([name, f"{low:g} to {high:g} counts"] for name, (low, high) in found.ranges.items()),
-        ["hand", _facts(found.hand)],
-        ["camera", _facts(found.camera)],
-    ]
-    if found.unfinished:
-        rows.append(["not finished", f"{', '.join(found.unfinished)}: repair makes them whole"])
-    if found.pairing_ms:
-        spans = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
-        rows.append(["pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in spans if n)])
-    rows += [[topic, _account(counts)] for topic, counts in found.accounts.items()]
-    rows += [["edit", text] for text in found.edits]
-    print_table(arguments.path, ["", "value"], [[name, value] for name, value in rows if value])
+    print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
     return 0
+
+
+def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
+    from foretouch.dataset.info import PAIRING_EDGES_MS
+
+    named = f"{found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded"
+    yield "kind", found.kind
+    yield "samples", f"{found.samples} ({named})"
+    yield "objects", counted(found.objects)
+    yield "outcomes", counted(found.outcomes)
+    yield "flags", counted(found.flags)
+    yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+    yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
+    yield from ((name, f"{low:g} to {high:g} counts") for name, (low, high) in found.ranges.items())
+    yield "hand", _facts(found.hand)
+    yield "camera", _facts(found.camera)
+    if found.unfinished:
+        yield "not finished", f"{', '.join(found.unfinished)}: repair makes them whole"
+    spans = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
+    yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in spans if n)
+    yield from ((topic, _account(counts)) for topic, counts in found.accounts.items())
+    yield from (("edit", text) for text in found.edits)
 
 
 def _account(counts: Mapping[str, Any]) -> str:
