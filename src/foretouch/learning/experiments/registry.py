@@ -21,6 +21,8 @@ EXPERIMENTS: Final = {
         "noise_ceiling",
         "lookalikes",
         "sim_to_real",
+        "label_ratio",
+        "label_ratio_tuning",
     )
 }
 

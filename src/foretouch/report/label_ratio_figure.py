@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""P2's Fig. 3 from our own table: errors of both models at each label ratio, and below them their difference.
+
+P2's figures come from other objects: its lowest error and the changes that its text tells stand beside ours, not in
+competition with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from foretouch.learning.experiments.label_ratio_table import P2_LOWEST, tally
+
+__all__ = ["draw", "draw_changes", "draw_errors"]
+
+Rows = Sequence[Mapping[str, Any]]
+
+_MODELS: Final = (("pointnet", "P", "#8d99ae"), ("srgan", "S", "#00798c"))
+_VERDICTS: Final = {"win": "#2a9d4e", "tie": "#555555", "loss": "#d1495b", None: "#555555"}
+_HALF: Final = 0.38
+_LEAST_SPAN: Final = 5.0  # of a change [%] that the axis shows at least
+
+
+def draw(rows: Rows, folder: Path) -> list[Path]:
+    """`figure.png`: modalities side by side."""
+    names = list(dict.fromkeys(row["modality"] for row in rows))
+    figure = Figure(figsize=(3.6 * len(names) + 0.6, 7.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, len(names), squeeze=False, height_ratios=(1.15, 1.0))
+    for top, bottom, name in zip(above, below, names, strict=True):
+        mine = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
+        draw_errors(top, mine)
+        draw_changes(bottom, mine)
+        top.set_title(name)
+    above[0].set_ylabel("RMSE [% of the range], mean ± deviation of the runs")
+    below[0].set_ylabel("change of the RMSE by the SR-GAN [%], 95 % interval")
+    above[-1].legend(fontsize=8, loc="lower right")
+    below[-1].legend(fontsize=8, loc="best")
+    figure.suptitle("; ".join(tally(rows)), fontsize=10)
+    path = folder / "figure.png"
+    figure.savefig(path, dpi=120)
+    return [path]
+
+
+def draw_errors(axes: Axes, rows: Rows) -> None:
+    """Bars of both models at each ratio, S and P as in P2, and the lowest error that P2 tells of this modality."""
+    for side, (model, letter, colour) in zip((-0.5, 0.5), _MODELS, strict=True):
+        places = [k + side * _HALF for k in range(len(rows))]
+        heights = [row[f"{model}_percent"] for row in rows]
+        widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or 0.0) for row in rows]
+        label = f"{letter}: {'SR-GAN' if model == 'srgan' else 'PointNet'}"
+        axes.bar(places, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
+    lowest = P2_LOWEST[rows[0]["modality"]]
+    axes.axhline(lowest, color="black", linestyle=":", linewidth=1, label="lowest in P2 (its P30), other objects")
+    least = min(min(row["pointnet_percent"], row["srgan_percent"]) for row in rows)
+    most = max(max(row["pointnet_percent"], row["srgan_percent"]) for row in rows)
+    axes.set_ylim(0.8 * min(least, lowest), 1.06 * max(most, lowest))  # cut off below, as the axis tells
+    _ticks(axes, rows)
+
+
+def draw_changes(axes: Axes, rows: Rows) -> None:
+    """The change in each cell with its interval, coloured by verdict; P2's where its text tells it."""
+    for place, row in enumerate(rows):
+        colour = _VERDICTS[row["verdict"]]
+        axes.plot(place, row["change"], marker="o", color=colour)
+        if row["change_low"] is not None:
+            axes.plot([place, place], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
+    told = [(place + 0.2, row["p2_change"]) for place, row in enumerate(rows) if row["p2_change"] is not None]
+    axes.plot(
+        [place for place, _ in told],
+        [change for _, change in told],
+        marker="D",
+        linestyle="",
+        color="black",
+        markerfacecolor="none",
+        markersize=5,
+        label="P2, other objects",
+    )
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
+    _ticks(axes, rows)
+    axes.set_xlabel("samples without labels")
+
+
+def _ticks(axes: Axes, rows: Rows) -> None:
+    axes.set_xticks(range(len(rows)), [f"T{row['ratio']}" for row in rows])
+    axes.grid(visible=True, axis="y", alpha=0.3)
+    axes.set_axisbelow(True)
