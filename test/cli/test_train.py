@@ -57,7 +57,7 @@ def test_what_is_wrong_is_told_in_one_line(call, simulated, tmp_path) -> None:
     out = ["-o", tmp_path / "run"]
     unknown = call("train", RECIPES / "p2.yaml", f"data={simulated}", "train.epoch=3", *out)
     assert unknown.status == 1
-    assert "train.epoch: unknown setting; known: epochs" in unknown.err
+    assert "train.epoch: unknown setting; known: device, precision, epochs" in unknown.err
     nothing = call("train", RECIPES / "p2.yaml", *out)
     assert "data: is empty; give data=PATH" in nothing.err
     absent = call("evaluate", "default", tmp_path / "none")

@@ -21,7 +21,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.collection import Collection, load_collection
 from foretouch.learning.judging import judge
 from foretouch.learning.metrics import score
-from foretouch.learning.run import LOG_FILE, STATE_FILE, RunConfig, train_run
+from foretouch.learning.run import BOARD_FOLDER, LOG_FILE, STATE_FILE, RunConfig, train_run
 from foretouch.learning.split_book import SPLITS_FILE, make_split_book
 from foretouch.learning.training_state import read_state, write_state
 
@@ -225,3 +225,64 @@ def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
 def test_a_cloud_without_the_channel_is_named(data, tmp_path) -> None:
     with pytest.raises(DatasetError, match=rf"{data.samples[0].id}: channels: the model needs xyz\+rgb"):
         train_run(config(model={**MODEL, "channels": "xyz+rgb"}), data, tmp_path / "run", quiet)
+
+
+def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
+    pytest.importorskip("tensorboard", reason="an extra")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train_run(config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
+    logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
+    shown = EventAccumulator(str(tmp_path / "run" / BOARD_FOLDER))
+    shown.Reload()
+    for tag, values in (
+        ("losses/loss", [line["losses"]["loss"] for line in logged]),
+        ("validation", [line["validation"] for line in logged]),
+    ):
+        assert [scalar.step for scalar in shown.Scalars(tag)] == [0, 1, 2, 3]
+        assert [scalar.value for scalar in shown.Scalars(tag)] == pytest.approx(values, rel=1e-6)
+
+
+def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
+        train_run(config(tensorboard=True), data, tmp_path / "run", quiet)
+
+
+TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "0", "--standalone"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["supervised", "srgan"])
+def test_two_processes_train_the_model_of_one(store, data, tmp_path, method: str) -> None:
+    """P1's layers too: batch norm in trunk, T-Net and head, whose statistics are shared."""
+    changes = {
+        "method": method,
+        "split": "labels/T50",
+        "model": {**MODEL, "tnet": True, "tnet_widths": [8, 8, 16, 8, 8], "head_norm": True},
+        "train": {"epochs": 2, "batch_size": 8, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05},
+        "srgan": {
+            **BASE["srgan"],
+            "epochs": 2,
+            "batch_size": 4,
+            "optimiser": "sgd",
+            "batch_norm": "per_source",
+            "loss": {"reading": "srgan"},
+        },
+    }
+    file = tmp_path / "tiny.yaml"
+    file.write_text(yaml.safe_dump({**BASE, **changes}))
+    words = ["-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "-o", str(tmp_path / "two")]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([*TWO, *words], capture_output=True, env=env, text=True, check=False, timeout=100)
+    assert done.returncode == 0, done.stderr[-2000:]
+    said: list[dict] = []
+    train_run(config(**changes), data, tmp_path / "one", said.append)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line.get("epoch") for line in lines] == [0, 1, None]  # the first process alone speaks
+    for one, two in zip(said[:-1], lines[:-1], strict=True):
+        assert two["losses"] == pytest.approx(one["losses"], rel=1e-4)
+    ours, theirs = (read_state(tmp_path / name / STATE_FILE)[0] for name in ("one", "two"))
+    moved = sum(float((ours[k] - v).double().square().sum()) for k, v in theirs.items() if k.startswith("net/"))
+    whole = sum(float(v.double().square().sum()) for k, v in ours.items() if k.startswith("net/"))
+    assert (moved / whole) ** 0.5 < 1e-5

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch train`: a model from a configuration, resumable at every epoch."""
+"""`foretouch train`: a model from a configuration, resumable at every epoch.
+
+Several processes share each batch out, with the gradients of one, when `torchrun` starts the command::
+
+    torchrun --nproc-per-node 2 -m foretouch.cli.main train CONFIG -o RUN
+"""
 
 from __future__ import annotations
 
@@ -37,11 +42,18 @@ def run(arguments: argparse.Namespace) -> int:
     config = _config(arguments)  # before the samples are read, for it is faster to be found wrong
     if config.data is None:
         raise ConfigError(f"{arguments.config}: data: is empty; give data=PATH")
+    from foretouch.learning.ranks import process_group
+
+    with process_group(config.device) as ranks:
+        return _train(arguments, config, config.data, quiet=ranks.own > 0)
+
+
+def _train(arguments: argparse.Namespace, config: RunConfig, source: str, *, quiet: bool) -> int:
     from foretouch.learning.collection import load_collection
     from foretouch.learning.run import train_run
 
-    data = load_collection(config.data)
-    if arguments.json:
+    data = load_collection(source)
+    if arguments.json or quiet:
         train_run(config, data, arguments.out, print_now, resume=arguments.resume)
         return 0
     with _progress() as (say, last):

@@ -89,12 +89,13 @@ class Features:
     """f(x) of the three sources.
 
     Attributes:
-        labeled, unlabeled, fake: (B, F) each.
+        labeled, unlabeled: (B, F) each.
+        fake: (B, F); may be None for the reading `as_printed`, which does not look at it.
     """
 
     labeled: Tensor
     unlabeled: Tensor
-    fake: Tensor
+    fake: Tensor | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +195,11 @@ def generator_loss(fake: Tensor, unlabeled: Tensor, config: SrganLossConfig, ran
 
 
 def gradient_penalty(
-    features: Callable[[Tensor], Tensor], unlabeled: Tensor, fake: Tensor, rng: torch.Generator
+    features: Callable[[Tensor], Tensor],
+    unlabeled: Tensor,
+    fake: Tensor,
+    rng: torch.Generator,
+    ranks: Ranks = ONE_RANK,
 ) -> Tensor:
     """Mean of max(‖∇‖ - 1, 0)², one-sided, of the norm of the features at clouds between real and fake ones.
 
@@ -207,9 +212,10 @@ def gradient_penalty(
         unlabeled: (B, N, C) real clouds.
         fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
         rng: Draws a place between the two for each cloud.
+        ranks: Those that share the batch out; the clouds are this rank's.
     """
     points = min(unlabeled.shape[1], fake.shape[1])
-    share = torch.rand(len(unlabeled), 1, 1, generator=rng).to(unlabeled)
+    share = ranks.share(torch.rand(len(unlabeled) * ranks.size, 1, 1, generator=rng)).to(unlabeled)
     between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
     between.requires_grad_()
     norms = safe_root(features(between).square().sum(dim=1))
@@ -229,6 +235,8 @@ def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, ranks: Ranks) -> Te
 
 def _contrast(features: Features, config: SrganLossConfig, ranks: Ranks) -> Tensor:
     """What drives unlabelled and fake features apart; its slope in each feature is at most one."""
+    if features.fake is None:
+        raise DatasetError(f"losses: the reading {config.reading} needs the features of fake clouds")
     far = _difference(features.unlabeled, features.fake, config, ranks).abs()
     kind = "sqrt" if config.reading == "srgan" else config.contrast
     if kind == "sqrt":

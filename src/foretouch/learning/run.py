@@ -5,6 +5,9 @@ RUN/config.yaml        as resolved
 RUN/log.jsonl          one line an epoch
 RUN/state.safetensors  of the last epoch that was finite, from which --resume goes on
 RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
+RUN/tensorboard        the same figures as the log's, only where `tensorboard` asks for them
+
+Of several processes (`torchrun`) the first alone writes; all of them read a state that is resumed.
 """
 
 from __future__ import annotations
@@ -16,12 +19,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import torch
 import yaml
 from torch import Tensor
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.learning.board import open_board
 from foretouch.learning.collection import Collection
 from foretouch.learning.judging import judge
 from foretouch.learning.srgan import SrganConfig, SrganTrainer
@@ -38,6 +43,7 @@ __all__ = ["LOG_FILE", "STATE_FILE", "RunConfig", "train_run"]
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"
+BOARD_FOLDER: Final = "tensorboard"
 STATE_FILE: Final = "state.safetensors"
 
 Say = Callable[[Mapping[str, Any]], None]
@@ -58,6 +64,7 @@ class RunConfig(Settings):
     validation: float = setting(
         0.0, "Share of the labelled samples that is held back to choose the best epoch", minimum=0.0, maximum=0.5
     )
+    tensorboard: bool = setting(False, "Write the log's figures for TensorBoard too; needs foretouch[tensorboard]")
     patience: int | None = setting(None, "Stop after so many epochs without a better validation", minimum=1)
     model: ModelConfig = ModelConfig()
     train: TrainConfig = TrainConfig()
@@ -72,6 +79,11 @@ class RunConfig(Settings):
     def seed(self) -> int:
         """Of the method that is used."""
         return self.srgan.seed if self.method == "srgan" else self.train.seed
+
+    @property
+    def device(self) -> str:
+        """Of the method that is used: `cpu` or `cuda`."""
+        return self.srgan.resolved_device if self.method == "srgan" else self.train.resolved_device
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,20 +127,28 @@ def train_run(config: RunConfig, data: Collection, out: Path, say: Say, *, resum
     prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
     trainer = _trainer(config, prepared, sides)
     best = _Best()
-    if _open_folder(config, data, out, resume=resume):
+    if _opened(config, data, out, trainer, resume=resume):
         _restore(trainer, best, out)
+    board = open_board(out / BOARD_FOLDER) if config.tensorboard and trainer.place.first else None
     while trainer.epoch < trainer.epochs and not _patience_over(config, trainer, best):
         losses = trainer.run_epoch()
         record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
         if len(sides.validation):
             record["validation"] = _validate(trainer, prepared, sides.validation, best)
-        _log(
-            out, record
-        )  # first, for a line without its state is replaced, and a state without its line would shift them
-        _store(trainer, best, out)
-        say(record)
+        if trainer.place.first:
+            # The log first, for a line without its state is replaced, and a state without its line would shift them.
+            _log(out, record)
+            _store(trainer, best, out)
+            say(record)
+        if board is not None:
+            board.write(record)
+    if board is not None:
+        board.close()
     if best.weights is not None:
         trainer.net.load_state_dict(best.weights)
+    trainer.net.cpu()
+    if not trainer.place.first:
+        return out / f"{config.name}.json"
     return _finish(config, data, prepared, sides, trainer, best, out, say)
 
 
@@ -156,6 +176,13 @@ def _trainer(config: RunConfig, prepared: TrainingSet, sides: _Sides) -> Trainer
     if config.method == "srgan":
         return SrganTrainer(prepared, sides.train, sides.unlabelled, config.srgan)
     return SupervisedTrainer(prepared, sides.train, config.train)
+
+
+def _opened(config: RunConfig, data: Collection, out: Path, trainer: Trainer, *, resume: bool) -> bool:
+    """As `_open_folder`, which the first process does for all; the others wait for its answer."""
+    place = trainer.place
+    there = place.first and _open_folder(config, data, out, resume=resume)
+    return bool(place.ranks.sum(torch.tensor(float(there), device=place.device)) > 0)
 
 
 def _open_folder(config: RunConfig, data: Collection, out: Path, *, resume: bool) -> bool:
@@ -204,11 +231,11 @@ def _validate(trainer: Trainer, prepared: TrainingSet, held: Indices, best: _Bes
     """Root mean square of the scaled errors; keeps the weights where it is the least so far."""
     net = trainer.net.eval()
     place = columns(prepared.config.outputs)
-    error = (predict_set(net, prepared, held) - prepared.labels[np.ix_(held, place)]) / net.target_scale.numpy()
+    error = (predict_set(net, prepared, held) - prepared.labels[np.ix_(held, place)]) / net.target_scale.cpu().numpy()
     value = float(np.sqrt(np.mean(error**2)))
     if value < best.error:
         best.epoch, best.error = trainer.epoch - 1, value
-        best.weights = {name: tensor.clone() for name, tensor in net.state_dict().items()}
+        best.weights = {name: tensor.to("cpu", copy=True) for name, tensor in net.state_dict().items()}
     return value
 
 

@@ -30,7 +30,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.losses import (
     Features,
@@ -40,6 +40,7 @@ from foretouch.learning.losses import (
     gradient_penalty,
     labeled_loss,
 )
+from foretouch.learning.place import Place, PlaceConfig
 from foretouch.learning.stepper import OPTIMISERS, SCHEDULES, Stepper, StepRule
 from foretouch.learning.train import set_target_scaling
 from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
@@ -54,7 +55,7 @@ _CALIBRATION_BATCHES = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class SrganConfig(Settings):
+class SrganConfig(PlaceConfig):
     """How an SR-GAN is trained; the defaults are P2's where P2 tells.
 
     Raises:
@@ -112,7 +113,7 @@ class SrganTrainer(Trainer):
                     f"training: {len(index)} {kind} samples are fewer than one batch of {config.batch_size}"
                 )
         self.config = config
-        super().__init__(data, config.seed, config.epochs)
+        super().__init__(data, config.seed, config.epochs, Place.of(config, config.batch_size))
         self._labelled, self._unlabelled = labelled, unlabelled
         self._sizes = [modality_size(name) for name in data.config.outputs]
         place = columns(data.config.outputs)
@@ -123,7 +124,7 @@ class SrganTrainer(Trainer):
         rate = config.learning_rate if config.generator_learning_rate is None else config.generator_learning_rate
         for name, module, largest in (("net", self.net, config.learning_rate), ("generator", self.generator, rate)):
             rule = StepRule(config.optimiser, largest, config.weight_decay, config.schedule)
-            self.steppers[name] = Stepper(module, rule, steps)
+            self.steppers[name] = Stepper(module, rule, steps, self.place.ranks)
         if config.batch_norm == "frozen":
             calibrate(self.net, self._calibration())
 
@@ -146,18 +147,20 @@ class SrganTrainer(Trainer):
             yield losses | self._generator_step(number, unlabelled, real)
 
     def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
+        ranks = self.place.ranks
         with torch.no_grad():
             fake = self._fake(len(unlabelled))
         features = self._all_features(self._points(labelled), real, fake)
         scaled = self.net.regress(features.labeled, self._grasps(labelled))
-        error = scaled - self.net.to_scaled(self._labels[labelled])
+        error = scaled - self.net.to_scaled(self.place.share(self._labels[labelled]))
         penalty = None
         if self.config.loss.gradient_penalty > 0.0:
-            penalty = gradient_penalty(self.net.features, real, fake, torch.default_generator)
-        labeled = labeled_loss(error, torch.zeros_like(error), self._sizes)
-        loss = discriminator_loss(labeled, features, self.config.loss, penalty)
-        self.require_finite({"labeled": labeled}, number, labelled, error, features.labeled)
-        self.require_finite(loss.parts | {"total": loss.total}, number, unlabelled, features.unlabeled)
+            penalty = gradient_penalty(self.net.features, real, fake, torch.default_generator, ranks)
+        labeled = labeled_loss(error, torch.zeros_like(error), self._sizes, ranks=ranks)
+        loss = discriminator_loss(labeled, features, self.config.loss, penalty, ranks)
+        self.require_finite({"labeled": labeled}, number, ranks.share(labelled), error, features.labeled)
+        parts = loss.parts | {"total": loss.total}
+        self.require_finite(parts, number, ranks.share(unlabelled), features.unlabeled)
         self.steppers["net"].step(loss.total)
         return loss.numbers()
 
@@ -166,13 +169,23 @@ class SrganTrainer(Trainer):
             with torch.no_grad():
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
-            loss = generator_loss(made, aim, self.config.loss)
-            self.require_finite(loss.parts, number, unlabelled, aim)
+            loss = generator_loss(made, aim, self.config.loss, self.place.ranks)
+            self.require_finite(loss.parts, number, self.place.ranks.share(unlabelled), aim)
             self.steppers["generator"].step(loss.total)
         return {"generator": float(loss.total.detach())}
 
     def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> Features:
-        """f(x) of the three sources; in one pass where that gives the same, for it is faster."""
+        """f(x) of the three sources; in one pass where that gives the same, for it is faster.
+
+        Where fake clouds touch no loss (`as_printed`), their features are not computed.
+        """
+        if self.config.loss.reading == "as_printed":
+            if self.config.batch_norm == "frozen":
+                known, other = self.net.features(torch.cat([labelled, unlabelled])).chunk(2)
+                return Features(known, other, None)
+            known = self.net.features(labelled)
+            with statistics_kept(self.net):
+                return Features(known, self.net.features(unlabelled), None)
         if self.config.batch_norm == "frozen" and labelled.shape[1:] == fake.shape[1:]:
             return Features(*self.net.features(torch.cat([labelled, unlabelled, fake])).chunk(3))
         known = self.net.features(labelled)
@@ -180,13 +193,14 @@ class SrganTrainer(Trainer):
             return Features(known, self.net.features(unlabelled), self.net.features(fake))
 
     def _fake(self, count: int) -> Tensor:
-        return self.generator.clouds(draw_noise(count, self.config.generator, torch.default_generator))
+        noise = draw_noise(count, self.config.generator, torch.default_generator)
+        return self.generator.clouds(self.place.share(noise))
 
     def _points(self, batch: Indices) -> Tensor:
-        return torch.from_numpy(self.data.points(batch, self.rng, self.config.points))
+        return self.place.share(torch.from_numpy(self.data.points(batch, self.rng, self.config.points)))
 
     def _grasps(self, batch: Indices) -> Tensor | None:
-        return self._fed[batch] if self.data.config.use_grasp else None
+        return self.place.share(self._fed[batch]) if self.data.config.use_grasp else None
 
     def _calibration(self) -> Iterator[Inputs]:
         """Batches of real clouds, labelled or not."""

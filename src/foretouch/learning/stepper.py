@@ -10,6 +10,8 @@ from typing import Any, Final
 import torch
 from torch import Tensor, nn
 
+from foretouch.learning.ranks import ONE_RANK, Ranks
+
 __all__ = ["OPTIMISERS", "SCHEDULES", "StepRule", "Stepper"]
 
 OPTIMISERS: Final = ("adamw", "adam", "sgd")
@@ -46,11 +48,15 @@ class Stepper:
         module: Whose weights.
         rule: How.
         steps: That will be taken in all; the cosine schedule ends with them.
+        ranks: Those that share each batch out.
     """
 
-    def __init__(self, module: nn.Module, rule: StepRule, steps: int) -> None:
-        options: dict[str, Any] = {"lr": rule.learning_rate, "weight_decay": rule.weight_decay}
-        self._optimiser = _KINDS[rule.optimiser](module.parameters(), **options)
+    def __init__(self, module: nn.Module, rule: StepRule, steps: int, ranks: Ranks = ONE_RANK) -> None:
+        # One kernel for all weights: a small network's step takes as long as its number of calls.
+        options: dict[str, Any] = {"lr": rule.learning_rate, "weight_decay": rule.weight_decay, "fused": True}
+        self._weights = list(module.parameters())
+        self._ranks = ranks
+        self._optimiser = _KINDS[rule.optimiser](self._weights, **options)
         self._schedule: torch.optim.lr_scheduler.LRScheduler
         if rule.schedule == "cosine":
             self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, T_max=steps)
@@ -61,6 +67,7 @@ class Stepper:
         """Differentiate a scalar and take one step."""
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
+        self._ranks.average_gradients(self._weights)
         self._optimiser.step()
         self._schedule.step()
 

@@ -15,10 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.augment import turn, viewing_axis_rotations
 from foretouch.learning.losses import labeled_loss
+from foretouch.learning.place import Place, PlaceConfig
 from foretouch.learning.stepper import Stepper, StepRule
 from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
 from foretouch.learning.training_set import TrainingSet
@@ -35,7 +36,7 @@ _LEAST_DEVIATION = 1.0  # [counts], so that an output that never moves does not 
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig(Settings):
+class TrainConfig(PlaceConfig):
     """How a network is trained."""
 
     epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
@@ -78,7 +79,7 @@ class SupervisedTrainer(Trainer):
     def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
         if len(index) < config.batch_size:
             raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
-        super().__init__(data, config.seed, config.epochs)
+        super().__init__(data, config.seed, config.epochs, Place.of(config, config.batch_size))
         self.config = config
         self._index = index
         place = columns(data.config.outputs)
@@ -86,16 +87,18 @@ class SupervisedTrainer(Trainer):
         self._labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
         self._fed = torch.from_numpy(data.grasps)
         rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
-        self.steppers["net"] = Stepper(self.net, rule, config.epochs * (len(index) // config.batch_size))
+        steps = config.epochs * (len(index) // config.batch_size)
+        self.steppers["net"] = Stepper(self.net, rule, steps, self.place.ranks)
+        self._sizes = [modality_size(name) for name in data.config.outputs]
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
         for number, batch in enumerate(shuffled_batches(self._index, self.config.batch_size, self.rng)):
             points, grasps = self._inputs(batch)
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            target = self.net.to_scaled(self._labels[batch])
-            loss = training_loss(scaled, target, self.data.config, self.config.loss)
-            self.require_finite({"loss": loss}, number, batch, scaled - target)
+            target = self.net.to_scaled(self.place.share(self._labels[batch]))
+            loss = labeled_loss(scaled, target, self._sizes, self.config.loss, self.place.ranks)
+            self.require_finite({"loss": loss}, number, self.place.ranks.share(batch), scaled - target)
             self.steppers["net"].step(loss)
             yield {"loss": float(loss.detach())}
 
@@ -104,8 +107,8 @@ class SupervisedTrainer(Trainer):
         grasps = self._fed[batch]
         if self.config.turn_deg > 0.0:
             rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
-            return turn(points, grasps, torch.from_numpy(rotations), self.data.config)
-        return points, grasps
+            points, grasps = turn(points, grasps, torch.from_numpy(rotations), self.data.config)
+        return self.place.share(points), self.place.share(grasps)
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None = None) -> TouchNet:
@@ -128,7 +131,7 @@ def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report
         losses = trainer.run_epoch()
         if report is not None:
             report(trainer.epoch - 1, losses["loss"])
-    return trainer.net.eval()
+    return trainer.net.cpu().eval()
 
 
 def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
@@ -159,10 +162,11 @@ def training_loss(scaled: Tensor, target: Tensor, config: ModelConfig, kind: str
 @torch.inference_mode()
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
     """(T, M) predictions [counts] of some samples, each on the points that prediction would choose."""
-    grasps = torch.from_numpy(data.grasps) if data.config.use_grasp else None
+    device = net.target_mean.device
+    grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
     rows = []
     for i in index:
         one = np.array([i])
-        points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed)))
+        points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed))).to(device)
         rows.append(net.counts(points, None if grasps is None else grasps[one]))
-    return torch.cat(rows).numpy().astype(np.float64)
+    return torch.cat(rows).cpu().numpy().astype(np.float64)

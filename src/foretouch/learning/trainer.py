@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.errors import DatasetError, ModelError
+from foretouch.learning.place import Place
 from foretouch.learning.stepper import Stepper
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.regressor import TouchNet
@@ -22,6 +24,7 @@ __all__ = ["Indices", "Trainer", "shuffled_batches"]
 Indices = npt.NDArray[np.intp]
 
 _TORCH_RNG = "torch_rng"
+_CUDA_RNG = "cuda_rng"
 
 
 class Trainer(ABC):
@@ -34,25 +37,29 @@ class Trainer(ABC):
         data: All samples; it knows the network's configuration.
         seed: Of everything random.
         epochs: That will be run in all.
+        place: Where.
 
     Attributes:
-        net: The network, in training mode or not as the last epoch left it.
+        net: The network, in training mode or not as the last epoch left it; on the device of the place.
         epoch: Epochs that are done.
         rng: Order and points.
         modules, steppers: All that is trained, by name; `net` is among them.
     """
 
-    def __init__(self, data: TrainingSet, seed: int, epochs: int) -> None:
+    def __init__(self, data: TrainingSet, seed: int, epochs: int, place: Place) -> None:
         self.data = data
+        self.place = place
         self.epochs = epochs
         self.epoch = 0
+        self._randomness: dict[str, Tensor] = {}
         self.rng = np.random.default_rng(seed)
-        with torch.random.fork_rng(devices=[]):
+        with self._own_randomness():
             torch.manual_seed(seed)
             self.net = TouchNet(data.config)
             extra = self._make_modules()
-            self._torch_rng = torch.get_rng_state()
         self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
+        for module in self.modules.values():
+            place.settle(module)
         self.steppers: dict[str, Stepper] = {}
 
     def run_epoch(self) -> dict[str, float]:
@@ -64,24 +71,23 @@ class Trainer(ABC):
         Raises:
             DatasetError: If a loss or a weight stops being finite; names epoch, batch and sample.
         """
-        with torch.random.fork_rng(devices=[]):
-            torch.set_rng_state(self._torch_rng)
+        with self._own_randomness():
             batches = list(self._epoch())
-            self._torch_rng = torch.get_rng_state()
         self._require_finite_weights()
         self.epoch += 1
-        return {name: float(np.mean([batch[name] for batch in batches])) for name in batches[0]}
+        return self._means(batches)
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name and the rest as plain data: all that `restore` needs; the tensors are copies."""
-        tensors = {_TORCH_RNG: self._torch_rng}
+        tensors = dict(self._randomness)
         plain: dict[str, Any] = {"epoch": self.epoch, "rng": self.rng.bit_generator.state, "steppers": {}}
         for name, module in self.modules.items():
             tensors |= _prefixed(name, module.state_dict())
         for name, stepper in self.steppers.items():
             moments, plain["steppers"][name] = stepper.state()
             tensors |= _prefixed(f"{name}-steps", moments)
-        return {name: value.detach().clone().contiguous() for name, value in tensors.items()}, plain
+        # To the CPU, so that a run may go on elsewhere; `to` copies there and back alone.
+        return {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}, plain
 
     def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
         """Go on from a snapshot as if nothing had been in between.
@@ -94,7 +100,7 @@ class Trainer(ABC):
                 module.load_state_dict(_under(name, tensors))
             for name, stepper in self.steppers.items():
                 stepper.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
-            self._torch_rng = tensors[_TORCH_RNG]
+            self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
         except (RuntimeError, KeyError, TypeError, ValueError) as err:
@@ -130,6 +136,31 @@ class Trainer(ABC):
     def _make_modules(self) -> dict[str, nn.Module]:
         """Further networks, made after the first from the same seed."""
         return {}
+
+    @contextmanager
+    def _own_randomness(self) -> Iterator[None]:
+        """Within, torch's generators go on from where they were left here; outside, nobody notices."""
+        cuda = self.place.device if self.place.device.type == "cuda" else None
+        with torch.random.fork_rng(devices=[] if cuda is None else [cuda]):
+            if self._randomness:
+                torch.set_rng_state(self._randomness[_TORCH_RNG])
+            if cuda is not None and _CUDA_RNG in self._randomness:
+                torch.cuda.set_rng_state(self._randomness[_CUDA_RNG], cuda)
+            yield
+            self._randomness = {_TORCH_RNG: torch.get_rng_state()}
+            if cuda is not None:
+                self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
+
+    def _means(self, batches: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """Mean of each loss over batches and processes."""
+        names = list(batches[0])
+        means = torch.tensor(
+            [float(np.mean([batch[name] for batch in batches])) for name in names], dtype=torch.float64
+        )
+        ranks = self.place.ranks
+        if ranks.size > 1:
+            means = ranks.sum(means.to(self.place.device)).cpu() / ranks.size
+        return dict(zip(names, means.tolist(), strict=True))
 
     def _require_finite_weights(self) -> None:
         for name, module in self.modules.items():
