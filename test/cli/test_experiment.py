@@ -81,6 +81,7 @@ def test_figures_and_tables_follow_from_the_committed_csv_alone(call, tmp_path, 
     drawn = answer.records[0]["figures"]
     assert sorted(drawn) == sorted(path.name for path in source.glob("*.png"))
     assert all((tmp_path / figure).stat().st_size > 10_000 for figure in drawn)
+    assert (tmp_path / "summary.md").read_bytes() == (source / "summary.md").read_bytes()
     tables = find_experiment(name).summarise(read_results(tmp_path / "results.csv"))
     assert all(len(row) == len(table.columns) for table in tables for row in table.rows)
     assert any("geometry_trees" in row for table in tables for row in table.rows)

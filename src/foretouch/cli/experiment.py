@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="go on with the sweep that stands there, if any")
     parser.add_argument("--workers", type=int, help="processes (default: one a core); the results do not depend on it")
     parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node of this machine")
-    parser.add_argument("--redraw", action="store_true", help="only draw the figures of DIR/results.csv again")
+    parser.add_argument("--redraw", action="store_true", help="only write tables and figures of DIR/results.csv again")
     parser.add_argument("--json", action="store_true", help="one JSON object a cell, and the summary last")
 
 
@@ -64,19 +64,29 @@ def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
     from foretouch.learning.experiments.manifest import RESULTS_FILE, read_results
+
+    figures = _report(experiment, read_results(arguments.out / RESULTS_FILE), arguments.out)
+    if arguments.json:
+        print_json({"status": "done", "figures": figures})
+    else:
+        print(f"drawn: {', '.join(figures) or 'nothing'}")
+    return 0
+
+
+def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path) -> list[str]:
+    """Write tables and figures of the results; names of the figures."""
+    from foretouch.learning.experiments.manifest import SUMMARY_FILE
+    from foretouch.learning.experiments.tables import markdown
     from foretouch.report.experiment_figures import draw_figures
 
-    figures = draw_figures(experiment.name, read_results(arguments.out / RESULTS_FILE), arguments.out)
-    if arguments.json:
-        print_json({"status": "done", "figures": [path.name for path in figures]})
-    else:
-        print(f"drawn: {', '.join(path.name for path in figures) or 'nothing'}")
-    return 0
+    if not rows:
+        return []
+    (out / SUMMARY_FILE).write_text(markdown(experiment.question, experiment.summarise(rows)), encoding="utf-8")
+    return [path.name for path in draw_figures(experiment.name, rows, out)]
 
 
 def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
     from foretouch.learning.experiments import run_sweep
-    from foretouch.report.experiment_figures import draw_figures
 
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
     with _progress(arguments.json) as tell:
@@ -91,7 +101,6 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             address=arguments.address,
             tell=tell,
         )
-    figures = draw_figures(experiment.name, result.rows, arguments.out) if result.rows else []
     summary = {
         "status": "failed" if result.failures else "done",
         "experiment": experiment.name,
@@ -99,7 +108,7 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
         "reused": result.reused,
         "failed": result.failures,
         "rows": len(result.rows),
-        "figures": [path.name for path in figures],
+        "figures": _report(experiment, result.rows, arguments.out),
         "data_sha256": result.data_sha256,
         "path": str(arguments.out),
     }

@@ -4,6 +4,7 @@
 DIR/manifest.json      experiment, settings, data hash, and the environment of each session that worked on it
 DIR/cells/<key>.json   the rows of a finished cell, whole or absent
 DIR/results.csv        the table
+DIR/summary.md         what a person reads of it
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from foretouch.models.card import write_text
 __all__ = [
     "MANIFEST_FILE",
     "RESULTS_FILE",
+    "SUMMARY_FILE",
     "environment",
     "open_folder",
     "read_cells",
@@ -41,6 +43,7 @@ __all__ = [
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"
+SUMMARY_FILE: Final = "summary.md"
 
 _CELLS: Final = "cells"
 _KEY: Final = re.compile(r"[\w.+-]{1,200}")

@@ -11,13 +11,13 @@ from foretouch.learning.experiments.experiment import Row, Table
 from foretouch.learning.experiments.real_grasps import EVERYTHING
 from foretouch.tactile.modalities import MODALITIES
 
-__all__ = ["LEGEND", "skill_tables"]
+__all__ = ["LEGEND", "markdown", "skill_tables"]
 
 LEGEND: Final = (
     "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]",
-    "> better, < worse, = tie with {reference} on the same grasps, in paired draws",
+    "▲ better, ▼ worse, = tie with {reference} on the same grasps, in paired draws",
 )
-_SIGNS: Final = {"better": ">", "worse": "<", "tie": "="}
+_SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}
 
 
 def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
@@ -37,9 +37,24 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
     return [*tables[:-1], Table(last.title, last.columns, last.rows, [*legend, *notes])]
 
 
+def markdown(title: str, tables: Sequence[Table]) -> str:
+    """Tables and their notes as a page."""
+    lines = [f"# {title}", ""]
+    for table in tables:
+        lines += [f"## {table.title}", ""]
+        if table.rows:
+            header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
+            lines += [f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]]
+            lines.append("")
+        lines += [f"- {note}" for note in table.notes]
+        lines += [""] * bool(table.notes)
+    return "\n".join(lines[:-1]) + "\n"
+
+
 def _cell(rows: Sequence[Row], predictor: str, modality: str, reference: str) -> str:
     row = next(row for row in rows if row["predictor"] == predictor and row["modality"] == modality)
-    text = f"{_short(row['skill'])} {_SIGNS.get(row.get(f'vs_{reference}_verdict') or '', ' ')}"
+    sign = _SIGNS.get(row.get(f"vs_{reference}_verdict") or "", "")
+    text = f"{_short(row['skill'])} {sign}".rstrip()
     if row["skill_low"] is not None and modality != MEAN and row["skill_low"] != row["skill_high"]:
         text += f"\n[{_short(row['skill_low'])}, {_short(row['skill_high'])}]"
     return text

@@ -54,7 +54,7 @@ class UnseenObjectSettings(RealGraspSettings):
     touches: tuple[int, ...] = setting((0, 1, 3, 5, 10), "Touches of the new object", minimum=0, maximum=1000)
     draws: int = setting(20, "How often the touched grasps are drawn", minimum=1, maximum=1000)
     references: tuple[str, ...] = setting(
-        ("geometry_trees", "training_mean"), "Whom the others are compared with, after as many touches"
+        ("training_mean", "geometry_trees"), "Whom the others are compared with, after as many touches"
     )
 
     def __post_init__(self) -> None:
@@ -141,8 +141,10 @@ def tabulate_touches(settings: UnseenObjectSettings, rows: Sequence[Row]) -> lis
 
 def summarise_touches(rows: Sequence[Row]) -> list[Table]:
     """One table of skills for each number of touches."""
-    note = f"after touches, a predictor without a rule of its own adds n / (n + {SHRINKAGE:g}) of its mean residual"
-    return skill_tables(rows, [note])
+    notes = [
+        f"after n touches, who has no rule of its own adds n / (n + {SHRINKAGE:g}) of its mean residual; so does the mean"
+    ]
+    return skill_tables(rows, notes)
 
 
 EXPERIMENT = Experiment(
