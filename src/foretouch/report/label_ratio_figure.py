@@ -32,16 +32,15 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     names = list(dict.fromkeys(row["modality"] for row in rows))
     figure = Figure(figsize=(3.6 * len(names) + 0.6, 7.2), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below = figure.subplots(2, len(names), squeeze=False, height_ratios=(1.15, 1.0))
+    above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
     for top, bottom, name in zip(above, below, names, strict=True):
         mine = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
         draw_errors(top, mine)
         draw_changes(bottom, mine)
         top.set_title(name)
-    above[0].set_ylabel("RMSE [% of the range], mean ± deviation of the runs")
-    below[0].set_ylabel("change of the RMSE by the SR-GAN [%], 95 % interval")
-    above[-1].legend(fontsize=8, loc="lower right")
-    below[-1].legend(fontsize=8, loc="best")
+    above[0].set_ylabel("RMSE [% of the range]\nmean ± deviation of the runs")
+    below[0].set_ylabel("change of the RMSE by the SR-GAN [%]\n95 % interval")
+    figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=3)
     figure.suptitle("; ".join(tally(rows)), fontsize=10)
     path = folder / "figure.png"
     figure.savefig(path, dpi=120)
@@ -58,38 +57,28 @@ def draw_errors(axes: Axes, rows: Rows) -> None:
         axes.bar(places, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
     lowest = P2_LOWEST[rows[0]["modality"]]
     axes.axhline(lowest, color="black", linestyle=":", linewidth=1, label="lowest in P2 (its P30), other objects")
-    least = min(min(row["pointnet_percent"], row["srgan_percent"]) for row in rows)
-    most = max(max(row["pointnet_percent"], row["srgan_percent"]) for row in rows)
-    axes.set_ylim(0.8 * min(least, lowest), 1.06 * max(most, lowest))  # cut off below, as the axis tells
     _ticks(axes, rows)
 
 
 def draw_changes(axes: Axes, rows: Rows) -> None:
-    """The change in each cell with its interval, coloured by verdict; P2's where its text tells it."""
+    """The change in each cell with its interval, coloured by verdict; below, P2's where its text tells it."""
     for place, row in enumerate(rows):
         colour = _VERDICTS[row["verdict"]]
         axes.plot(place, row["change"], marker="o", color=colour)
         if row["change_low"] is not None:
             axes.plot([place, place], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
-    told = [(place + 0.2, row["p2_change"]) for place, row in enumerate(rows) if row["p2_change"] is not None]
-    axes.plot(
-        [place for place, _ in told],
-        [change for _, change in told],
-        marker="D",
-        linestyle="",
-        color="black",
-        markerfacecolor="none",
-        markersize=5,
-        label="P2, other objects",
-    )
     axes.axhline(0.0, color="black", linewidth=0.8)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
-    _ticks(axes, rows)
-    axes.set_xlabel("samples without labels")
+    axes.margins(x=0.15)
+    told = ["–" if row["p2_change"] is None else f"{row['p2_change']:+.1f}" for row in rows]
+    _ticks(axes, rows, told)
+    axes.set_xlabel("without labels (P2: change [%])")
 
 
-def _ticks(axes: Axes, rows: Rows) -> None:
-    axes.set_xticks(range(len(rows)), [f"T{row['ratio']}" for row in rows])
+def _ticks(axes: Axes, rows: Rows, below: Sequence[str] = ()) -> None:
+    names = [f"T{row['ratio']}" for row in rows]
+    names = [f"{name}\n({text})" for name, text in zip(names, below, strict=True)] if below else names
+    axes.set_xticks(range(len(rows)), names)
     axes.grid(visible=True, axis="y", alpha=0.3)
     axes.set_axisbelow(True)
