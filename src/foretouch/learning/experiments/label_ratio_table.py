@@ -16,7 +16,7 @@ of the sum, over the mean RMSE of the PointNet. It speaks of these objects, this
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -154,7 +154,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     return [errors, Table("SR-GAN against PointNet [%]", ["", *MODALITIES], list(_body(rows, _told_change)), notes)]
 
 
-def tally(rows: Sequence[Row]) -> list[str]:
+def tally(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Wins, ties and losses by interval, and who is lower by average, which is all that P2 counts."""
     verdicts = [row["verdict"] for row in rows]
     counts = ", ".join(f"{verdicts.count(name)} {plural}" for name, plural in _PLURALS.items())
