@@ -25,6 +25,7 @@ class CountingSettings(Settings):
     broken: tuple[int, ...] = setting((), "Cells that refuse")
     dies: tuple[int, ...] = setting((), "Cells whose process is killed each time")
     dies_once: tuple[int, ...] = setting((), "Cells whose process is killed the first time")
+    shown: int = setting(100, "Rows of the table", minimum=0)
     trace: str = setting("", "Folder that gets a file a start")
 
 
@@ -60,7 +61,7 @@ def run(cell: Cell, settings: CountingSettings, data: Numbers) -> list[Row]:
 
 
 def tabulate(settings: CountingSettings, rows: Sequence[Row]) -> list[Row]:
-    return [{"number": row["number"], "value": row["value"], "empty": None} for row in rows]
+    return [{"number": row["number"], "value": row["value"], "empty": None} for row in rows[: settings.shown]]
 
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
@@ -78,4 +79,5 @@ EXPERIMENT = Experiment(
     run=run,
     tabulate=tabulate,
     summarise=summarise,
+    free=("cells", "shown"),
 )

@@ -93,13 +93,23 @@ def test_what_changed_is_refused_by_name(tmp_path, numbers) -> None:
     sweep(out, numbers, settings={"cells": 2})
     with pytest.raises(FileError, match="--resume goes on"):
         sweep(out, numbers, settings={"cells": 2})
-    with pytest.raises(ConfigError, match=r"settings\.cells: 2 is not 3; a sweep resumes as it began"):
-        sweep(out, numbers, settings={"cells": 3}, resume=True)
+    with pytest.raises(ConfigError, match=r"settings\.pause_s: 0\.0 is not 0\.1; a sweep resumes as it began"):
+        sweep(out, numbers, settings={"cells": 2, "pause_s": 0.1}, resume=True)
     before = (out / "results.csv").read_bytes()
     numbers.write_text("1 2.6\n")
     with pytest.raises(ConfigError, match=r"data\.sha256"):
         sweep(out, numbers, settings={"cells": 2}, resume=True)
     assert (out / "results.csv").read_bytes() == before
+
+
+def test_more_cells_keep_those_that_are_finished(tmp_path, numbers) -> None:
+    out = tmp_path / "out"
+    sweep(out, numbers, settings={"cells": 2})
+    more = sweep(out, numbers, settings={"cells": 4}, resume=True)
+    assert (more.reused, more.cells, len(more.rows)) == (2, 4, 8)
+    fewer = sweep(out, numbers, settings={"cells": 3, "shown": 1}, resume=True)
+    assert (fewer.reused, fewer.cells, len(fewer.rows)) == (3, 3, 1)
+    assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
 
 
 def test_data_that_change_meanwhile_fail_the_cell(tmp_path, numbers) -> None:

@@ -22,6 +22,7 @@ from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Tab
 from foretouch.learning.experiments.folds import FoldRunner, Part
 from foretouch.learning.experiments.real_grasps import (
     EVERYTHING,
+    FREE,
     PRESETS,
     RealGraspSettings,
     labelled,
@@ -167,5 +168,6 @@ EXPERIMENT = Experiment(
     run=_RUNNER.run,
     tabulate=_tabulate,
     summarise=_summarise,
+    free=FREE,
     data_folder="vision2tactile",
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from foretouch.learning.experiments.experiment import Experiment
 from foretouch.learning.experiments.folds import FoldRunner, split_parts
-from foretouch.learning.experiments.real_grasps import PRESETS, RealGraspSettings, load, score_table
+from foretouch.learning.experiments.real_grasps import FREE, PRESETS, RealGraspSettings, load, score_table
 from foretouch.learning.experiments.tables import skill_tables
 
 __all__ = ["EXPERIMENT"]
@@ -26,5 +26,6 @@ EXPERIMENT = Experiment(
     run=_RUNNER.run,
     tabulate=score_table,
     summarise=skill_tables,
+    free=FREE,
     data_folder="vision2tactile",
 )

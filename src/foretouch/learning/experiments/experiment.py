@@ -85,6 +85,8 @@ class Experiment(Generic[S, D]):
         tabulate: All rows of the finished cells, each with its cell's values, in order of the cells, to `results.csv`.
         summarise: The rows of `results.csv` to the tables on the terminal.
         prepare: (settings, --data or None, folder of the sweep) to the path of the data; makes them where they are made.
+        free: Settings that only choose cells, or how their rows are told. They may change when a sweep goes on: what is
+            finished stays, such as hours of one predictor when another one is added.
         data_folder: Below FORETOUCH_DATA, used where --data is not given; None where that is of no use.
     """
 
@@ -99,6 +101,7 @@ class Experiment(Generic[S, D]):
     tabulate: Callable[[S, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     prepare: Callable[[S, Path | None, Path], Path] = field(default=require_data)
+    free: Sequence[str] = ()
     data_folder: str | None = None
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:

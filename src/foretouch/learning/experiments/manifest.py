@@ -68,16 +68,17 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
     }
 
 
-def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool) -> dict[str, Any]:
+def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequence[str] = ()) -> dict[str, Any]:
     """Make the folder of a sweep, or check that it holds this very one.
 
     Args:
         out: The folder.
         fixed: What must not change: experiment, settings, data.
         resume: Go on with what stands there, if anything does.
+        free: Settings that may change all the same.
 
     Returns:
-        The manifest so far.
+        The manifest so far, with the settings as they are now.
 
     Raises:
         FileError: If it exists and `resume` is off, or holds something else.
@@ -93,9 +94,9 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool) -> dict[st
         raise FileError(out, "holds a sweep already; --resume goes on with it")
     manifest = _read_json(file)
     for name in _FIXED:
-        _require_same(manifest.get(name), fixed[name], name, file)
+        _require_same(_without(manifest.get(name), free), _without(fixed[name], free), name, file)
     (out / _CELLS).mkdir(exist_ok=True)  # they are not kept with published results
-    return manifest
+    return {**manifest, **fixed}
 
 
 def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
@@ -185,6 +186,10 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise FileError(file, "holds no mapping")
     return record
+
+
+def _without(value: Any, names: Sequence[str]) -> Any:
+    return {k: v for k, v in value.items() if k not in names} if isinstance(value, dict) else value
 
 
 def _require_same(old: Any, new: Any, name: str, file: Path) -> None:

@@ -22,6 +22,7 @@ from foretouch.types import Float64, GraspSample
 
 __all__ = [
     "EVERYTHING",
+    "FREE",
     "PRESETS",
     "RealGraspSettings",
     "error_rows",
@@ -67,6 +68,9 @@ PRESETS: Final[dict[str, dict[str, Any]]] = {
     "quick": {},  # all but the papers' networks: minutes
     "smoke": {"seeds": [0], "effort": 0.1},
 }
+
+FREE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
+"""A cell depends on none of these; its own predictor and seed are among its values."""
 
 
 def load(settings: Settings, path: Path) -> Collection:

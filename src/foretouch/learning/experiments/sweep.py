@@ -86,7 +86,7 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = open_folder(out, fixed, resume=resume)
+        manifest = open_folder(out, fixed, resume=resume, free=experiment.free)
         done = read_cells(out, cells)
         manifest["preset"] = preset
         manifest["sessions"].append(environment(workers, address) | {"cells_before": len(done)})

@@ -24,6 +24,7 @@ from foretouch.learning.collection import Collection
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Table
 from foretouch.learning.experiments.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor, labels_of
 from foretouch.learning.experiments.real_grasps import (
+    FREE,
     RealGraspSettings,
     error_rows,
     labelled,
@@ -162,5 +163,6 @@ EXPERIMENT = Experiment(
     run=_run,
     tabulate=tabulate_touches,
     summarise=summarise_touches,
+    free=FREE,
     data_folder="vision2tactile",
 )
