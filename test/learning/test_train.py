@@ -15,7 +15,8 @@ from foretouch.learning.train import TrainConfig, predict_set, train_network, tr
 from foretouch.learning.training_set import TrainingSet, duplicate_labels
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.folding import fold
-from foretouch.models.touch_model import Member, TouchModel
+from foretouch.models.network_estimator import Member, NetworkEstimator
+from foretouch.models.touch_model import TouchModel
 from foretouch.types import Touch
 
 QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
@@ -69,7 +70,7 @@ def test_training_does_not_see_the_held_out_labels(samples, small) -> None:
 def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
-    model = TouchModel([Member(small, fold(net))], {"name": "toy", "sha256": ""})
+    model = TouchModel(NetworkEstimator([Member(small, fold(net))]), {"name": "toy", "sha256": ""})
     (prediction,) = model.predict(samples[50].cloud, [samples[50].grasp])
     assert_allclose(prediction.value.vector(), predict_set(net, data, np.array([50]))[0], atol=0.05)
 
@@ -77,7 +78,9 @@ def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
 def test_what_was_trained_on_is_familiar(samples, small) -> None:
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=1))
-    model = TouchModel([Member(small, fold(net), Familiarity.fit(data.lengths))], {"name": "toy", "sha256": ""})
+    model = TouchModel(
+        NetworkEstimator([Member(small, fold(net), Familiarity.fit(data.lengths))]), {"name": "toy", "sha256": ""}
+    )
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert not any("unfamiliar" in prediction.flags for prediction in predictions)
 

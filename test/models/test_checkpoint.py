@@ -86,14 +86,14 @@ def test_wrong_weights_are_named(card: Path, change, message: str) -> None:
     [
         ({"format": "other"}, "tiny.json: format: is no foretouch-model card"),
         ({"format_version": 2}, "format_version: 2 is not 1"),
-        ({"kind": "tree"}, "kind: 'tree' is none of network, ensemble"),
+        ({"kind": "tree"}, "kind: 'tree' is none of network, contact, ensemble"),
         ({"skill": ...}, "skill: is missing"),
         ({"data": 3}, "data: 3 is of type int"),
         ({"config": {"widht": 3}}, "config: widht: unknown setting; known: n_points"),
         ({"config": {"n_points": "many"}}, "n_points: 'many' is not a whole number"),
         ({"weights": "gone.safetensors"}, "gone.safetensors: no such weights"),
         ({"familiar": {"range_m": [0, 1]}}, "familiar: must give"),
-        ({"calibration": {}}, "calibration: this version knows none"),
+        ({"calibration": {}}, "calibration.weights: is missing"),
     ],
 )
 def test_wrong_cards_are_named(card: Path, changes, message: str) -> None:

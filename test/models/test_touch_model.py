@@ -12,8 +12,9 @@ from numpy.testing import assert_allclose
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.familiarity import Familiarity, describe
 from foretouch.models.folding import FoldedNetwork, fold
+from foretouch.models.network_estimator import Member, NetworkEstimator
 from foretouch.models.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.touch_model import Member, TouchModel
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import Cloud, Grasp
 
@@ -22,7 +23,7 @@ CARD = {"name": "toy", "sha256": "0" * 64}
 
 @pytest.fixture
 def model(make_net, small) -> TouchModel:
-    return TouchModel([Member(small, fold(make_net()))], CARD)
+    return TouchModel(NetworkEstimator([Member(small, fold(make_net()))]), CARD)
 
 
 def vectors(predictions) -> np.ndarray:
@@ -78,7 +79,7 @@ def test_values_beyond_the_ranges_are_flagged_and_kept(make_net, small, can, mak
     net = make_net()
     with torch.no_grad():
         net.target_mean[0] = 5000.0
-    (prediction,) = TouchModel([Member(small, fold(net))], CARD).predict(can, make_grasps(1))
+    (prediction,) = TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
     assert "out_of_range" in prediction.flags
     assert prediction.value.pdc_th > 4000
 
@@ -87,7 +88,7 @@ def test_unfamiliar_clouds_and_grasps_are_flagged(make_net, small, can, make_gra
     grasps = make_grasps(20)
     lengths = describe(prepare_cloud(can, small), grasps)
     spans = Familiarity(lengths.min(axis=0) - 0.01, lengths.max(axis=0) + 0.01)
-    model = TouchModel([Member(small, fold(make_net()), spans)], CARD)
+    model = TouchModel(NetworkEstimator([Member(small, fold(make_net()), spans)]), CARD)
     assert not any("unfamiliar" in p.flags for p in model.predict(can, grasps))
     back, aside = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0])
     far = Cloud((can.xyz + back).astype(np.float32))
@@ -101,7 +102,7 @@ def test_a_network_that_overflows_is_refused_by_name(make_net, small, can, make_
     net = make_net()
     with torch.no_grad():
         net.target_mean[3] = float("inf")
-    (prediction,) = TouchModel([Member(small, fold(net))], CARD).predict(can, make_grasps(1))
+    (prediction,) = TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
     assert (prediction.status, prediction.value) == ("refused", None)
     assert "not finite" in prediction.reason
 
@@ -109,7 +110,7 @@ def test_a_network_that_overflows_is_refused_by_name(make_net, small, can, make_
 def test_ensemble_equals_its_members(make_net, small, can, make_grasps) -> None:
     grasps = make_grasps(4)
     nets = {name: make_net(small.replace(outputs=(name,)), seed=k) for k, name in enumerate(MODALITIES)}
-    model = TouchModel([Member(net.config, fold(net)) for net in nets.values()], CARD)
+    model = TouchModel(NetworkEstimator([Member(net.config, fold(net)) for net in nets.values()]), CARD)
     together = vectors(model.predict(can, grasps))
     for name, net in nets.items():
         prepared = prepare_cloud(can, net.config)
@@ -121,12 +122,12 @@ def test_ensemble_equals_its_members(make_net, small, can, make_grasps) -> None:
 def test_members_must_share_the_modalities_out(make_net, small) -> None:
     twice = [Member(small, fold(make_net())), Member(small.replace(outputs=("E_TH",)), fold(make_net()))]
     with pytest.raises(ModelError, match="E_TH is predicted by 2 networks"):
-        TouchModel(twice, CARD)
+        TouchModel(NetworkEstimator(twice), CARD)
 
 
 def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
     config = small.replace(channels="xyz+rgb")
-    model = TouchModel([Member(config, fold(make_net(config)))], CARD)
+    model = TouchModel(NetworkEstimator([Member(config, fold(make_net(config)))]), CARD)
     with pytest.raises(ModelError, match="has no rgb"):
         model.predict(Cloud(can.xyz), make_grasps(1))
     with pytest.raises(CloudError, match="fewer than 32"):

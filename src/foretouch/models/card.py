@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The card beside a model's weights: what it is, what it was trained on, how well it does.
 
-A card is plain JSON. Two kinds exist: a `network` names its weights, and an `ensemble` names the cards
-of other networks that together predict all modalities.
+A card is plain JSON. Three kinds exist: a `network` and a `contact` model name their weights, and an `ensemble` names
+the cards of other networks that together predict all modalities.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 1
 
 _COMMON: Final[dict[str, type | tuple[type, ...]]] = {"name": str, "kind": str, "sha256": str}
+_TRAINED: Final[dict[str, type | tuple[type, ...]]] = {
+    "weights": str,
+    "config": dict,
+    "data": dict,
+    "split": dict,
+    "skill": dict,
+    "baselines": dict,
+    "limits": list,
+    "calibration": (dict, type(None)),
+}
 _OF_KIND: Final[dict[str, dict[str, type | tuple[type, ...]]]] = {
-    "network": {
-        "weights": str,
-        "config": dict,
-        "data": dict,
-        "split": dict,
-        "skill": dict,
-        "baselines": dict,
-        "limits": list,
-        "familiar": (dict, type(None)),
-        "calibration": (dict, type(None)),
-    },
+    "network": {**_TRAINED, "familiar": (dict, type(None))},
+    "contact": _TRAINED,
     "ensemble": {"members": list},
 }
 

@@ -9,8 +9,11 @@ from typing import Any, Final
 
 from foretouch.errors import ModelError
 from foretouch.models.card import combined_sha256, read_card
+from foretouch.models.contact_checkpoint import load_contact, load_trust
 from foretouch.models.familiarity import Familiarity
-from foretouch.models.touch_model import Member, TouchModel
+from foretouch.models.network_estimator import Member, NetworkEstimator
+from foretouch.models.novelty import Novelty
+from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
 
@@ -35,9 +38,12 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
     """
     path = find_card(name_or_path)
     card = read_card(path)
-    if card["kind"] == "network":
-        return TouchModel([_member(path)[0]], card)
-    return _load_ensemble(path, card)
+    if card["kind"] == "ensemble":
+        return _load_ensemble(path, card)
+    trust, novelty = load_trust(path, card)
+    if card["kind"] == "contact":
+        return TouchModel(load_contact(path, card), card, trust)
+    return TouchModel(_networks(card["name"], [_member(path)[0]], novelty), card, trust)
 
 
 def _load_ensemble(path: Path, card: dict[str, Any]) -> TouchModel:
@@ -45,7 +51,14 @@ def _load_ensemble(path: Path, card: dict[str, Any]) -> TouchModel:
     found = combined_sha256([sha256 for _, sha256 in loaded])
     if found != card["sha256"]:
         raise ModelError(f"{path}: sha256: {card['sha256']} is not {found} of its members; one was replaced")
-    return TouchModel([member for member, _ in loaded], card)
+    return TouchModel(_networks(card["name"], [member for member, _ in loaded]), card)
+
+
+def _networks(name: str, members: list[Member], novelty: Novelty | None = None) -> NetworkEstimator:
+    try:
+        return NetworkEstimator(members, novelty)
+    except ModelError as err:
+        raise ModelError(f"{name}: {err}") from err
 
 
 def _member(path: Path) -> tuple[Member, str]:
@@ -53,8 +66,6 @@ def _member(path: Path) -> tuple[Member, str]:
     from foretouch.models.folding import fold
 
     net, card = load_network(path)
-    if card["calibration"] is not None:
-        raise ModelError(f"{path}: calibration: this version knows none; update foretouch")
     try:
         familiar = None if card["familiar"] is None else Familiarity.from_card(card["familiar"])
     except ModelError as err:

@@ -1,77 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of touch: one cloud and K grasps in, K predictions out, by one network or several.
+"""Prediction of touch: one cloud and K grasps in, K predictions out, with an interval, a reference and flags.
 
-    cloud ─ sample, unit sphere ─ features (once) ─┐
-    K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts ─► flags
-
-The same interface serves the shared network with 50 outputs and the ensemble of one network a modality.
+cloud, K grasps ─ estimator ─► counts ─ + tare - rest ─ + what touches taught ─► value ± half width, flags
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from foretouch.errors import ModelError
-from foretouch.models.familiarity import Familiarity, describe
-from foretouch.models.preparation import PreparedCloud, prepare_cloud, prepare_grasps
-from foretouch.models.settings import ModelConfig
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Touch, TouchPrediction
+from foretouch.models.estimator import Estimate, Estimator
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.trust import Trust
+from foretouch.types import Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
-if TYPE_CHECKING:
-    from foretouch.models.folding import FoldedNetwork
-
-__all__ = ["Member", "TouchModel"]
-
-
-@dataclass(frozen=True, eq=False)
-class Member:
-    """One network of a model.
-
-    Attributes:
-        config: What it is fed and what it predicts.
-        network: Its folded weights.
-        familiar: Spans of its training samples; None if its card holds none.
-    """
-
-    config: ModelConfig
-    network: FoldedNetwork
-    familiar: Familiarity | None = None
+__all__ = ["TouchModel"]
 
 
 class TouchModel:
-    """Networks that together predict all four modalities; immutable, so threads may share it.
+    """An estimator and what to make of its estimates; immutable, so threads may share it.
 
     Args:
-        members: One network with all outputs, or several that share them out.
+        estimator: What predicts from sight alone.
         card: The card of the model.
+        trust: Rest level, adaptation and intervals; None if its card holds no calibration.
 
     Attributes:
         name: From the card.
         sha256: From the card: of the weights, or over those of all members.
         card: As read.
-
-    Raises:
-        ModelError: If a modality is predicted by no member, or by two.
+        trust: As given.
     """
 
-    def __init__(self, members: Sequence[Member], card: Mapping[str, Any]) -> None:
+    def __init__(self, estimator: Estimator, card: Mapping[str, Any], trust: Trust | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
-        self._members = tuple(members)
-        predicted = [output for member in members for output in member.config.outputs]
-        for modality in MODALITIES:
-            if predicted.count(modality) != 1:
-                raise ModelError(
-                    f"{self.name}: outputs: {modality} is predicted by {predicted.count(modality)} networks, not by one"
-                )
+        self.trust = trust
+        self._estimator = estimator
 
-    def predict(self, cloud: Cloud, grasps: Sequence[Grasp], *, tare: Touch | None = None) -> list[TouchPrediction]:
+    def predict(
+        self,
+        cloud: Cloud,
+        grasps: Sequence[Grasp],
+        *,
+        tare: Touch | None = None,
+        memory: TouchMemory | None = None,
+    ) -> list[TouchPrediction]:
         """What both fingertips would read at each grasp.
 
         The cloud's features are computed once. A prediction does not depend on the grasps beside it,
@@ -80,46 +58,78 @@ class TouchModel:
         Args:
             cloud: The object's points [m]; those without depth are left out.
             grasps: In the cloud's frame.
-            tare: A reading without contact. No network of this version was trained with one, so it is not used
-                and `reference` says "none".
+            tare: A reading without contact, taken shortly before.
+            memory: What was read on this object in this session. Its own tare is used, and `tare` must be left out.
 
         Returns:
-            One prediction a grasp, in order. Flags: `out_of_range` where a value leaves the model's ranges
-            (it is not clipped), `unfamiliar` where cloud or grasp is unlike the training data.
+            One prediction a grasp, in order. `reference` tells what it leans on, the strongest named: touches,
+            tare or none. Flags: `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar`
+            where cloud or grasp is unlike the training data.
 
         Raises:
             CloudError: If the cloud holds too few points or all in one place.
-            ModelError: If it lacks a colour that the model needs.
+            ModelError: If it lacks a colour that the model needs; if tare or memory is given to a model without `trust`, or
+                both are.
         """
-        del tare
-        counts = np.zeros((len(grasps), TOUCH_SIZE))
-        outside = np.zeros(len(grasps), np.bool_)
-        strange = np.zeros(len(grasps), np.bool_)
-        for member in self._members:
-            prepared = prepare_cloud(cloud, member.config)
-            place = columns(member.config.outputs)
-            counts[:, place] = _run(member, prepared, grasps)
-            outside |= member.config.ranges.outside(counts)[:, place].any(axis=1)
-            if member.familiar is not None:
-                faults = member.familiar.unfamiliar(describe(prepared, grasps))
-                strange |= np.array([bool(fault) for fault in faults], np.bool_)
-        return [
-            _prediction(grasp, row, out_of_range=bool(out), unfamiliar=bool(odd))
-            for grasp, row, out, odd in zip(grasps, counts, outside, strange, strict=True)
-        ]
+        if memory is not None:
+            if tare is not None:
+                raise ModelError("tare: the memory has its own")
+            tare = memory.tare
+        estimate = self._estimator.estimate(cloud, grasps)
+        counts = self._shifted(estimate.counts, tare)
+        touches = memory.count if memory is not None else 0
+        half = np.full_like(counts, np.nan)
+        if self.trust is not None:
+            for familiar in np.unique(estimate.familiar):
+                regime = self.trust.regime(familiar=bool(familiar), tare=tare is not None)
+                mine = estimate.familiar == familiar
+                if memory is not None:
+                    counts[mine] += regime.offset(memory.mean_residual(), touches)
+                half[mine] = regime.half_width_after(touches)
+        reference: Reference = "touches" if touches else "none" if tare is None else "tare"
+        return self._predictions(grasps, Estimate(counts, estimate.familiar), half, reference)
 
+    def expect(self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None) -> Float64:
+        """(K, 50) predicted counts before any touch: what readings are compared with.
 
-def _run(member: Member, prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
-    """(K, M) predictions of one network [counts]."""
-    import torch
+        Raises:
+            CloudError: As of `predict`.
+            ModelError: As of `predict`.
+        """
+        if self.trust is None:
+            raise ModelError(f"{self.name}: cannot learn from touches: its card holds no calibration")
+        return self._shifted(self._estimator.estimate(cloud, grasps).counts, tare)
 
-    features = member.network.features(torch.from_numpy(prepared.points))
-    fed = prepare_grasps(grasps, prepared.frame, member.config)
-    return member.network.regress(features, torch.from_numpy(fed)).numpy().astype(np.float64)
+    def _shifted(self, counts: Float64, tare: Touch | None) -> Float64:
+        """Counts of sensors at rest as in training, moved to those of the tare."""
+        if tare is None:
+            return counts
+        if self.trust is None:
+            raise ModelError(f"{self.name}: tare: cannot be used: its card tells no rest level")
+        return counts + (tare.vector() - self.trust.rest)
 
-
-def _prediction(grasp: Grasp, counts: Float64, *, out_of_range: bool, unfamiliar: bool) -> TouchPrediction:
-    if not np.isfinite(counts).all():
-        return TouchPrediction(grasp, None, status="refused", reason="the network gives a value that is not finite")
-    named = {"out_of_range": out_of_range, "unfamiliar": unfamiliar}
-    return TouchPrediction(grasp, Touch.from_vector(counts), flags=tuple(k for k, v in named.items() if v))
+    def _predictions(
+        self, grasps: Sequence[Grasp], estimate: Estimate, half: Float64, reference: Reference
+    ) -> list[TouchPrediction]:
+        outside = np.any(self._estimator.ranges.outside(estimate.counts), axis=1)
+        predictions = []
+        for grasp, counts, width, out, known in zip(
+            grasps, estimate.counts, half, outside, estimate.familiar, strict=True
+        ):
+            if not np.isfinite(counts).all():
+                reason = "the model gives a value that is not finite"
+                predictions.append(TouchPrediction(grasp, None, status="refused", reason=reason))
+                continue
+            named = {"out_of_range": bool(out), "unfamiliar": not known}
+            bounded = self.trust is not None
+            predictions.append(
+                TouchPrediction(
+                    grasp,
+                    Touch.from_vector(counts),
+                    lower=Touch.from_vector(counts - width) if bounded else None,
+                    upper=Touch.from_vector(counts + width) if bounded else None,
+                    reference=reference,
+                    flags=tuple(name for name, set_ in named.items() if set_),
+                )
+            )
+        return predictions

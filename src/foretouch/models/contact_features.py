@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers that describe an object and a grasp: what the contact model sees instead of a cloud.
+
+    cloud ─► object: where, how large, how slender ─────────────┐
+    grasp ─► where, how wide, how the hand stands ──────────────┼─► one row a grasp
+    cloud round each contact ─► the skin's slope, how much ─────┘
+
+The slope of the surface at a contact is told in the frame of the finger: z the way the finger closes, x along the finger,
+taken as that sign of the hand's X that points away from the camera, y = z x x. On simulated objects never
+seen in training these slopes carry over; sizes and places tell which of the known objects it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from foretouch.errors import CloudError
+from foretouch.types import Float64, Grasp
+
+__all__ = ["FEATURES", "OBJECT_FEATURES", "SHAPE_FEATURES", "SLOPE_FEATURES", "ContactScene"]
+
+_RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
+_PAD: Final = 0.02  # about the size of a pad [m]
+_FEWEST: Final = 4  # points that tell a slope
+_MINIMUM_POINTS: Final = 8
+_LOW_HIGH: Final = (0.01, 0.99)
+
+OBJECT_FEATURES: Final = (
+    *("x", "y", "z"),
+    *("extent_x", "extent_y", "extent_z"),
+    *("spread_1", "spread_2", "spread_3"),
+    *("radius", "log_points"),
+    *("axis_x", "axis_y", "axis_z"),
+    *("radius_q25", "radius_q50", "radius_q75"),
+)
+SHAPE_FEATURES: Final = OBJECT_FEATURES[3:11]
+"""Sizes alone: what tells objects apart however they lie and wherever."""
+
+_GRASP_FEATURES: Final = (
+    *(f"{point}_{axis}" for point in ("g1", "g2", "mid") for axis in "xyz"),
+    *(f"{point}_from_centre_{axis}" for point in ("g1", "g2") for axis in "xyz"),
+    *("width", "offset", "along", "along_abs"),
+    *(f"r{i}{j}" for i in range(3) for j in range(3)),
+    *(f"{side}_{axis}" for side in ("low", "high", "centre") for axis in ("hand_x", "hand_y", "hand_z")),
+)
+_CONTACT_FEATURES: Final = (
+    *("share", "pad_spread_1", "pad_spread_2", "pad_spread_3", "gap", "pad_x", "pad_y", "pad_z"),
+    *(f"slope_{round(r * 1000)}mm_{axis}" for r in _RADII_M for axis in "xyz"),
+)
+
+FEATURES: Final = (
+    *OBJECT_FEATURES,
+    *_GRASP_FEATURES,
+    *(f"{contact}_{name}" for contact in ("g1", "g2") for name in _CONTACT_FEATURES),
+)
+"""Names of all columns of `ContactScene.describe`."""
+
+SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
+
+
+class ContactScene:
+    """One object's points, prepared to describe grasps on it.
+
+    Args:
+        xyz: (N, 3) points [m], camera frame; those that are not finite are left out.
+
+    Attributes:
+        object_features: (len(OBJECT_FEATURES),) float64, lengths in metres.
+
+    Raises:
+        CloudError: If fewer than eight points are finite, or all are in one place.
+    """
+
+    def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
+        points = np.asarray(xyz, np.float64).reshape(-1, 3)
+        self._points = points[np.isfinite(points).all(axis=1)]
+        if len(self._points) < _MINIMUM_POINTS:
+            raise CloudError(f"cloud: {len(self._points)} finite points are fewer than {_MINIMUM_POINTS}")
+        if not np.ptp(self._points, axis=0).any():
+            raise CloudError(f"cloud: all {len(self._points)} finite points are in one place")
+        self._tree = cKDTree(self._points)
+        self._centre = self._points.mean(axis=0)
+        self._centred = self._points - self._centre
+        spreads, axes = _principal(self._centred)
+        self._axis = axes[:, 2] * (1.0 if axes[np.abs(axes[:, 2]).argmax(), 2] >= 0.0 else -1.0)
+        self._along = np.quantile(self._centred @ self._axis, _LOW_HIGH)
+        distance = np.linalg.norm(self._centred, axis=1)
+        self.object_features: Float64 = np.concatenate(
+            [
+                self._centre,
+                np.ptp(self._points, axis=0),
+                spreads,
+                [distance.max(), np.log(len(self._points))],
+                self._axis,
+                np.quantile(distance, (0.25, 0.5, 0.75)),
+            ]
+        )
+
+    def describe(self, grasps: Sequence[Grasp]) -> Float64:
+        """(K, len(FEATURES)) float64: one row a grasp; finite for any grasp."""
+        rows = [np.concatenate([self.object_features, self._grasp(grasp), *self._contacts(grasp)]) for grasp in grasps]
+        return np.array(rows).reshape(len(grasps), len(FEATURES))
+
+    def _grasp(self, grasp: Grasp) -> Float64:
+        offset = grasp.midpoint - self._centre
+        low, high = self._along
+        along = (offset @ self._axis - low) / max(high - low, 1e-9) - 0.5
+        in_hand = (self._points - grasp.midpoint) @ grasp.rotation
+        return np.concatenate(
+            [
+                *(grasp.g1, grasp.g2, grasp.midpoint),
+                *(grasp.g1 - self._centre, grasp.g2 - self._centre),
+                [grasp.width_m, float(np.linalg.norm(offset)), along, abs(along)],
+                grasp.rotation.reshape(-1),
+                np.quantile(in_hand, _LOW_HIGH, axis=0).reshape(-1),
+                in_hand.mean(axis=0),
+            ]
+        )
+
+    def _contacts(self, grasp: Grasp) -> tuple[Float64, Float64]:
+        along_finger = grasp.rotation[:, 0]
+        if along_finger @ self._centre < 0.0:
+            along_finger = -along_finger
+        closing = grasp.rotation[:, 2]
+        return self._contact(grasp.g1, along_finger, -closing), self._contact(grasp.g2, along_finger, closing)
+
+    def _contact(self, contact: Float64, along_finger: Float64, closing: Float64) -> Float64:
+        index = self._tree.query_ball_point(contact, max(_RADII_M))
+        frame = np.stack([along_finger, np.cross(closing, along_finger), closing], axis=1)
+        near = (self._points[index] - contact) @ frame
+        distance = np.linalg.norm(near, axis=1)
+        slopes = [_slope(near[distance < radius]) for radius in _RADII_M]
+        gap = float(distance.min()) if len(near) else float(self._tree.query(contact)[0])
+        pad = near[distance < _PAD]
+        spreads, mean = np.zeros(3), np.zeros(3)
+        if len(pad):
+            mean = pad.mean(axis=0)
+            spreads = _principal(pad - mean)[0]
+        return np.concatenate([[len(pad) / len(self._points)], spreads, [gap], mean, *slopes])
+
+
+def _slope(near: Float64) -> Float64:
+    """(3,) unit normal of points in the finger's frame, against the way the finger closes; 0 where too few tell one."""
+    if len(near) < _FEWEST:
+        return np.zeros(3)
+    _, axes = _principal(near - near.mean(axis=0))
+    normal = axes[:, 0]
+    return np.asarray(-normal if normal[2] > 0.0 else normal, np.float64)
+
+
+def _principal(centred: Float64) -> tuple[Float64, Float64]:
+    """(3,) standard deviations along the principal axes, ascending, and the axes as columns of (3, 3)."""
+    values, axes = np.linalg.eigh(centred.T @ centred / len(centred))
+    return np.sqrt(np.maximum(values, 0.0)), axes

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Extremely randomised trees as plain arrays: fitted by scikit-learn, stored as tensors, walked by numpy.
+
+scikit-learn can save a forest by pickle alone, which no file of ours may hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ModelError
+from foretouch.types import Float64
+
+__all__ = ["Forest"]
+
+_FIELDS: Final = {
+    "roots": np.int32,
+    "feature": np.int16,
+    "threshold": np.float64,
+    "children": np.int32,
+    "leaf": np.int32,
+    "value": np.float16,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """T trees with N nodes in all, L of them leaves; M outputs in units of their deviation.
+
+    Attributes:
+        roots: (T,) int32, nodes where the trees begin.
+        feature: (N,) int16, the column that a node asks for; -1 at a leaf.
+        threshold: (N,) float64; a row goes left where its column is not above.
+        children: (N, 2) int32, left and right; a leaf's are itself.
+        leaf: (N,) int32, row of `value` at a leaf, else 0.
+        value: (L, M) float16. Its rounding, 1e-3 of a deviation, is far below what trees can tell.
+    """
+
+    roots: npt.NDArray[np.int32]
+    feature: npt.NDArray[np.int16]
+    threshold: Float64
+    children: npt.NDArray[np.int32]
+    leaf: npt.NDArray[np.int32]
+    value: npt.NDArray[np.float16]
+
+    @classmethod
+    def from_trees(cls, trees: Sequence[Any]) -> Forest:
+        """From the `tree_` of fitted scikit-learn regressors with targets of (S, M)."""
+        roots, features, thresholds, children, leaves, values = [], [], [], [], [], []
+        nodes = rows = 0
+        for tree in trees:
+            is_leaf = tree.children_left < 0
+            index = np.arange(tree.node_count)
+            pair = np.stack([tree.children_left, tree.children_right], axis=1)
+            roots.append(nodes)
+            features.append(np.where(is_leaf, -1, tree.feature))
+            thresholds.append(np.where(is_leaf, 0.0, tree.threshold))
+            children.append(np.where(is_leaf[:, None], index[:, None], pair) + nodes)
+            leaves.append(np.where(is_leaf, np.cumsum(is_leaf) - 1 + rows, 0))
+            values.append(tree.value[is_leaf, :, 0])
+            nodes += tree.node_count
+            rows += int(is_leaf.sum())
+        parts = (np.array(roots), *map(np.concatenate, (features, thresholds, children, leaves, values)))
+        return cls(*(part.astype(kind) for part, kind in zip(parts, _FIELDS.values(), strict=True)))
+
+    @property
+    def output_size(self) -> int:
+        """M."""
+        return int(self.value.shape[1])
+
+    def predict(self, rows: Float64) -> Float64:
+        """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
+        seen = rows.astype(np.float32)
+        who = np.arange(len(rows))[:, None]
+        node = np.tile(self.roots, (len(rows), 1))
+        while True:
+            feature = self.feature[node]
+            if (feature < 0).all():
+                break
+            right = seen[who, np.maximum(feature, 0)] > self.threshold[node]
+            node = self.children[node, right.astype(np.intp)]
+        leaf = self.leaf[node]
+        return np.array([self.value[one].astype(np.float64).mean(axis=0) for one in leaf]).reshape(
+            len(rows), self.output_size
+        )
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {name: getattr(self, name) for name in _FIELDS}
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Forest:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: If an array is missing or of another dtype, or a node leads nowhere or round in a circle.
+        """
+        for name, kind in _FIELDS.items():
+            if name not in tensors:
+                raise ModelError(f"{name}: is missing")
+            if tensors[name].dtype != kind:
+                raise ModelError(f"{name}: dtype {tensors[name].dtype} is not {np.dtype(kind)}")
+        forest = cls(**{name: tensors[name] for name in _FIELDS})
+        forest._check()
+        return forest
+
+    def _check(self) -> None:
+        """What is walked without a look must be right: each node leads to later ones, each leaf to a value."""
+        count = len(self.feature)
+        shapes = (self.threshold.shape == (count,), self.children.shape == (count, 2), self.leaf.shape == (count,))
+        if not all(shapes) or self.value.ndim != 2 or not count or not len(self.roots):
+            raise ModelError("forest: its arrays do not fit together")
+        index = np.arange(count)[:, None]
+        inner = self.feature >= 0
+        ahead = (self.children[inner] > index[inner]).all() and (self.children < count).all()
+        if not ahead or not (self.children[~inner] == index[~inner]).all():
+            raise ModelError("children: a node leads nowhere, or back")
+        if self.leaf.min() < 0 or self.leaf.max() >= len(self.value):
+            raise ModelError("leaf: names no value")
+        if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
+            raise ModelError("roots, value: a tree begins nowhere, or a value is not finite")

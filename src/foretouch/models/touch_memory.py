@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was really read on the object at hand, to make later predictions on it better."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from foretouch.errors import TactileError
+from foretouch.tactile.validity import check_touch
+from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Touch
+
+if TYPE_CHECKING:
+    from foretouch.models.touch_model import TouchModel
+
+__all__ = ["TouchMemory"]
+
+
+class TouchMemory:
+    """Residuals of one model on one object in one session.
+
+    What is kept are sums, so that a later prediction costs the same however many readings there were.
+
+    Args:
+        model: Whose predictions are compared with the readings.
+        tare: A reading without contact, if there is one; predictions with this memory lean on it as well.
+
+    Attributes:
+        tare: As given.
+        count: Readings so far.
+    """
+
+    def __init__(self, model: TouchModel, tare: Touch | None = None) -> None:
+        self.tare = tare
+        self.count = 0
+        self._model = model
+        self._sum = np.zeros(TOUCH_SIZE)
+
+    def add(self, cloud: Cloud, grasp: Grasp, reading: Touch) -> None:
+        """Take in what was read when a grasp was executed.
+
+        Args:
+            cloud: That the grasp was planned on.
+            grasp: As executed.
+            reading: Both fingers in contact [counts].
+
+        Raises:
+            TactileError: If the reading is not that of working sensors.
+            CloudError: If the cloud cannot be used.
+            ModelError: If the model cannot learn from touches, or refuses the cloud.
+        """
+        faults = check_touch(reading).faults
+        if faults:
+            raise TactileError(f"touched: {faults[0]}")
+        expected = self._model.expect(cloud, [grasp], self.tare)
+        self._sum += reading.vector() - expected[0]
+        self.count += 1
+
+    def mean_residual(self) -> Float64:
+        """(50,) mean of reading minus prediction [counts]; zeros before the first reading."""
+        return self._sum / max(self.count, 1)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to make of a model's raw predictions: what a tare and a few touches change, and how wide to doubt.
+
+Residuals of a model on an object that it never trained on have a part that stays for that object and day, of
+covariance B, and a part that is new with each grasp, of variance W. After n readings with mean residual r the best linear guess of
+the lasting part is B (B + W/n)⁻¹ r (the multivariate James-Stein or empirical Bayes estimator [Efron and Morris 1973]):
+closed form, a 50 x 50 system, no training.
+
+Intervals are conformal with objects as the unit of exchange: half widths hold the share of residuals that they were asked
+to, with each calibration object weighing the same (`learning.calibration`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ModelError
+from foretouch.types import TOUCH_SIZE, Float64
+
+__all__ = ["REGIMES", "Regime", "Trust"]
+
+REGIMES: Final = ("known", "new", "known_tare", "new_tare")
+"""Objects like those of training or unlike them; with a tare at hand or without."""
+
+_MATRIX: Final = (TOUCH_SIZE, TOUCH_SIZE)
+
+
+@dataclass(frozen=True, eq=False)
+class Regime:
+    """How residuals behave under one condition.
+
+    Attributes:
+        between: (50, 50) float64 [counts²], B: covariance of the part that stays with an object and its day.
+        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp.
+        half_width: (50,) float64 [counts], of the interval before any touch.
+    """
+
+    between: Float64
+    within: Float64
+    half_width: Float64
+
+    def offset(self, mean_residual: Float64, count: int) -> Float64:
+        """(50,) what to add after `count` readings whose residuals have this mean (50,) [counts]."""
+        if count == 0:
+            return np.zeros(TOUCH_SIZE)
+        gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_residual)
+        return np.asarray(self.between @ gain, np.float64)
+
+    def half_width_after(self, count: int) -> Float64:
+        """(50,) half width after `count` readings [counts]: narrowed as the deviation that remains is."""
+        if count == 0:
+            return self.half_width
+        prior = np.diag(self.between) + self.within
+        solved = np.linalg.solve(self.between + np.diag(self.within / count), self.between)
+        lasting = np.diag(self.between) - np.einsum("ij,ji->i", self.between, solved)
+        left = np.maximum(lasting, 0.0) + self.within
+        return np.asarray(self.half_width * np.sqrt(left / prior), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """Of one model.
+
+    Attributes:
+        rest: (50,) float64 [counts]: what the training sensors read without contact. A tare shifts predictions by its
+            difference from it.
+        regimes: By name out of `REGIMES`; "known" and "new" are always there, the others where tares were recorded.
+    """
+
+    rest: Float64
+    regimes: Mapping[str, Regime]
+
+    def regime(self, *, familiar: bool, tare: bool) -> Regime:
+        """That of a prediction; without recorded tares in training, that without a tare serves for both."""
+        name = "known" if familiar else "new"
+        return self.regimes.get(f"{name}_tare" if tare else name, self.regimes[name])
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by name, for a file."""
+        tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
+        for name, regime in self.regimes.items():
+            tensors |= {
+                f"{name}/between": regime.between,
+                f"{name}/within": regime.within,
+                f"{name}/half_width": regime.half_width,
+            }
+        return tensors
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Trust:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: If an array is missing, of another shape or not finite, or a variance or width is negative.
+        """
+        regimes = {
+            name: Regime(
+                _checked(tensors, f"{name}/between", _MATRIX),
+                _checked(tensors, f"{name}/within", (TOUCH_SIZE,), positive=True),
+                _checked(tensors, f"{name}/half_width", (TOUCH_SIZE,), positive=True),
+            )
+            for name in REGIMES
+            if name in ("known", "new") or f"{name}/between" in tensors
+        }
+        for name, regime in regimes.items():
+            if np.abs(regime.between - regime.between.T).max() > 1e-6 * np.abs(regime.between).max():
+                raise ModelError(f"{name}/between: is not symmetric")
+        return cls(_checked(tensors, "rest", (TOUCH_SIZE,)), regimes)
+
+
+def _checked(
+    tensors: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...], *, positive: bool = False
+) -> Float64:
+    if name not in tensors:
+        raise ModelError(f"{name}: is missing")
+    found = np.asarray(tensors[name], np.float64)
+    if found.shape != shape:
+        raise ModelError(f"{name}: shape {found.shape} is not {shape}")
+    if not np.isfinite(found).all() or (positive and not (found > 0.0).all()):
+        raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
+    return found
