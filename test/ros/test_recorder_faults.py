@@ -208,3 +208,10 @@ def test_an_input_that_must_be_reliable_tells_of_a_publisher_that_is_not(graph: 
         "/rh/tactile: a publisher has incompatible QoS (RELIABILITY): no message passes"
     ]
     assert accounts(node.status())["/rh/tactile"].reliable
+
+
+def test_an_override_that_names_no_policy_is_refused_and_leaves_no_subscription(graph: Any) -> None:
+    (node,) = graph.add("recorder", **{"qos_overrides./foretouch/grasps.subscription.reliability": "sometimes"})
+    assert node.state_name == "unconfigured"
+    assert [one.topic_name for one in node.subscriptions if one.topic_name.startswith(("/rh", "/foretouch"))] == []
+    assert not node.autostart()
