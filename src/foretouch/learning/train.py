@@ -72,6 +72,9 @@ class SupervisedTrainer(Trainer):
         index: (T,) those to train on.
         config: How.
 
+    Attributes:
+        sizes: Values of each modality.
+
     Raises:
         DatasetError: If there are fewer samples than one batch.
     """
@@ -87,20 +90,28 @@ class SupervisedTrainer(Trainer):
         self._labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
         self._fed = torch.from_numpy(data.grasps)
         rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
-        steps = config.epochs * (len(index) // config.batch_size)
-        self.steppers["net"] = Stepper(self.net, rule, steps, self.place.ranks)
-        self._sizes = [modality_size(name) for name in data.config.outputs]
+        self.steppers["net"] = Stepper(self.net, rule, config.epochs * self.batch_count, self.place.ranks)
+        self.sizes = [modality_size(name) for name in data.config.outputs]
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
-        for number, batch in enumerate(shuffled_batches(self._index, self.config.batch_size, self.rng)):
-            points, grasps = self._inputs(batch)
+        for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            target = self.net.to_scaled(self.place.share(self._labels[batch]))
-            loss = labeled_loss(scaled, target, self._sizes, self.config.loss, self.place.ranks)
+            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.place.ranks)
             self.require_finite({"loss": loss}, number, self.place.ranks.share(batch), scaled - target)
             self.steppers["net"].step(loss)
             yield {"loss": float(loss.detach())}
+
+    @property
+    def batch_count(self) -> int:
+        """Steps of an epoch."""
+        return len(self._index) // self.config.batch_size
+
+    def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
+        """Of one epoch: samples, and this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
+        for batch in shuffled_batches(self._index, self.config.batch_size, self.rng):
+            points, grasps = self._inputs(batch)
+            yield batch, points, grasps, self.net.to_scaled(self.place.share(self._labels[batch]))
 
     def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
         points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points))

@@ -42,9 +42,11 @@ class Layer(nn.Module):
     Attributes:
         total: Sums over the processes that share a batch out, for the statistics of batch norm; None where there is
             one process. It is no part of the weights.
+        moments: Whether batch norm in training may be computed by moments; `torch.vmap` cannot follow there.
     """
 
     total: Total | None = None
+    moments: bool = True
 
     def __init__(self, in_width: int, out_width: int, *, norm: bool = True) -> None:
         super().__init__()
@@ -74,7 +76,7 @@ class Layer(nn.Module):
         """
         if self.norm is None or not self.norm.training:
             return self.folded() if self.training or torch.is_grad_enabled() else None
-        if x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
+        if self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
             return batch_affine(x, self.linear, self.norm, self.total)
         return None
 
