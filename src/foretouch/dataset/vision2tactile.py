@@ -33,6 +33,7 @@ __all__ = [
     "is_sample_folder",
     "read_folder",
     "read_sample",
+    "read_touch",
     "sample_folders",
 ]
 
@@ -117,7 +118,7 @@ def read_sample(folder: str | Path) -> GraspSample:
         FileError: Names the file, the field and the rule that it breaks.
     """
     folder = Path(folder).absolute()
-    touch, extra = _read_touch(folder / TOUCH_FILE)
+    touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
     stamp_ns = _stamp(folder)
     name = folder.parent.name
@@ -154,7 +155,15 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
         raise FileError(path, str(err)) from err
 
 
-def _read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
+def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
+    """Read a `tactile.tac`.
+
+    Returns:
+        The touch, and PAC0, PAC1, TAC and TDC of both fingers by name [counts].
+
+    Raises:
+        FileError: Names the file, the field and the rule that it breaks.
+    """
     numbers = _read_numbers(path, 2 * _FINGER_SIZE)
     fingers = {"MF": numbers[:_FINGER_SIZE], "TH": numbers[_FINGER_SIZE:]}
     extra: dict[str, float] = {}
