@@ -249,27 +249,13 @@ def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
         train_run(config(tensorboard=True), data, tmp_path / "run", quiet)
 
 
-TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "0", "--standalone"]
+TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["supervised", "srgan"])
-def test_two_processes_train_the_model_of_one(store, data, tmp_path, method: str) -> None:
-    """P1's layers too: batch norm in trunk, T-Net and head, whose statistics are shared."""
-    changes = {
-        "method": method,
-        "split": "labels/T50",
-        "model": {**MODEL, "tnet": True, "tnet_widths": [8, 8, 16, 8, 8], "head_norm": True},
-        "train": {"epochs": 2, "batch_size": 8, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05},
-        "srgan": {
-            **BASE["srgan"],
-            "epochs": 2,
-            "batch_size": 4,
-            "optimiser": "sgd",
-            "batch_norm": "per_source",
-            "loss": {"reading": "srgan"},
-        },
-    }
+def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
+    """Started as a user starts them; gradients are compared in test_ranks."""
+    changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
     file = tmp_path / "tiny.yaml"
     file.write_text(yaml.safe_dump({**BASE, **changes}))
     words = ["-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "-o", str(tmp_path / "two")]
@@ -281,8 +267,7 @@ def test_two_processes_train_the_model_of_one(store, data, tmp_path, method: str
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line.get("epoch") for line in lines] == [0, 1, None]  # the first process alone speaks
     for one, two in zip(said[:-1], lines[:-1], strict=True):
-        assert two["losses"] == pytest.approx(one["losses"], rel=1e-4)
+        assert two["losses"] == pytest.approx(one["losses"], rel=1e-5)
     ours, theirs = (read_state(tmp_path / name / STATE_FILE)[0] for name in ("one", "two"))
-    moved = sum(float((ours[k] - v).double().square().sum()) for k, v in theirs.items() if k.startswith("net/"))
-    whole = sum(float(v.double().square().sum()) for k, v in ours.items() if k.startswith("net/"))
-    assert (moved / whole) ** 0.5 < 1e-5
+    for name, value in theirs.items():
+        torch.testing.assert_close(value, ours[name], rtol=1e-4, atol=1e-5)
