@@ -49,7 +49,7 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
     """Run cells as Ray tasks, each outcome as it comes; a lost node costs its running tasks, which go elsewhere.
 
     Args:
-        job: Its data must lie at the same path on every node.
+        job: Its data must lie at the same path on every node, and foretouch be installed there.
         cells: Tasks of one core each.
         address: `auto`, `ray://host:port` or `host:port`: a cluster that runs; `local` starts a node of this machine.
         workers: Cores of that node.
@@ -69,7 +69,7 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
             ray.init(address="local", num_cpus=workers, include_dashboard=False, log_to_driver=False)
         else:
             ray.init(address=address, log_to_driver=False)
-    except (ray.exceptions.RayError, ConnectionError, ValueError, RuntimeError) as err:
+    except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
     try:
         task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": _ONE_THREAD})(run_cell)
