@@ -22,6 +22,7 @@ Shapes: B samples, N points, C channels, F features.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -41,6 +42,7 @@ from foretouch.learning.losses import (
     labeled_loss,
 )
 from foretouch.learning.place import Place, PlaceConfig
+from foretouch.learning.ranks import ONE_RANK
 from foretouch.learning.stepper import OPTIMISERS, SCHEDULES, Stepper, StepRule
 from foretouch.learning.train import set_target_scaling
 from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
@@ -126,7 +128,10 @@ class SrganTrainer(Trainer):
             rule = StepRule(config.optimiser, largest, config.weight_decay, config.schedule)
             self.steppers[name] = Stepper(module, rule, steps, self.place.ranks)
         if config.batch_norm == "frozen":
+            # Every process by itself and over whole batches, so that none differs from another by a rounding.
+            dataclasses.replace(self.place, ranks=ONE_RANK).settle(self.net)
             calibrate(self.net, self._calibration())
+            self.place.settle(self.net)
 
     def _make_modules(self) -> dict[str, nn.Module]:
         self.generator = CloudGenerator(self.config.generator, self.data.config)
@@ -206,7 +211,8 @@ class SrganTrainer(Trainer):
         """Batches of real clouds, labelled or not."""
         everything = np.union1d(self._labelled, self._unlabelled)
         for batch in _dealt(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng):
-            yield self._points(batch), self._grasps(batch)
+            points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(self.place.device)
+            yield points, self._fed[batch].to(self.place.device) if self.data.config.use_grasp else None
 
 
 def _dealt(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:
