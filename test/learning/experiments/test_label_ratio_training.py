@@ -56,7 +56,7 @@ def test_both_models_begin_with_the_same_network(stocked: StockedSet) -> None:
         kind(stocked, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
         for kind, model, trial in (
             (PointnetTrainer, "pointnet", "rate 0.003"),
-            (SrganTrainer, "srgan", "0.3/1/1, decay 0.3"),
+            (SrganTrainer, "srgan", "0.3/1/1"),
         )
     ]
     for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):

@@ -34,7 +34,7 @@ from foretouch.tactile.modalities import MODALITIES
 __all__ = ["EXPERIMENT", "QUICK", "SMOKE", "LabelRatioSettings", "NetworkSettings", "run_network"]
 
 QUICK: Final[dict[str, Any]] = {
-    "updates": 640,
+    "updates": 960,
     "model": {
         "n_points": 64,
         "channels": "xyz+normals",
@@ -135,7 +135,7 @@ def _tabulate(settings: LabelRatioSettings, rows: Sequence[Row]) -> list[Row]:
     return compare_models(rows, settings.model.ranges, settings.draws)
 
 
-_CHOSEN: Final = {"pointnet": ["rate 0.003"] * len(RATIOS), "srgan": ["0.3/1/1, decay 0.3"] * len(RATIOS)}
+_CHOSEN: Final = {"pointnet": ["rate 0.003"] * len(RATIOS), "srgan": ["0.3/1/1"] * len(RATIOS)}
 
 EXPERIMENT = Experiment(
     name="label_ratio",

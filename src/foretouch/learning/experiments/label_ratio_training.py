@@ -43,9 +43,9 @@ MODELS: Final = (POINTNET, SRGAN)
 _SUPERVISED: Final = {"reading": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0, "gradient_penalty": 0.0}
 
 
-def _srgan(matching: float, contrast: float, penalty: float, **more: float) -> dict[str, Any]:
+def _srgan(matching: float, contrast: float, penalty: float) -> dict[str, Any]:
     loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
-    return {**more, "loss": {"reading": "srgan", **loss}}
+    return {"loss": {"reading": "srgan", **loss}}
 
 
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
@@ -56,10 +56,10 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         "rate 0.003, decay 0.3": {"weight_decay": 0.3},
     },
     SRGAN: {
-        "0.1/0.1/0.1, decay 0.3": _srgan(0.1, 0.1, 0.1, weight_decay=0.3),
+        "0.03/0.1/0.03": _srgan(0.03, 0.1, 0.03),
+        "0.3/1/0.1": _srgan(0.3, 1.0, 0.1),
+        "0.3/1/0.3": _srgan(0.3, 1.0, 0.3),
         "0.3/1/1": _srgan(0.3, 1.0, 1.0),
-        "0.3/1/1, decay 0.3": _srgan(0.3, 1.0, 1.0, weight_decay=0.3),
-        "1/1/1, decay 0.3": _srgan(1.0, 1.0, 1.0, weight_decay=0.3),
     },
 }
 """By model, what each trial changes; trials of the SR-GAN are named by w_U / w_F / λ of the reading `srgan`."""
