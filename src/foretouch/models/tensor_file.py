@@ -21,7 +21,7 @@ def write_tensors(path: Path, tensors: Mapping[str, npt.NDArray[Any]]) -> str:
     from safetensors.numpy import save_file
 
     part = path.with_name(path.name + ".part")
-    save_file({name: np.ascontiguousarray(value) for name, value in tensors.items()}, part)
+    save_file({name: np.asarray(value, order="C") for name, value in tensors.items()}, part)
     part.chmod(0o644)  # safetensors leaves it to its owner alone
     part.replace(path)
     return file_sha256(path)
