@@ -45,15 +45,15 @@ _SUPERVISED: Final = {"reading": "as_printed", "weight_unlabeled": 0.0, "weight_
 
 def _srgan(matching: float, contrast: float, penalty: float) -> dict[str, Any]:
     loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
-    return {"loss": {"reading": "srgan", **loss}}
+    return {"learning_rate": 3e-3, "loss": {"reading": "srgan", **loss}}
 
 
 TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
     POINTNET: {
         "rate 0.001": {"learning_rate": 1e-3},
         "rate 0.001, decay 0.3": {"learning_rate": 1e-3, "weight_decay": 0.3},
-        "rate 0.003": {},
-        "rate 0.003, decay 0.3": {"weight_decay": 0.3},
+        "rate 0.003": {"learning_rate": 3e-3},
+        "rate 0.003, decay 0.3": {"learning_rate": 3e-3, "weight_decay": 0.3},
     },
     SRGAN: {
         "0.03/0.1/0.03": _srgan(0.03, 0.1, 0.03),
