@@ -56,7 +56,6 @@ def draw_course(axes: Axes, rows: Rows, column: str, names: Sequence[str]) -> No
             if row["skill_low"] is not None:
                 axes.plot([place, place], [row["skill_low"], row["skill_high"]], color=f"C{number}", linewidth=1)
     axes.axhline(0.0, color="grey", linewidth=0.8)
-    low, high = axes.get_ylim()
-    axes.set_ylim(max(low, _LEAST), min(high, 1.0))
+    axes.set_ylim(_LEAST, 1.0)
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])
     axes.grid(visible=True, alpha=0.3)
