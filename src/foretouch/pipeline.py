@@ -20,6 +20,7 @@ from foretouch.cloud.segmentation import Segmentation, SegmentationConfig, Targe
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
+from foretouch.models.touch_memory import TouchMemory
 from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
 __all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "Sight"]
@@ -171,10 +172,15 @@ class Pipeline:
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
     def predict(
-        self, target: FoundObject, grasps: Sequence[Grasp], *, tare: Touch | None = None
+        self,
+        target: FoundObject,
+        grasps: Sequence[Grasp],
+        *,
+        tare: Touch | None = None,
+        memory: TouchMemory | None = None,
     ) -> list[TouchPrediction]:
-        """Touch for each grasp on one object; the cloud's features are computed once."""
-        return self.model.predict(target.cloud, grasps, tare=tare) if grasps else []
+        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        return self.model.predict(target.cloud, grasps, tare=tare, memory=memory) if grasps else []
 
     def run(self, cloud: Cloud) -> PipelineResult:
         """From a cloud of the whole scene to predicted touch."""

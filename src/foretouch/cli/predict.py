@@ -18,8 +18,9 @@ from foretouch.cli.inputs import (
     pipeline_config,
     six_numbers,
 )
+from foretouch.cli.leaning import add_leaning_arguments, take_in
 from foretouch.cli.output import print_table
-from foretouch.errors import GraspError
+from foretouch.errors import ConfigError, GraspError
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
@@ -32,7 +33,7 @@ _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The common inputs, --grasp and --model."""
+    """The common inputs, --grasp, --model, --tare and --touched."""
     add_input_arguments(parser)
     add_plan_arguments(parser)
     parser.add_argument(
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="contacts [m] (default: GeoGrasp's, or the sample's own)",
     )
     parser.add_argument("--model", help="name of a shipped model, or path of a checkpoint")
+    add_leaning_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,13 +54,19 @@ def run(arguments: argparse.Namespace) -> int:
     changes = {"model": arguments.model} if arguments.model else {}
     pipeline = Pipeline(pipeline_config(arguments, changes))
     model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
+    leaning = take_in(arguments, pipeline.model)
 
     def answer(item: SourceItem) -> Iterator[Record]:
-        for target in found_objects(item, arguments, pipeline):
+        targets = found_objects(item, arguments, pipeline)
+        if leaning.touched and len(targets) > 1:
+            raise ConfigError(
+                f"--touched: the cloud holds {len(targets)} objects, and the touches are of one: see --target"
+            )
+        for target in targets:
             began = time.perf_counter()
             grasps, reason = _grasps(item, target, arguments, pipeline)
             planned = time.perf_counter()
-            predictions = pipeline.predict(target, grasps)
+            predictions = leaning.predict(pipeline, target, grasps, item.sample)
             ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
             refused = [one.reason for one in predictions if one.status != "ok"]
             yield {
@@ -68,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "reason": "; ".join(refused) or reason,
                 "predictions": [prediction_record(one) for one in predictions],
                 "model": model,
+                "touched": len(leaning.touched),
                 "ms": {**ms, "total": sum(ms.values())},
                 "failed": not predictions or bool(refused),
             }
@@ -111,19 +120,30 @@ def _grasps(
 
 
 def _show(record: dict[str, Any]) -> None:
-    rows = []
-    for one in record["predictions"]:
-        electrodes = [one[name]["value"] for name in ("E_TH", "E_MF")]
-        spans = ["refused" if e is None else f"{min(e):.0f}…{max(e):.0f}" for e in electrodes]
-        pressures = [one[name]["value"] for name in ("PDC_TH", "PDC_MF")]
-        texts = ["refused" if p is None else f"{p:.0f}" for p in pressures]
-        rows.append(
-            [
-                " ".join(f"{v:.3f}" for v in (*one["grasp"]["g1"], *one["grasp"]["g2"])),
-                *texts,
-                *spans,
-                " ".join(one["flags"]),
-            ]
-        )
+    rows = [
+        [
+            "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
+            *(_text(one[name]) for name in _MODALITIES),
+            "\n".join([_reference(one["reference"], record["touched"]), *one["flags"]]),
+        ]
+        for one in record["predictions"]
+    ]
     title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']} ({record['model']['name']})"
-    print_table(title, ["g1 g2 [m]", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "flags"], rows)
+    print_table(title, ["g1, g2 [m]", *_MODALITIES, "leans on"], rows)
+
+
+def _reference(reference: str, touched: int) -> str:
+    return {"none": "sight", "touches": f"touches {touched}"}.get(reference, reference)
+
+
+def _text(modality: Record) -> str:
+    """Value and half width; of 24 electrodes, the least and the greatest value and the mean half width."""
+    import numpy as np
+
+    if modality["value"] is None:
+        return "refused"
+    value = np.atleast_1d(modality["value"])
+    text = f"{value.min():.0f}…{value.max():.0f}" if value.size > 1 else f"{value[0]:.0f}"
+    if modality["lower"] is None:
+        return text
+    return f"{text} ±{np.mean(np.subtract(modality['upper'], modality['lower'])) / 2.0:.0f}"  # no space: it wraps there

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`predict` with a tare and with touches: equal to the core's, and mistakes told by name."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY, QUICK, record, write_dataset
+from trust_builders import REST, save_contact_with_trust, save_network_with_trust
+
+from foretouch.cli.leaning import read_tare
+from foretouch.dataset.recording import RecordingWriter
+from foretouch.dataset.samples import open_samples
+from foretouch.errors import FileError
+from foretouch.models import load_model
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.types import Touch, TouchPrediction
+
+Call = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return save_network_with_trust(tmp_path_factory.mktemp("model"))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five grasps of one object, each with touch and tare; the sensors drift."""
+    path = tmp_path_factory.mktemp("session") / "ball"
+    with RecordingWriter(path, IDENTITY, QUICK) as writer:
+        for number in range(5):
+            one = record(number, points=300)
+            tare, touch = (Touch.from_vector(REST + shift + 3.0 * number) for shift in (0.0, -50.0))
+            writer.append(replace(one, sample=replace(one.sample, touch=touch, tare=tare)))
+    return path
+
+
+def reading(number: int) -> dict[str, Any]:
+    touch = Touch.from_vector(REST + number)
+    return {"pdc_th": touch.pdc_th, "pdc_mf": touch.pdc_mf, "e_th": touch.e_th.tolist(), "e_mf": touch.e_mf.tolist()}
+
+
+def flat(one: dict[str, Any], key: str) -> list[float]:
+    return [one["PDC_TH"][key], one["PDC_MF"][key], *one["E_TH"][key], *one["E_MF"][key]]
+
+
+def assert_told(one: dict[str, Any], wanted: TouchPrediction) -> None:
+    for key in ("value", "lower", "upper"):
+        np.testing.assert_array_equal(flat(one, key), getattr(wanted, key).vector())
+    assert one["reference"] == wanted.reference
+
+
+def test_a_tare_moves_the_prediction_as_the_core_says(call: Call, model: str, session: Path, tmp_path: Path) -> None:
+    (tmp_path / "t.json").write_text(json.dumps([reading(k) for k in (30, 10, 20)]))
+    answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
+    core, tare = load_model(model), Touch.from_vector(REST + 20)
+    with open_samples(session) as samples:
+        for told, found in zip(answer.records, samples.records(), strict=True):
+            (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
+            assert_told(told["predictions"][0], wanted)
+            assert (wanted.reference, told["touched"]) == ("tare", 0)
+
+
+def test_touches_and_own_tares_move_it_as_the_memory_says(call: Call, model: str, session: Path) -> None:
+    answer = call("predict", session, "--model", model, "--tare", "sample", "--touched", session, "--json")
+    core = load_model(model)
+    with open_samples(session) as found:
+        samples = [one.sample for one in found.records()]
+    for told, sample in zip(answer.records, samples, strict=True):
+        memory = TouchMemory(core, sample.tare)
+        for one in samples:
+            moved = Touch.from_vector(one.touch.vector() - one.tare.vector() + sample.tare.vector())
+            memory.add(one.cloud, one.grasp, moved)
+        (wanted,) = core.predict(sample.cloud, [sample.grasp], memory=memory)
+        assert_told(told["predictions"][0], wanted)
+        assert (wanted.reference, told["touched"]) == ("touches", 5)
+
+
+def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str, session: Path) -> None:
+    words = ("predict", session, "--model", model)
+    before, after = (call(*words, *more, "--json").records[0] for more in ((), ("--touched", session)))
+
+    def width(told: dict[str, Any]) -> float:
+        one = told["predictions"][0]["PDC_TH"]
+        return float(one["upper"] - one["lower"])
+
+    assert width(after) < width(before)
+    table = call(*words, "--touched", session).out
+    assert f"±{width(after) / 2:.0f}" in table
+    assert "touches 5" in table
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        ("{", "is no JSON"),
+        ("[]", "no reading"),
+        (json.dumps({"pdc_th": 1}), "it has to hold pdc_th, pdc_mf, e_th, e_mf"),
+        (json.dumps(reading(0) | {"e_mf": [1.0] * 23}), "e_mf: is not 24 numbers"),
+        (json.dumps(reading(0) | {"pdc_th": "high"}), "pdc_th: is not numbers"),
+        (json.dumps(reading(0) | {"e_th": [0.0] * 24}), "absent sensor"),
+        (json.dumps(reading(0) | {"pdc_th": -22072.0}), "absent or dead sensor"),
+    ],
+)
+def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path, content: str, rule: str) -> None:
+    (tmp_path / "t.json").write_text(content)
+    with pytest.raises(FileError, match=rule) as caught:
+        read_tare([str(tmp_path / "t.json")])
+    assert "t.json" in str(caught.value)
+
+
+def test_an_absent_file_ends_the_command_in_one_line(call: Call, model: str, session: Path) -> None:
+    for option in ("--tare", "--touched"):
+        answer = call("predict", session, "--model", model, option, session / "none.json")
+        assert answer.status == 1
+        assert "none.json" in answer.err
+        assert answer.err.count("\n") == 1
+
+
+def test_touches_of_several_objects_or_of_another_are_refused(
+    call: Call, model: str, session: Path, tmp_path: Path
+) -> None:
+    other = write_dataset(tmp_path / "cup", 2, name="cup", points=300)
+    both = call("predict", session, "--model", model, "--touched", session, "--touched", other)
+    assert (both.status, both.err.count("\n")) == (1, 1)
+    assert "ball, cup: touches of one object are wanted" in both.err
+    answer = call("predict", other, "--model", model, "--touched", session, "--json")
+    assert answer.status == 1
+    assert all("is of cup, the touches are of ball" in told["reason"] for told in answer.records)
+
+
+def test_a_cloud_has_no_tare_of_its_own(call: Call, model: str, files: Path) -> None:
+    answer = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--json")
+    assert answer.status == 1
+    assert "holds no tare of its own" in answer.records[0]["reason"]
+    mixed = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--tare", "x.json")
+    assert "stands alone" in mixed.err
+
+
+def test_touches_of_one_object_say_nothing_of_two(call: Call, model: str, files: Path, session: Path) -> None:
+    words = ("predict", files / "scene.npz", "--model", model, "--touched", session, "--json")
+    assert "the cloud holds 2 objects" in call(*words, "--target", "all").records[0]["reason"]
+    (told,) = call(*words, "--target", "nearest").records
+    assert told["predictions"][0]["reference"] == "touches"
+
+
+def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: Path) -> None:
+    card = save_contact_with_trust(tmp_path)
+    words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
+    code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["predictions"][0]["reference"] == "touches"
+
+
+@pytest.mark.real_data
+def test_a_tactile_file_is_a_tare_and_real_touches_are_taken_in(call: Call, model: str, real_data: Path) -> None:
+    folder = real_data / "vision2tactile" / "coffee"
+    first = min(folder.iterdir())
+    words = ("predict", first, "--model", model, "--tare", first / "tactile.tac", "--touched", first, "--json")
+    (told,) = call(*words).records
+    assert told["predictions"][0]["reference"] == "touches"
+    assert told["touched"] == 1
