@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +28,10 @@ from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P2_RANGES, TactileRanges
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 
-__all__ = ["ContactEstimator"]
+__all__ = ["TOGETHER", "ContactEstimator"]
 
-_TOGETHER = "together"
+TOGETHER: Final = "together"
+"""Name of the forest that learns all values at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ class ContactEstimator:
         return scaled * self.deviation + self.mean
 
     def _trees(self, rows: Float64) -> Float64:
-        scaled = self.forests[_TOGETHER].predict(rows)
+        scaled = self.forests[TOGETHER].predict(rows)
         for name in MODALITIES:
             place = columns([name])
             scaled[:, place] = (scaled[:, place] + self.forests[name].predict(rows)) / 2.0
@@ -90,9 +91,9 @@ class ContactEstimator:
             if name not in tensors or tensors[name].shape != (TOUCH_SIZE,) or not np.isfinite(tensors[name]).all():
                 raise ModelError(f"{name}: is missing, of another shape, or not finite")
         forests = {}
-        for name in (_TOGETHER, *MODALITIES):
+        for name in (TOGETHER, *MODALITIES):
             forests[name] = _read(Forest, tensors, f"forest_{name}")
-            size = TOUCH_SIZE if name == _TOGETHER else len(columns([name]))
+            size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
             if forests[name].output_size != size or forests[name].feature.max() >= len(FEATURES):
                 raise ModelError(f"forest_{name}: does not fit {len(FEATURES)} features and {size} values")
         kernel = _read(KernelRegression, tensors, "kernel")

@@ -25,7 +25,7 @@ __all__ = ["Novelty"]
 
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
 _NEAREST: Final = 3
-_USUAL: Final = (0.90, 0.99)  # quantiles of the distances within training between which trust goes from 1 to 0
+_USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which trust goes from 1 to 0
 _FIELDS: Final = ("centre", "scale", "known", "span")
 
 

@@ -18,7 +18,7 @@ __all__ = ["TouchMemory"]
 
 
 class TouchMemory:
-    """Residuals of one model on one object in one session.
+    """Readings on one object in one session, and what one model expected of them.
 
     What is kept are sums, so that a later prediction costs the same however many readings there were.
 
@@ -35,7 +35,8 @@ class TouchMemory:
         self.tare = tare
         self.count = 0
         self._model = model
-        self._sum = np.zeros(TOUCH_SIZE)
+        self._read = np.zeros(TOUCH_SIZE)
+        self._expected = np.zeros(TOUCH_SIZE)
 
     def add(self, cloud: Cloud, grasp: Grasp, reading: Touch) -> None:
         """Take in what was read when a grasp was executed.
@@ -53,10 +54,11 @@ class TouchMemory:
         faults = check_touch(reading).faults
         if faults:
             raise TactileError(f"touched: {faults[0]}")
-        expected = self._model.expect(cloud, [grasp], self.tare)
-        self._sum += reading.vector() - expected[0]
+        self._expected += self._model.expect(cloud, [grasp], self.tare)[0]
+        self._read += reading.vector()
         self.count += 1
 
-    def mean_residual(self) -> Float64:
-        """(50,) mean of reading minus prediction [counts]; zeros before the first reading."""
-        return self._sum / max(self.count, 1)
+    def means(self) -> tuple[Float64, Float64]:
+        """(50,) mean of what was expected and of what was read [counts]; zeros before the first reading."""
+        count = max(self.count, 1)
+        return self._expected / count, self._read / count

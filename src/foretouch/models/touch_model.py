@@ -84,7 +84,7 @@ class TouchModel:
                 regime = self.trust.regime(familiar=bool(familiar), tare=tare is not None)
                 mine = estimate.familiar == familiar
                 if memory is not None:
-                    counts[mine] += regime.offset(memory.mean_residual(), touches)
+                    counts[mine] = regime.after(counts[mine], *memory.means(), touches)
                 half[mine] = regime.half_width_after(touches)
         reference: Reference = "touches" if touches else "none" if tare is None else "tare"
         return self._predictions(grasps, Estimate(counts, estimate.familiar), half, reference)

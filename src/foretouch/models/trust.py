@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What to make of a model's raw predictions: what a tare and a few touches change, and how wide to doubt.
 
-Residuals of a model on an object that it never trained on have a part that stays for that object and day, of
-covariance B, and a part that is new with each grasp, of variance W. After n readings with mean residual r the best linear guess of
-the lasting part is B (B + W/n)⁻¹ r (the multivariate James-Stein or empirical Bayes estimator [Efron and Morris 1973]):
-closed form, a 50 x 50 system, no training.
+Residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that is new
+with each grasp, of variance W. After n readings with mean residual r the best linear guess of the lasting part is
+B (B + W/n)⁻¹ r (the multivariate empirical Bayes estimator [Efron and Morris 1973]): closed form, a 50 x 50 system, no
+training. Once an object was touched, what the model says of the difference between two grasps on it counts for its worth
+alone: on a new object such differences hold less often than the model believes.
 
 Intervals are conformal with objects as the unit of exchange: half widths hold the share of residuals that they were asked
 to, with each calibration object weighing the same (`learning.calibration`).
@@ -27,7 +28,8 @@ __all__ = ["REGIMES", "Regime", "Trust"]
 REGIMES: Final = ("known", "new", "known_tare", "new_tare")
 """Objects like those of training or unlike them; with a tare at hand or without."""
 
-_MATRIX: Final = (TOUCH_SIZE, TOUCH_SIZE)
+_FIELDS: Final = ("between", "within", "worth", "spread", "half_width")
+_POSITIVE: Final = ("within", "spread", "half_width")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,30 +38,41 @@ class Regime:
 
     Attributes:
         between: (50, 50) float64 [counts²], B: covariance of the part that stays with an object and its day.
-        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp.
+        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp, once predicted differences
+            count for their worth.
+        worth: (50,) float64 in [0, 1], how much of a predicted difference between two grasps on an object holds.
+        spread: (50,) float64 [counts²], variance of the residuals before any touch.
         half_width: (50,) float64 [counts], of the interval before any touch.
     """
 
     between: Float64
     within: Float64
+    worth: Float64
+    spread: Float64
     half_width: Float64
 
-    def offset(self, mean_residual: Float64, count: int) -> Float64:
-        """(50,) what to add after `count` readings whose residuals have this mean (50,) [counts]."""
+    def after(self, expected: Float64, mean_expected: Float64, mean_reading: Float64, count: int) -> Float64:
+        """Predictions after some touches.
+
+        Args:
+            expected: (K, 50) predictions before any touch [counts].
+            mean_expected: (50,) mean of what was predicted, before any touch, at the touched grasps [counts].
+            mean_reading: (50,) mean of what was read there [counts].
+            count: Touches; with none the predictions come back as they are.
+        """
         if count == 0:
-            return np.zeros(TOUCH_SIZE)
-        gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_residual)
-        return np.asarray(self.between @ gain, np.float64)
+            return expected
+        gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_reading - mean_expected)
+        return np.asarray(mean_expected + self.between @ gain + self.worth * (expected - mean_expected), np.float64)
 
     def half_width_after(self, count: int) -> Float64:
-        """(50,) half width after `count` readings [counts]: narrowed as the deviation that remains is."""
+        """(50,) half width after `count` readings [counts]: narrowed as the deviation that remains is, never widened."""
         if count == 0:
             return self.half_width
-        prior = np.diag(self.between) + self.within
         solved = np.linalg.solve(self.between + np.diag(self.within / count), self.between)
         lasting = np.diag(self.between) - np.einsum("ij,ji->i", self.between, solved)
-        left = np.maximum(lasting, 0.0) + self.within
-        return np.asarray(self.half_width * np.sqrt(left / prior), np.float64)
+        left = (np.maximum(lasting, 0.0) + self.within) / self.spread
+        return np.asarray(self.half_width * np.sqrt(np.minimum(left, 1.0)), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +97,7 @@ class Trust:
         """Arrays by name, for a file."""
         tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
         for name, regime in self.regimes.items():
-            tensors |= {
-                f"{name}/between": regime.between,
-                f"{name}/within": regime.within,
-                f"{name}/half_width": regime.half_width,
-            }
+            tensors |= {f"{name}/{field}": getattr(regime, field) for field in _FIELDS}
         return tensors
 
     @classmethod
@@ -99,28 +108,25 @@ class Trust:
             ModelError: If an array is missing, of another shape or not finite, or a variance or width is negative.
         """
         regimes = {
-            name: Regime(
-                _checked(tensors, f"{name}/between", _MATRIX),
-                _checked(tensors, f"{name}/within", (TOUCH_SIZE,), positive=True),
-                _checked(tensors, f"{name}/half_width", (TOUCH_SIZE,), positive=True),
-            )
+            name: Regime(**{field: _checked(tensors, f"{name}/{field}") for field in _FIELDS})
             for name in REGIMES
             if name in ("known", "new") or f"{name}/between" in tensors
         }
         for name, regime in regimes.items():
             if np.abs(regime.between - regime.between.T).max() > 1e-6 * np.abs(regime.between).max():
                 raise ModelError(f"{name}/between: is not symmetric")
-        return cls(_checked(tensors, "rest", (TOUCH_SIZE,)), regimes)
+        return cls(_checked(tensors, "rest"), regimes)
 
 
-def _checked(
-    tensors: Mapping[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...], *, positive: bool = False
-) -> Float64:
+def _checked(tensors: Mapping[str, npt.NDArray[Any]], name: str) -> Float64:
     if name not in tensors:
         raise ModelError(f"{name}: is missing")
     found = np.asarray(tensors[name], np.float64)
+    field = name.rpartition("/")[2]
+    shape = (TOUCH_SIZE, TOUCH_SIZE) if field == "between" else (TOUCH_SIZE,)
     if found.shape != shape:
         raise ModelError(f"{name}: shape {found.shape} is not {shape}")
+    positive = field in _POSITIVE
     if not np.isfinite(found).all() or (positive and not (found > 0.0).all()):
         raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
     return found

@@ -23,6 +23,8 @@ from foretouch.learning.baselines import (
     object_time_trees,
     training_mean,
 )
+from foretouch.learning.contact_predictor import ContactPredictor
+from foretouch.learning.contact_training import ContactConfig
 from foretouch.learning.experiments.recipes import network
 from foretouch.types import Float64, GraspSample
 
@@ -87,11 +89,19 @@ def _trees(baseline: Callable[..., Float64], effort: float) -> Fit:
     return shrunk_residuals(partial(baseline, trees=max(1, round(effort * TREES))))
 
 
+def _contact(effort: float) -> Fit:
+    """Our own model, which makes its own use of touches."""
+    config = ContactConfig()
+    config = config.replace(trees=max(1, round(effort * config.trees)))
+    return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
+
+
 PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "training_mean": lambda _: shrunk_residuals(training_mean),
     "object_mean": lambda _: shrunk_residuals(object_mean),
     "object_time_trees": lambda effort: _trees(object_time_trees, effort),
     "geometry_trees": lambda effort: _trees(geometry_trees, effort),
+    "contact": _contact,
     "p1_pointnet": lambda effort: shrunk_residuals(network("p1_pointnet", effort)),
     "p2_pointnet": lambda effort: shrunk_residuals(network("p2_pointnet", effort)),
     "touchnet_v1": lambda effort: shrunk_residuals(network("touchnet_v1", effort)),
