@@ -132,13 +132,22 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self._outputs.append(publisher)
         return publisher
 
-    def subscribe(self, message: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """A subscription with sensor-data QoS; callbacks of one node never run at the same time."""
+    def subscribe(
+        self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
+    ) -> None:
+        """A subscription with sensor-data QoS; callbacks of one node never run at the same time.
+
+        Args:
+            message: Type of the messages.
+            topic: Where from.
+            callback: Called with each.
+            depth: Messages that may wait for the executor.
+        """
         subscription = self.create_subscription(
             message,
             topic,
             callback,
-            QoSProfile(depth=_INPUT_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
             callback_group=self._input_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=SubscriptionEventCallbacks(
