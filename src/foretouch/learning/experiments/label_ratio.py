@@ -46,6 +46,7 @@ QUICK: Final[dict[str, Any]] = {
     "training": {
         "batch_size": 16,
         "optimiser": "adamw",
+        "learning_rate": 3e-3,
         "schedule": "cosine",
         "target_scaling": "standardised",
         "generator": {"noise_length": 1, "widths": [16], "stride": 8},
