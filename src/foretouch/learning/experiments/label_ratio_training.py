@@ -31,10 +31,20 @@ from foretouch.learning.train import predict_set
 from foretouch.learning.trainer import shuffled_batches
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.normalisation import freeze
-from foretouch.tactile.modalities import columns
+from foretouch.tactile.modalities import columns, modality_size
 from foretouch.types import Float64
 
-__all__ = ["MODELS", "POINTNET", "SRGAN", "TRIALS", "PointnetTrainer", "configured", "error_row", "train_and_predict"]
+__all__ = [
+    "MODELS",
+    "POINTNET",
+    "SRGAN",
+    "TRIALS",
+    "PointnetTrainer",
+    "configured",
+    "error_row",
+    "kind_of",
+    "train_and_predict",
+]
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"
@@ -68,6 +78,11 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 }
 """By model, what each trial changes. Trials of the SR-GAN are named by w_U / w_F / λ of the reading `srgan`; their rate is
 0.003 where they tell none."""
+
+
+def kind_of(modality: str) -> str:
+    """`pressure` or `electrodes`: modalities of a kind share their trial."""
+    return "pressure" if modality_size(modality) == 1 else "electrodes"
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:

@@ -3,7 +3,7 @@
 
 At a ratio, a quarter of the samples *that kept their labels* is held back, each network is trained on the other
 three quarters as in `label_ratio`, and the trial with the lowest error on what was held back is chosen: one for each
-model and ratio, for all modalities alike (`quick` looks at one pressure and one set of electrodes). Neither a test sample nor a label that the ratio withholds has a say. T90's choice
+model, ratio and kind of modality, pressures or electrodes (`quick` looks at one modality of each kind). Neither a test sample nor a label that the ratio withholds has a say. T90's choice
 serves T70 too, T50's the ratios with more labels.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import product
 
 import numpy as np
 
@@ -19,14 +19,11 @@ from foretouch.config import setting
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Table
 from foretouch.learning.experiments.label_ratio import QUICK, SMOKE, NetworkSettings, run_network
 from foretouch.learning.experiments.label_ratio_data import load_frozen
-from foretouch.learning.experiments.label_ratio_training import MODELS, TRIALS
+from foretouch.learning.experiments.label_ratio_training import MODELS, TRIALS, kind_of
 from foretouch.learning.experiments.simulated_data import SimulatedGrasps, prepare_simulated
 from foretouch.learning.split_book import RATIOS
-from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["EXPERIMENT", "LabelRatioTuningSettings"]
-
-_ALL: Final = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,28 +55,23 @@ def _run(cell: Cell, settings: LabelRatioTuningSettings, data: SimulatedGrasps) 
 
 
 def _tabulate(settings: LabelRatioTuningSettings, rows: Sequence[Row]) -> list[Row]:
-    """RMSE over that of the training mean, by modality and over all of them, and which trial is the lowest."""
+    """RMSE over that of the training mean, averaged over the modalities of a kind, and which trial has the lowest."""
+    kinds = dict.fromkeys(kind_of(name) for name in settings.modalities)
     result: list[Row] = []
-    for ratio in settings.ratios:
-        for model in MODELS:
-            mine = [row for row in rows if row["ratio"] == ratio and row["model"] == model]
-            trials = [one for trial in TRIALS[model] if (one := _trial(settings, mine, trial))]
-            lowest = min((one[_ALL] for one in trials), default=None)
-            head = {"ratio": ratio, "model": model}
-            result += [{**head, **one, "chosen": one[_ALL] == lowest} for one in trials]
+    for ratio, kind, model in product(settings.ratios, kinds, MODELS):
+        mine = [r for r in rows if (r["ratio"], r["model"], kind_of(r["modality"])) == (ratio, model, kind)]
+        wanted = len(settings.seeds) * sum(kind_of(name) == kind for name in settings.modalities)
+        trials = [_trial(trial, mine) for trial in TRIALS[model] if sum(r["trial"] == trial for r in mine) == wanted]
+        lowest = min((one["relative_rmse"] for one in trials), default=None)
+        head = {"ratio": ratio, "kind": kind, "model": model}
+        result += [{**head, **one, "chosen": one["relative_rmse"] == lowest} for one in trials]
     return result
 
 
-def _trial(settings: LabelRatioTuningSettings, rows: Sequence[Row], trial: str) -> Row | None:
-    """One line; None where a network is missing, for the mean of the others would be another."""
+def _trial(trial: str, rows: Sequence[Row]) -> Row:
     mine = [row for row in rows if row["trial"] == trial]
-    if len(mine) != len(settings.modalities) * len(settings.seeds):
-        return None
-    relative = {name: [_relative(row) for row in mine if row["modality"] == name] for name in settings.modalities}
-    means = {name: round(float(np.mean(values)), 5) for name, values in relative.items()}
-    first = mine[0]
-    facts = {"trial": trial, "labelled": first["labelled"], "held": _count(first), "updates": first["updates"]}
-    return {**facts, **means, _ALL: round(float(np.mean(list(means.values()))), 5)}
+    facts = {"trial": trial, "labelled": mine[0]["labelled"], "held": _count(mine[0]), "updates": mine[0]["updates"]}
+    return {**facts, "relative_rmse": round(float(np.mean([_relative(row) for row in mine])), 6)}
 
 
 def _relative(row: Row) -> float:
@@ -93,16 +85,15 @@ def _count(row: Row) -> int:
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
-    names = [name for name in (*MODALITIES, _ALL) if name in rows[0]]
     tables = []
-    for ratio in dict.fromkeys(row["ratio"] for row in rows):
-        mine = [row for row in rows if row["ratio"] == ratio]
+    for ratio, kind in dict.fromkeys((row["ratio"], row["kind"]) for row in rows):
+        mine = [row for row in rows if (row["ratio"], row["kind"]) == (ratio, kind)]
         body = [
-            [row["model"], row["trial"], *(f"{row[name]:.3f}" for name in names), "chosen" if row["chosen"] else ""]
+            [row["model"], row["trial"], f"{row['relative_rmse']:.3f}", "chosen" if row["chosen"] else ""]
             for row in mine
         ]
-        title = f"T{ratio}: RMSE over that of the training mean, on {mine[0]['held']} held back"
-        tables.append(Table(title, ["model", "trial", *names, ""], body))
+        title = f"T{ratio}, {kind}: RMSE over that of the training mean, on {mine[0]['held']} samples held back"
+        tables.append(Table(title, ["model", "trial", "relative RMSE", ""], body))
     return tables
 
 
