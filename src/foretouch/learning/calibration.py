@@ -100,6 +100,9 @@ def _shrunk(moments: Float64, within: Float64, objects: int) -> Float64:
     deviation = np.sqrt(np.maximum(np.diag(moments), _LEAST_SHARE * within))
     values, vectors = np.linalg.eigh(moments / np.outer(deviation, deviation))
     correlation = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # What was cut off has raised the diagonal; to lower it alone to 1, below, would make B indefinite.
+    size = np.sqrt(np.maximum(np.diag(correlation), 1.0))
+    correlation /= np.outer(size, size)
     trusted = objects / (objects + _PRIOR_OBJECTS)
     shrunk = trusted * correlation + (1.0 - trusted) * np.eye(TOUCH_SIZE)
     np.fill_diagonal(shrunk, 1.0)
