@@ -21,6 +21,7 @@ from foretouch.types import Float32, Float64
 __all__ = ["KernelRegression", "laplacian", "standardisation"]
 
 _FIELDS: Final = ("centre", "scale", "known", "weight", "decay")
+_CONSTANT: Final = 1e-9  # deviation of a column [m or 1] that is rounding: no point or direction is known so well
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,8 @@ class KernelRegression:
         """From `to_tensors`.
 
         Raises:
-            ModelError: If an array is missing, does not fit the others, or holds a value that is not finite.
+            ModelError: If an array is missing, does not fit the others, or holds a value that is not finite, or a scale or
+                the decay is not above 0.
         """
         for name in _FIELDS:
             if name not in tensors:
@@ -64,10 +66,12 @@ class KernelRegression:
             if not np.isfinite(tensors[name]).all():
                 raise ModelError(f"{name}: holds a value that is not finite")
         found = cls(**{name: tensors[name] for name in _FIELDS})
-        columns = found.centre.size
-        fits = found.scale.shape == (columns,) and found.known.shape == (len(found.weight), columns)
-        if not fits or found.weight.ndim != 2 or found.decay.shape != () or not (found.scale > 0.0).all():
+        rows, columns = found.weight.shape[:1], found.centre.shape
+        fits = found.scale.shape == columns and found.known.shape == rows + columns
+        if not fits or len(columns) != 1 or found.weight.ndim != 2 or found.decay.shape != ():
             raise ModelError("kernel: its arrays do not fit together")
+        if not (found.scale > 0.0).all() or not found.decay > 0.0:
+            raise ModelError("scale, decay: a value is not above 0")
         return found
 
 
@@ -79,4 +83,4 @@ def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
 def standardisation(rows: Float64) -> tuple[Float64, Float64]:
     """Mean and deviation of each column; 1 where a column is constant."""
     deviation = rows.std(axis=0)
-    return rows.mean(axis=0), np.where(deviation > 0.0, deviation, 1.0)
+    return rows.mean(axis=0), np.where(deviation > _CONSTANT, deviation, 1.0)
