@@ -70,16 +70,20 @@ class Novelty:
         """From `to_tensors`.
 
         Raises:
-            ModelError: If an array is missing, of another shape, or holds a value that is not finite.
+            ModelError: If an array is missing, of another shape, or holds a value that is not finite; if a scale is not
+                above 0, or the span is empty.
         """
         size = len(_COLUMNS)
         for name, shape in (("centre", (size,)), ("scale", (size,)), ("known", (-1, size)), ("span", (2,))):
             if name not in tensors:
                 raise ModelError(f"{name}: is missing")
             found = tensors[name]
-            if not np.isfinite(found).all() or found.shape != tuple(n if n >= 0 else len(found) for n in shape):
+            fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
+            if not fits or not np.isfinite(found).all():
                 raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
         novelty = cls(**{name: tensors[name] for name in _FIELDS})
+        if not (novelty.scale > 0.0).all():
+            raise ModelError("scale: a value is not above 0")
         if len(novelty.known) < _NEAREST or not novelty.span[0] < novelty.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")
         return novelty
