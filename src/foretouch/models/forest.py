@@ -111,10 +111,12 @@ class Forest:
 
     def _check(self) -> None:
         """What is walked without a look must be right: each node leads to later ones, each leaf to a value."""
-        count = len(self.feature)
-        shapes = (self.threshold.shape == (count,), self.children.shape == (count, 2), self.leaf.shape == (count,))
-        if not all(shapes) or self.value.ndim != 2 or not count or not len(self.roots):
+        count = self.feature.size
+        flat = all(one.shape == (count,) for one in (self.feature, self.threshold, self.leaf))
+        if not flat or self.children.shape != (count, 2) or self.value.ndim != 2 or self.roots.ndim != 1:
             raise ModelError("forest: its arrays do not fit together")
+        if not count or not self.roots.size or not np.isfinite(self.threshold).all():
+            raise ModelError("roots, threshold: there is no tree, or a threshold is not finite")
         index = np.arange(count)[:, None]
         inner = self.feature >= 0
         ahead = (self.children[inner] > index[inner]).all() and (self.children < count).all()
