@@ -105,7 +105,8 @@ class Trust:
         """From `to_tensors`.
 
         Raises:
-            ModelError: If an array is missing, of another shape or not finite, or a variance or width is negative.
+            ModelError: If an array is missing, of another shape or not finite, a variance or width is not above 0, a worth
+                leaves [0, 1], or a covariance is none.
         """
         regimes = {
             name: Regime(**{field: _checked(tensors, f"{name}/{field}") for field in _FIELDS})
@@ -113,8 +114,13 @@ class Trust:
             if name in ("known", "new") or f"{name}/between" in tensors
         }
         for name, regime in regimes.items():
-            if np.abs(regime.between - regime.between.T).max() > 1e-6 * np.abs(regime.between).max():
+            tolerance = 1e-6 * np.abs(regime.between).max()
+            if np.abs(regime.between - regime.between.T).max() > tolerance:
                 raise ModelError(f"{name}/between: is not symmetric")
+            if np.linalg.eigvalsh(regime.between)[0] < -tolerance:
+                raise ModelError(f"{name}/between: is no covariance, for it has a negative eigenvalue")
+            if regime.worth.min() < 0.0 or regime.worth.max() > 1.0:
+                raise ModelError(f"{name}/worth: leaves [0, 1]")
         return cls(_checked(tensors, "rest"), regimes)
 
 
