@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from math import isnan
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -29,7 +30,7 @@ def live_panel(view: View, title: str) -> Panel:
     parts: list[RenderableType] = [_nodes(view.nodes), *_complaints(view.nodes), Text(f"clouds answered: {answered}")]
     parts += [Text(f"  {count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     if view.last is not None and view.last.predictions:
-        parts.append(_predictions(view.last.predictions[:_MAX_ROWS]))
+        parts.append(_predictions(view.last.predictions[:_MAX_ROWS], _touches(view.nodes)))
     if view.executed is not None:
         parts.append(_executed(*view.executed))
     return Panel(Group(*parts), title=title, title_align="left")
@@ -62,35 +63,46 @@ def _complaints(nodes: dict[str, NodeView]) -> list[Text]:
     return [Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, "")) for name, node in unwell]
 
 
-def _predictions(predictions: list[TouchPrediction]) -> Table:
+def _touches(nodes: dict[str, NodeView]) -> int:
+    """How many touches the predictor leans on, as it last reported."""
+    counts = [node.values["touches"] for node in nodes.values() if "touches" in node.values]
+    return int(counts[0]) if counts else 0
+
+
+def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
+    from foretouch.ros.conversions import interval_text, reference_text
+
     table = Table(title="last prediction [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
-    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "model", "flags"):
-        table.add_column(name, justify="right" if name not in {"object", "model", "flags"} else "left")
+    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "leans on", "model", "flags"):
+        table.add_column(name, justify="left" if name in {"object", "leans on", "model", "flags"} else "right")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
         if one.reason and one.status:
-            table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", one.model, one.reason)
+            table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", "", one.model, one.reason)
             continue
         table.add_row(
             one.grasp.object_id,
             f"{width_mm:.0f}",
-            _value(one.pdc_th),
-            _value(one.pdc_mf),
+            interval_text(one.pdc_th),
+            interval_text(one.pdc_mf),
             _span(one.e_th),
             _span(one.e_mf),
+            reference_text(one, touches),
             one.model,
-            " ".join(one.flags),
+            Text(" ".join(one.flags), "yellow"),
         )
     return table
 
 
 def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
+    from foretouch.ros.conversions import interval_text
+
     table = Table(title="last grasp executed [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
     for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
         table.add_column(name, justify="right" if name else "left")
     if not prediction.status:
-        pressures = _value(prediction.pdc_th), _value(prediction.pdc_mf)
+        pressures = interval_text(prediction.pdc_th), interval_text(prediction.pdc_mf)
         table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))
     for name, touch in (("read", felt.touch), ("tare", felt.tare)):
         spans = tuple(f"{e.min():.0f}…{e.max():.0f}" for e in (touch.e_th, touch.e_mf))
@@ -103,15 +115,12 @@ def _rounded(milliseconds: str) -> str:
     return milliseconds.partition(".")[0] if len(milliseconds) > 5 else milliseconds
 
 
-def _value(interval: Interval) -> str:
-    if interval.lower != interval.lower:  # NaN: not calibrated
-        return f"{interval.value:.0f}"
-    return f"{interval.value:.0f} ({interval.lower:.0f}…{interval.upper:.0f})"
-
-
 def _span(intervals: list[Interval]) -> str:
+    """Least and greatest value of 24 electrodes, and the mean half width where there is one."""
     values = [one.value for one in intervals]
-    return f"{min(values):.0f}…{max(values):.0f}"
+    half = sum(one.upper - one.lower for one in intervals) / 2.0 / len(intervals)
+    span = f"{min(values):.0f}…{max(values):.0f}"
+    return span if isnan(half) else f"{span} ± {half:.0f}"  # NaN: not calibrated
 
 
 def _short(name: str) -> str:

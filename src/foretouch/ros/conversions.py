@@ -28,12 +28,14 @@ __all__ = [
     "grasp_to_msg",
     "has_orientation",
     "header_to_msg",
+    "interval_text",
     "plane_from_msg",
     "plane_to_msg",
     "point_to_msg",
     "pose_stamped",
     "prediction_from_msg",
     "prediction_to_msg",
+    "reference_text",
     "refusal_to_msg",
     "rotation_from_quaternion",
     "stamp_ns",
@@ -219,6 +221,24 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
         status="refused" if refused else "ok",
         reason=message.reason,
     )
+
+
+def interval_text(interval: Interval) -> str:
+    """Value and half width as a person reads them, `2779 ± 60`; the value alone where nothing is calibrated."""
+    if math.isnan(interval.lower):
+        return f"{interval.value:.0f}"
+    return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
+
+
+def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
+    """What a prediction leans on, as a person reads it: `sight`, `tare`, `touches 3`.
+
+    Args:
+        message: The prediction.
+        touches: How many, 0 where that is not known.
+    """
+    name = {code: name for name, code in _REFERENCES.items()}[message.reference]
+    return {"none": "sight", "touches": f"touches {touches}" if touches else "touches"}.get(name, name)
 
 
 def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:

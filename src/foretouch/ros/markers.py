@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from foretouch.ros.conversions import grasp_from_msg, point_to_msg
+from foretouch.ros.conversions import grasp_from_msg, interval_text, point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPrediction
@@ -26,6 +26,7 @@ _CONTACT_M = 0.012  # diameter of a contact's ball
 _AXIS_M = 0.06  # length of the hand's axes
 _ELECTRODE_M = 0.003
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
+_FLAGGED = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
 _CONTACTS = (ColorRGBA(r=1.0, g=0.4, b=0.1, a=1.0), ColorRGBA(r=0.1, g=0.5, b=1.0, a=1.0))
 _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.0))
@@ -43,13 +44,16 @@ def object_markers(message: ObjectArray) -> MarkerArray:
     return MarkerArray(markers=markers)
 
 
-def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True) -> MarkerArray:
-    """Contacts, hand frame and the 48 electrodes of one prediction.
+def touch_markers(
+    prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True, touches: int = 0
+) -> MarkerArray:
+    """Contacts, hand frame, the 48 electrodes of one prediction, and in words its pressures and what they lean on.
 
     Args:
         prediction: One that was made; a refusal gives no marker.
         ranges: An electrode at its upper end is green, at its lower end red: compression lowers the count.
         thumb_takes_g1: Which finger touches g1.
+        touches: In memory, for a prediction that leans on them.
     """
     if prediction.status != Status.OK:
         return MarkerArray()
@@ -70,6 +74,7 @@ def touch_markers(prediction: TouchPrediction, ranges: TactileRanges, *, thumb_t
     thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
     markers.append(_electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")))
     markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
+    markers.append(_words(prediction, grasp, touches))
     return MarkerArray(markers=markers)
 
 
@@ -113,6 +118,17 @@ def _electrodes(
     marker.points = [point_to_msg(point) for point in placed]
     marker.colors = [_heat(drop) for drop in np.clip((high - counts) / (high - low), 0.0, 1.0)]
     return marker
+
+
+def _words(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
+    """Pressures with half widths, the reference and the flags above the hand; in yellow where something is flagged."""
+    colour = _FLAGGED if prediction.flags else ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
+    label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
+    label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
+    label.scale.z = 0.02
+    pressures = f"PDC {interval_text(prediction.pdc_th)} | {interval_text(prediction.pdc_mf)}"
+    label.text = "\n".join([f"{pressures} ({reference_text(prediction, touches)})", *prediction.flags])
+    return label
 
 
 def _heat(drop: float) -> ColorRGBA:

@@ -19,6 +19,7 @@ from foretouch.ros.conversions import (
     prediction_to_msg,
     refusal_to_msg,
 )
+from foretouch.ros.feeling import Feeling
 from foretouch.ros.warm_up import tabletop
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -33,10 +34,17 @@ class Predictor:
     Args:
         model: Name or path.
         fallback: Name or path of the model used where `model` cannot be; "" for none.
+
+    Attributes:
+        model: None if neither could be loaded.
+        feeling: What predictions lean on besides the cloud; None for sight alone.
+        fault: Why `model` could not be loaded; "" if it could.
+        flags: Of every prediction.
     """
 
     def __init__(self, model: str, fallback: str = "") -> None:
         self.model: TouchModel | None = None
+        self.feeling: Feeling | None = None
         self.fault = ""
         self.flags: tuple[str, ...] = ()
         try:
@@ -127,7 +135,7 @@ class Predictor:
             except (GraspError, CloudError) as err:
                 answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
         try:
-            predicted = iter(model.predict(target.cloud, posed) if posed else [])
+            predicted = iter((self.feeling or model).predict(target.cloud, posed) if posed else [])
         except (CloudError, ModelError) as err:
             status = Status.TOO_FEW_POINTS if isinstance(err, CloudError) else Status.REFUSED
             return [old or refusal_to_msg(g, header, status, str(err)) for g, old in zip(grasps, answers, strict=True)]

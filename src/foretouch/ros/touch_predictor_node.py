@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
 
+Where a hand sends what it reads, and tells of the grasps that it executes, predictions lean on that (see `feeling`): on
+the reading at rest, and on touches of the object at hand. `forget_touches` says that another object is at hand. Without
+any tactile message it is as if none of this were there.
+
 Service and action work in threads of their own (see `offload`), beside the worker that answers the topics:
 the model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
 then says so, and cleaning up and configuring again is the way to try once more.
@@ -10,7 +14,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
@@ -19,47 +22,41 @@ from rclpy.lifecycle import LifecyclePublisher
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from foretouch.config import setting
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.conversions import stamp_ns
+from foretouch.ros.feeling import Feeling
 from foretouch.ros.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.inputs import check_frames, read_plane, read_targets
 from foretouch.ros.markers import touch_markers
 from foretouch.ros.offload import Offload
 from foretouch.ros.predictor import Predictor
-from foretouch.ros.processing_node import ProcessingConfig, ProcessingNode
+from foretouch.ros.processing_node import ProcessingNode
 from foretouch.ros.status import RefusalError
-from foretouch.tactile import TactileRanges
+from foretouch.ros.tactile_adapters import make_adapter
+from foretouch.ros.touch_predictor_config import TouchPredictorConfig
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import (
+    ExecutedGrasp,
+    Grasp,
+    GraspArray,
+    Status,
+    TablePlane,
+    TouchPrediction,
+    TouchPredictionArray,
+)
 from foretouch_msgs.srv import PredictTouch
 
-__all__ = ["TouchPredictorConfig", "TouchPredictorNode"]
+__all__ = ["TouchPredictorNode"]
 
 _T = TypeVar("_T")
 _REQUESTS_AT_A_TIME = 2  # more would only take turns at the processor
 _TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
-
-
-@dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig):
-    """Settings of the touch predictor."""
-
-    model: str = setting("default", "Name of a shipped model, or the path of a checkpoint", read_only=True)
-    fallback_model: str = setting("", "Model used, and flagged, where `model` cannot be; none if empty", read_only=True)
-    late_after_s: float = setting(
-        0.5,
-        "Age of a cloud beyond which its predictions are flagged late; 0 for never",
-        unit="s",
-        minimum=0.0,
-        maximum=3600.0,
-    )
-    thumb_takes_g1: bool = setting(True, "Which finger the markers put at g1: thumb, else middle finger")
-    grasp: GeoGraspConfig = GeoGraspConfig()
-    ranges: TactileRanges = TactileRanges()
+_TACTILE_DEPTH = 200  # two seconds of a hand's messages
+_EXECUTED_DEPTH = 10
 
 
 class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
@@ -72,8 +69,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         inputs = [(PointCloud2, "object_cloud"), (GraspArray, "grasps")]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
         self._predictor: Predictor | None = None
+        self._feeling: Feeling | None = None
+        self._used_tare = self.config.use_tare
         self._offload: Offload | None = None
-        self._service: Service[Any, Any] | None = None
+        self._answering: list[Service[Any, Any]] = []
         self._action: ActionServer[Any, Any, Any] | None = None
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
@@ -87,12 +86,15 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
+        self._feel(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch")
         self._markers = self.advertise(MarkerArray, "markers")
         self._offload = Offload(self, _REQUESTS_AT_A_TIME)
-        self._service = self.create_service(
-            PredictTouch, "predict_touch", self._predict_touch, callback_group=ReentrantCallbackGroup()
-        )
+        group = ReentrantCallbackGroup()
+        self._answering = [
+            self.create_service(PredictTouch, "predict_touch", self._predict_touch, callback_group=group),
+            self.create_service(Trigger, "forget_touches", self._forget_touches, callback_group=group),
+        ]
         self._action = ActionServer(
             self,
             SampleGrasps,
@@ -105,14 +107,15 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         super().setup()
 
     def teardown(self) -> None:
-        """Withdraw service and action, forget the model."""
-        if self._service is not None:
-            self.destroy_service(self._service)
+        """Withdraw services and action, forget model and touches."""
+        for service in self._answering:
+            self.destroy_service(service)
+        self._answering.clear()
         if self._action is not None:
             self._action.destroy()
         if self._offload is not None:
             self._offload.close()
-        self._service = self._action = self._offload = self._predictor = self._latest = None
+        self._action = self._offload = self._predictor = self._feeling = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
@@ -120,10 +123,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
 
     def notes(self) -> dict[str, str]:
-        """The model's name and hash besides."""
+        """The model's name and hash besides, and what it leans on."""
         model = self._predictor.model if self._predictor else None
         known = {"model": model.name, "model_sha256": model.sha256} if model else {}
-        return {**super().notes(), **known}
+        if model is not None and self._feeling is None:
+            known["regime"] = "none: the model's card holds no calibration"
+        return {**super().notes(), **known, **(self._feeling.notes() if self._feeling else {})}
+
+    def config_changed(self, config: TouchPredictorConfig) -> None:
+        """Touches compared with a tare and without are not of one kind: where that changes, they are forgotten."""
+        if config.use_tare != self._used_tare:
+            self._used_tare = config.use_tare
+            if self._feeling is not None:
+                self._feeling.forget()
 
     # The topic.
 
@@ -134,13 +146,20 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if not grasps.grasps:
             raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames("grasps", grasps.header, header)
+        if self._feeling is not None:
+            self._feeling.see(messages["object_cloud"], grasps)
         targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # prediction asks for no table
         message = self._predict(targets, grasps.grasps, header, None)
         self._touch.publish(message)
         if self._markers.get_subscription_count():
             for prediction in message.predictions[:1]:
                 self._markers.publish(
-                    touch_markers(prediction, self.config.ranges, thumb_takes_g1=self.config.thumb_takes_g1)
+                    touch_markers(
+                        prediction,
+                        self.config.ranges,
+                        thumb_takes_g1=self.config.thumb_takes_g1,
+                        touches=self._feeling.touches() if self._feeling else 0,
+                    )
                 )
         return message.status, message.reason
 
@@ -165,7 +184,33 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             raise RefusalError(Status.NO_MODEL, "the node is not configured")
         return await self._offload.run(work)
 
-    # The service.
+    # What is felt.
+
+    def _feel(self, predictor: Predictor) -> None:
+        """Listen to the hand, where the model can make something of it."""
+        adapter = make_adapter(self.config.tactile)  # a mistake in its settings is told in any case
+        if predictor.model is None or predictor.model.trust is None:
+            return
+        self._feeling = predictor.feeling = Feeling(
+            predictor.model,
+            adapter,
+            config=lambda: self.config,
+            now_ns=lambda: int(self.get_clock().now().nanoseconds),
+            warn=self._warn,
+        )
+        tactile, executed = self._feeling.take_tactile, self._feeling.take_executed
+        self.subscribe(adapter.message, self.config.tactile_topic, tactile, depth=_TACTILE_DEPTH)
+        self.subscribe(ExecutedGrasp, "executed_grasp", executed, depth=_EXECUTED_DEPTH)
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text)
+
+    def _forget_touches(self, _request: Any, response: Any) -> Any:
+        count = self._feeling.forget() if self._feeling else 0
+        response.success, response.message = True, f"{count} touches forgotten"
+        return response
+
+    # The services.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
         response.touch = await self._aside(lambda: self._answer_or_say_why(request))
