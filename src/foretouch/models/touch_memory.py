@@ -27,14 +27,15 @@ class TouchMemory:
         tare: A reading without contact, if there is one; predictions with this memory lean on it as well.
 
     Attributes:
+        model: As given.
         tare: As given.
         count: Readings so far.
     """
 
     def __init__(self, model: TouchModel, tare: Touch | None = None) -> None:
+        self.model = model
         self.tare = tare
         self.count = 0
-        self._model = model
         self._read = np.zeros(TOUCH_SIZE)
         self._expected = np.zeros(TOUCH_SIZE)
 
@@ -47,14 +48,14 @@ class TouchMemory:
             reading: Both fingers in contact [counts].
 
         Raises:
-            TactileError: If the reading is not that of working sensors.
+            TactileError: If the reading, or the tare, is not that of working sensors.
             CloudError: If the cloud cannot be used.
             ModelError: If the model cannot learn from touches, or refuses the cloud.
         """
         faults = check_touch(reading).faults
         if faults:
             raise TactileError(f"touched: {faults[0]}")
-        self._expected += self._model.expect(cloud, [grasp], self.tare)[0]
+        self._expected += self.model.expect(cloud, [grasp], self.tare)[0]
         self._read += reading.vector()
         self.count += 1
 

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.errors import ModelError
+from foretouch.errors import ModelError, TactileError
 from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.touch_memory import TouchMemory
 from foretouch.models.trust import Trust
+from foretouch.tactile.validity import check_touch
 from foretouch.types import Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
 __all__ = ["TouchModel"]
@@ -69,11 +70,15 @@ class TouchModel:
         Raises:
             CloudError: If the cloud holds too few points or all in one place.
             ModelError: If it lacks a colour that the model needs; if tare or memory is given to a model without `trust`, or
-                both are.
+                both are; if the memory is of another model.
+            TactileError: If the tare is not that of working sensors.
         """
         if memory is not None:
             if tare is not None:
                 raise ModelError("tare: the memory has its own")
+            if memory.model.sha256 != self.sha256:
+                raise ModelError(f"{self.name}: memory: is of {memory.model.name}, which expected other readings")
+            self._require_trust()
             tare = memory.tare
         estimate = self._estimator.estimate(cloud, grasps)
         counts = self._shifted(estimate.counts, tare)
@@ -95,10 +100,14 @@ class TouchModel:
         Raises:
             CloudError: As of `predict`.
             ModelError: As of `predict`.
+            TactileError: As of `predict`.
         """
+        self._require_trust()
+        return self._shifted(self._estimator.estimate(cloud, grasps).counts, tare)
+
+    def _require_trust(self) -> None:
         if self.trust is None:
             raise ModelError(f"{self.name}: cannot learn from touches: its card holds no calibration")
-        return self._shifted(self._estimator.estimate(cloud, grasps).counts, tare)
 
     def _shifted(self, counts: Float64, tare: Touch | None) -> Float64:
         """Counts of sensors at rest as in training, moved to those of the tare."""
@@ -106,6 +115,9 @@ class TouchModel:
             return counts
         if self.trust is None:
             raise ModelError(f"{self.name}: tare: cannot be used: its card tells no rest level")
+        faults = check_touch(tare).faults
+        if faults:
+            raise TactileError(f"tare: {faults[0]}")
         return counts + (tare.vector() - self.trust.rest)
 
     def _predictions(
