@@ -59,20 +59,21 @@ def fit_regime(held_out: HeldOut) -> Regime:
     """Covariances of the lasting part and of the rest, the worth of differences, and conformal half widths.
 
     B is estimated by the method of moments from the mean residual of each session; its correlations are shrunk to zero
-    by G / (G + 30) for G objects, for 8 objects cannot tell 1225 of them.
+    by G / (G + 30) for G objects, for 8 objects cannot tell 1225 of them. Where no session holds two samples nothing tells
+    the lasting part from the rest: then all of the error counts as new with each grasp, and touches narrow nothing.
     """
     residuals = held_out.labels - held_out.predicted
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
     worth = _worth(differences, actual)
-    freedom = max(1, len(residuals) - len(owners))
-    within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6)
+    spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
+    freedom = len(residuals) - len(owners)
+    within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6) if freedom else spread
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
     between = _shrunk(moments, within, len(np.unique(held_out.objects)))
-    spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
     return Regime(between, within, worth, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 
@@ -85,13 +86,17 @@ def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float6
 
 
 def _worth(predicted: Float64, actual: Float64) -> Float64:
-    """(50,) least-squares slope of actual over predicted differences in standard units, one a modality, within [0, 1]."""
+    """(50,) least-squares slope of actual over predicted differences in standard units, one a modality, within [0, 1].
+
+    1 where no difference was predicted, which is no reason to doubt one.
+    """
     unit = np.maximum(actual.std(axis=0), 1e-6)
     worth = np.empty(TOUCH_SIZE)
     for modality in MODALITIES:
         place = columns([modality])
         x, y = predicted[:, place] / unit[place], actual[:, place] / unit[place]
-        worth[place] = np.clip((x * y).sum() / max(float((x * x).sum()), 1e-12), 0.0, 1.0)
+        power = float((x * x).sum())
+        worth[place] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
     return worth
 
 
