@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import DatasetError
+from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.splits import Fold, group_folds
 from foretouch.models.contact_estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact_features import OBJECT_FEATURES, ContactScene
@@ -44,6 +44,11 @@ class ContactConfig(Settings):
     )
     seed: int = setting(0, "Of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.ridges:
+            raise ConfigError("ContactConfig.ridges: [] must hold at least one value")
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
@@ -112,8 +117,8 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
     if len(rows) < _FEWEST_SAMPLES:
         raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")
     mean, deviation = labels.mean(axis=0), labels.std(axis=0)
-    if not (deviation > 0.0).all():
-        raise DatasetError(f"contact model: value {int(np.argmin(deviation))} of the touch is the same in all samples")
+    if not (span := np.ptp(labels, axis=0)).all():
+        raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     return ContactEstimator(
         forests={name: _forest(rows, scaled[:, place], config) for name, place in _targets()},
