@@ -85,7 +85,7 @@ class Hand(Robot):
         """Execute the first grasp of a cloud; all its messages have arrived when this returns."""
         times = self.grasp(name, number, **faults)
         received = self.sent["/rh/tactile"]
-        self.graph.until(lambda: int(self.notes()["tactile.received"]) == received)
+        self.graph.until(lambda: int(self.notes()["tactile.received"]) == len(self.felt) == received)
         return times
 
     def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
