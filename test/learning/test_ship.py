@@ -52,7 +52,7 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
     assert card["data"]["objects"] == {"box0": 5, "box1": 5}
     assert card["training"]["epochs"] == 2
     for split in ("random", "time", "object"):
-        said = next(line for line in lines if line.get("split") == split and line.get("who") == "network")
+        said = next(line for line in lines if line.get("split") == split and line.get("who") == "model")
         assert card["skill"][split]["E_MF"]["skill"] == pytest.approx(said["skill"]["E_MF"], abs=1e-3)
         assert card["baselines"]["training_mean"][split]["PDC_TH"]["skill"] == pytest.approx(0.0, abs=1e-9)
         assert any(line.startswith(f"Split {split}: mean skill") for line in card["limits"])
@@ -60,6 +60,19 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
     (prediction,) = model.predict(sample.cloud, [sample.grasp])
     assert prediction.status == "ok"
     assert "unfamiliar" not in prediction.flags
+
+
+def test_a_contact_model_ships_with_its_calibration(folder: Path, tmp_path: Path) -> None:
+    config = tmp_path / "contact.yaml"
+    config.write_text("name: toy\ncontact: {trees: 5}\n")
+    assert main([str(config), "--data", str(folder), "-o", str(tmp_path / "out")]) == 0
+    model = load_model(tmp_path / "out" / "toy.json")
+    assert set(model.card["calibration"]["regimes"]) == {"known", "new"}
+    assert any("cannot exceed 67%" in line for line in model.card["limits"])  # 2 of 3
+    sample = read_folder(folder)[0]
+    (prediction,) = model.predict(sample.cloud, [sample.grasp])
+    assert (prediction.lower.vector() < prediction.value.vector()).all()
+    assert (prediction.value.vector() < prediction.upper.vector()).all()
 
 
 def test_known_failures_are_one_line_and_status_one(folder: Path, config: Path, tmp_path, capsys) -> None:

@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 from foretouch.errors import DatasetError
 from foretouch.learning.baselines import object_mean, training_mean
 from foretouch.learning.evaluation import evaluate
+from foretouch.learning.learners import NetworkLearner
+from foretouch.learning.splits import make_folds
 from foretouch.learning.train import TrainConfig, predict_set, train_network, training_loss
 from foretouch.learning.training_set import TrainingSet, duplicate_labels
 from foretouch.models.familiarity import Familiarity
@@ -144,11 +146,13 @@ def test_duplicate_labels_are_found(samples) -> None:
 
 
 def test_evaluation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
-    data = TrainingSet.build(samples, small)
+    learner = NetworkLearner.build(samples, small, QUICK.replace(epochs=40))
     quick = {"training_mean": training_mean, "object_mean": object_mean}
-    scores = evaluate(samples, data, QUICK.replace(epochs=40), "random", baselines=quick)
-    assert set(scores) == {"network", "training_mean", "object_mean"}
-    assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)
-    assert scores["network"]["E_TH"].skill > 0.2
+    folds = make_folds(samples, "random", 0)
+    found = evaluate(samples, learner.data.labels, learner, folds, small.ranges, baselines=quick)
+    assert set(found.scores) == {"model", "training_mean", "object_mean"}
+    assert_allclose([one.skill for one in found.scores["training_mean"].values()], 0.0, atol=1e-12)
+    assert found.scores["model"]["E_TH"].skill > 0.2
+    assert_allclose(found.predicted[folds[2].test], learner(folds[2]))
     with pytest.raises(DatasetError, match="'blocks' is none of random, time, object"):
-        evaluate(samples, data, QUICK, "blocks")
+        make_folds(samples, "blocks", 0)

@@ -14,14 +14,12 @@ from foretouch.learning.calibration import HeldOut, make_trust
 from foretouch.learning.contact_training import (
     ContactConfig,
     describe_samples,
-    fit_contact,
     object_folds,
     rest_level,
     resting_labels,
 )
+from foretouch.learning.learners import ContactLearner
 from foretouch.learning.splits import Fold, make_folds
-from foretouch.models.contact_estimator import ContactEstimator
-from foretouch.models.contact_features import OBJECT_FEATURES
 from foretouch.models.trust import Trust
 from foretouch.types import Float64, GraspSample
 
@@ -44,17 +42,14 @@ class ContactPredictor:
 
     def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
         self._train = list(train)
-        self._config = config
-        self._rows = describe_samples(train)
-        self._objects = [sample.object for sample in train]
         self.rest, self.rest_recorded = rest_level(train)
         self._labels = labels
-        self._resting = resting_labels(train, labels, self.rest)
-        self.estimator: ContactEstimator = fit_contact(self._rows, self._resting, self._objects, config)
+        self._learner = ContactLearner.build(train, resting_labels(train, labels, self.rest), config)
+        self.estimator = self._learner.fit()
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         """(S, 50) predictions from sight alone [counts]; labels and tares of the samples are not looked at."""
-        return self._blend(self.estimator, describe_samples(samples))
+        return self.estimator.predict_rows(describe_samples(samples))[0]
 
     def predict_after(
         self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
@@ -88,7 +83,7 @@ class ContactPredictor:
         Raises:
             DatasetError: If all are of one object.
         """
-        objects = np.array(self._objects)
+        objects = np.array(self._learner.objects)
         time_folds = self._time_folds()
         stretches = objects.astype(object)
         for fold in time_folds:
@@ -96,42 +91,32 @@ class ContactPredictor:
         held_out = {}
         for name, folds, sessions in (
             ("known", time_folds, stretches.astype(np.str_)),
-            ("new", object_folds(self._objects), objects),
+            ("new", object_folds(self._learner.objects), objects),
         ):
             predicted = self._held_out(folds)
             held_out[name] = HeldOut(predicted, self._labels, objects, sessions)
             if self.rest_recorded:
-                held_out[f"{name}_tare"] = HeldOut(predicted, self._resting, objects, sessions)
+                held_out[f"{name}_tare"] = HeldOut(predicted, self._learner.labels, objects, sessions)
         return make_trust(self.rest, held_out)
 
     def _time_folds(self) -> list[Fold]:
         try:
-            return make_folds(self._train, "time", self._config.seed)
+            return make_folds(self._train, "time", self._learner.config.seed)
         except DatasetError:  # an object with fewer samples than blocks
-            return make_folds(self._train, "random", self._config.seed)
+            return make_folds(self._train, "random", self._learner.config.seed)
 
     def _held_out(self, folds: Sequence[Fold]) -> Float64:
         """(S, 50) predictions of each training sample by a model fitted without its fold [counts]."""
-        predicted = np.full_like(self._resting, np.nan)
+        predicted = np.full_like(self._labels, np.nan)
         for fold in folds:
-            objects = [self._objects[i] for i in fold.train]
-            fitted = fit_contact(self._rows[fold.train], self._resting[fold.train], objects, self._config)
-            predicted[fold.test] = self._blend(fitted, self._rows[fold.test])
+            predicted[fold.test] = self._learner(fold)
         return predicted
 
     def _expect(self, samples: Sequence[GraspSample], *, tare: bool) -> tuple[Float64, np.ndarray[Any, Any]]:
-        rows = describe_samples(samples)
-        predicted = self._blend(self.estimator, rows)
+        predicted, familiar = self.estimator.predict_rows(describe_samples(samples))
         if tare:
             for k, sample in enumerate(samples):
                 if sample.tare is None:
                     raise DatasetError(f"{sample.id}: tare: is missing")
                 predicted[k] += sample.tare.vector() - self.rest
-        return predicted, self._familiarity(self.estimator, rows) >= 0.5
-
-    def _blend(self, estimator: ContactEstimator, rows: Float64) -> Float64:
-        return estimator.blend(rows, self._familiarity(estimator, rows))
-
-    @staticmethod
-    def _familiarity(estimator: ContactEstimator, rows: Float64) -> Float64:
-        return np.array([estimator.novelty.familiarity(row[: len(OBJECT_FEATURES)]) for row in rows])
+        return predicted, familiar

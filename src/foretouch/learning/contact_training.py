@@ -24,7 +24,7 @@ from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["ContactConfig", "describe_samples", "fit_contact", "object_folds", "rest_level", "resting_labels"]
 
-_FEWEST_SAMPLES: Final = 8
+_FEWEST_SAMPLES: Final = 5
 _MOST_FOLDS: Final = 10
 _PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
@@ -112,7 +112,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
         config: How.
 
     Raises:
-        DatasetError: If there are fewer than eight samples, or a label never changes.
+        DatasetError: If there are fewer than five samples, or a label never changes.
     """
     if len(rows) < _FEWEST_SAMPLES:
         raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cross-validation of a network and of the baselines on the same folds."""
+"""Cross-validation of a model and of the baselines on the same folds."""
 
 from __future__ import annotations
 
@@ -7,68 +7,72 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from foretouch.errors import DatasetError
 from foretouch.learning.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.metrics import Score, score
-from foretouch.learning.splits import Fold, make_folds
-from foretouch.learning.train import TrainConfig, predict_set, train_network
-from foretouch.learning.training_set import TrainingSet
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.types import Float64, GraspSample
+from foretouch.learning.splits import Fold
+from foretouch.tactile.ranges import TactileRanges
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = ["NETWORK", "evaluate"]
+__all__ = ["MODEL", "Evaluation", "HoldOut", "evaluate"]
 
-NETWORK = "network"
+MODEL = "model"
+HoldOut = Callable[[Fold], Float64]
+"""Fits to the training side of a fold and gives (T, 50) predictions of its test side [counts]."""
+
 Scores = dict[str, Score]
-Predictor = Callable[[Fold], Float64]
-Mapper = Callable[[Predictor, Sequence[Fold]], Iterator[Float64]]
+Mapper = Callable[[HoldOut, Sequence[Fold]], Iterator[Float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Of a model and the baselines on one split.
+
+    Attributes:
+        scores: By modality, of `model` and of each baseline.
+        predicted: (S, 50) the model's prediction of each sample, by the fold that held it out [counts].
+    """
+
+    scores: dict[str, Scores]
+    predicted: Float64
 
 
 def evaluate(
     samples: Sequence[GraspSample],
-    data: TrainingSet,
-    config: TrainConfig,
-    split: str,
+    labels: Float64,
+    model: HoldOut,
+    folds: Sequence[Fold],
+    ranges: TactileRanges,
     *,
+    seed: int = 0,
     workers: int = 1,
     baselines: Mapping[str, Baseline] = BASELINES,
-) -> dict[str, Scores]:
-    """Score a network and the baselines on the folds of one split.
+) -> Evaluation:
+    """Score a model and the baselines on the same folds.
 
     Args:
         samples: All samples.
-        data: The same, prepared for the network; it must predict all modalities, in their usual order.
-        config: How the network of each fold is trained.
-        split: Out of `SPLITS`.
+        labels: (S, 50) [counts].
+        model: Can be pickled where there are several workers.
+        folds: Together they test each sample once.
+        ranges: For the normalised error.
+        seed: Of the baselines.
         workers: Processes that share the folds out. The scores do not depend on their number.
         baselines: By name; all by default.
-
-    Returns:
-        Scores by modality, of `network` and of each baseline.
-
-    Raises:
-        DatasetError: As of `make_folds` and `train_network`, or if the network predicts other modalities.
     """
-    if data.config.outputs != MODALITIES:
-        raise DatasetError(f"outputs: {list(data.config.outputs)} are not all modalities, {', '.join(MODALITIES)}")
-    folds = make_folds(samples, split, config.seed)
-    predictors: dict[str, Predictor] = {NETWORK: partial(_network, data, config)}
+    predictors: dict[str, HoldOut] = {MODEL: model}
     for name, baseline in baselines.items():
-        predictors[name] = partial(_baseline, samples, data.labels, baseline, config.seed)
+        predictors[name] = partial(_baseline, samples, labels, baseline, seed)
     with _mapper(workers) as run:
         predicted = {name: _gather(folds, run(predictor, folds)) for name, predictor in predictors.items()}
-    means = partial(_baseline, samples, data.labels, training_mean, config.seed)
+    means = partial(_baseline, samples, labels, training_mean, seed)
     reference = _gather(folds, map(means, folds))
-    ranges = data.config.ranges
-    return {name: score(values, data.labels, reference, ranges) for name, values in predicted.items()}
-
-
-def _network(data: TrainingSet, config: TrainConfig, fold: Fold) -> Float64:
-    return predict_set(train_network(data, fold.train, config), data, fold.test)
+    scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
+    return Evaluation(scores, predicted[MODEL])
 
 
 def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
@@ -79,7 +83,7 @@ def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baselin
 def _gather(folds: Sequence[Fold], parts: Iterator[Float64]) -> Float64:
     """(S, 50): each sample's prediction by the fold that held it out."""
     count = sum(len(fold.test) for fold in folds)
-    result = np.full((count, columns(MODALITIES).size), np.nan)
+    result = np.full((count, TOUCH_SIZE), np.nan)
     for fold, part in zip(folds, parts, strict=True):
         result[fold.test] = part
     return result

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train the model that is shipped: `python -m foretouch.learning.ship CONFIG --data FOLDER -o DIR`.
+"""Train a model that is shipped: `python -m foretouch.learning.ship CONFIG --data FOLDER -o DIR`.
 
-Evaluates the network and the baselines on three splits, trains once more on all samples, and writes the
-weights and the card, which tells all of that. One JSON object a line on standard output; exit status 1
+Evaluates the model and the baselines on three splits, calibrates it on what was held out, trains once more on all samples,
+and writes the weights, the calibration and the card, which tells all of that. One JSON object a line on standard output; exit status 1
 and one line on standard error at a known failure.
 
 The training data are recordings of others (P1's collection), read where they lie and not redistributed.
@@ -25,15 +25,18 @@ from foretouch import __version__
 from foretouch.config import Settings, load_yaml, parse_overrides, setting
 from foretouch.dataset.vision2tactile import folder_sha256, read_folder
 from foretouch.errors import ForetouchError
-from foretouch.learning.evaluation import NETWORK, evaluate
+from foretouch.learning.calibration import HeldOut, make_trust
+from foretouch.learning.contact_training import ContactConfig, rest_level
+from foretouch.learning.evaluation import MODEL, Evaluation, evaluate
+from foretouch.learning.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.metrics import Score, mean_skill
-from foretouch.learning.splits import SPLITS
-from foretouch.learning.train import TrainConfig, train_network
-from foretouch.learning.training_set import TrainingSet, duplicate_labels
-from foretouch.models.checkpoint import save_network
-from foretouch.models.familiarity import Familiarity
+from foretouch.learning.splits import SPLITS, make_folds
+from foretouch.learning.train import TrainConfig
+from foretouch.learning.training_set import duplicate_labels, labels_of
+from foretouch.models.contact_checkpoint import add_trust
 from foretouch.models.settings import ModelConfig
-from foretouch.types import GraspSample
+from foretouch.tactile.modalities import MODALITIES
+from foretouch.types import Float64, GraspSample
 
 __all__ = ["ShipConfig", "main", "ship"]
 
@@ -48,20 +51,21 @@ _SPLIT_WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ShipConfig(Settings):
-    """A model to train and to ship."""
+    """A model to train and to ship: a contact model where `contact` is given, else a network."""
 
     name: str = setting("touchnet", "Name of the model and of its files")
+    contact: ContactConfig | None = None
     model: ModelConfig = ModelConfig()
     train: TrainConfig = TrainConfig()
 
 
 def ship(config: ShipConfig, data_folder: Path, out: Path, say: Say, *, workers: int = 1) -> Path:
-    """Evaluate, train on everything, write weights and card.
+    """Evaluate, calibrate, train on everything, write weights, calibration and card.
 
     Args:
         config: Model and training.
         data_folder: The recordings.
-        out: Where weights and card go.
+        out: Where the files go.
         say: Called with each result.
         workers: Processes for the cross-validation.
 
@@ -72,33 +76,57 @@ def ship(config: ShipConfig, data_folder: Path, out: Path, say: Say, *, workers:
         ForetouchError: If the data or the configuration cannot be used.
     """
     samples = read_folder(data_folder)
-    data = TrainingSet.build(samples, config.model)
+    labels = labels_of(samples)
+    learner = _learner(config, samples, labels)
     skill: dict[str, Any] = {}
     baselines: dict[str, Any] = {}
+    predicted: dict[str, Float64] = {}
     for split in SPLITS:
-        for who, scores in _evaluate(samples, data, config, split, say, workers).items():
-            place = skill if who == NETWORK else baselines.setdefault(who, {})
+        found = _evaluate(samples, labels, learner, config, split, say, workers)
+        predicted[split] = found.predicted
+        for who, scores in found.scores.items():
+            place = skill if who == MODEL else baselines.setdefault(who, {})
             place[split] = {name: _rounded(one) for name, one in scores.items()}
-    everything = np.arange(len(samples))
-    net = train_network(data, everything, config.train, lambda epoch, loss: say({"epoch": epoch, "loss": loss}))
+    rest, recorded = rest_level(samples)
+    trust, calibration = make_trust(rest, _held_out(samples, labels, predicted))
     facts = {
-        "summary": f"{', '.join(config.model.outputs)} from {len(samples)} real grasps; read skill and limits first",
+        "summary": f"{', '.join(MODALITIES)} from {len(samples)} real grasps; read skill and limits first",
         "data": _describe_data(samples, data_folder),
         "split": {split: _SPLIT_WORDS[split] for split in SPLITS} | {"shipped": "trained on all samples"},
         "skill": skill,
         "baselines": baselines,
-        "limits": _limits(skill, baselines),
-        "familiar": Familiarity.fit(data.lengths).to_card(),
-        "training": config.train.to_mapping(),
+        "limits": _limits(skill, baselines, calibration, rest_recorded=recorded),
         "version": __version__,
     }
-    return save_network(out, config.name, net, facts)
+    card, novelty = learner.finish(out, config.name, facts, say)
+    add_trust(
+        card, trust, {**calibration, "rest": "recorded tares" if recorded else "guessed from the labels"}, novelty
+    )
+    return card
+
+
+def _learner(config: ShipConfig, samples: Sequence[GraspSample], labels: Float64) -> Learner:
+    if config.contact is None:
+        return NetworkLearner.build(samples, config.model, config.train)
+    return ContactLearner.build(samples, labels, config.contact)
+
+
+def _held_out(samples: Sequence[GraspSample], labels: Float64, predicted: Mapping[str, Float64]) -> dict[str, HeldOut]:
+    """What the calibration is made of: later stretches of known objects, and objects left out."""
+    objects = np.array([sample.object for sample in samples])
+    stretches = objects.astype(object)
+    for fold in make_folds(samples, "time", 0):
+        stretches[fold.test] = [f"{name}/{fold.name}" for name in objects[fold.test]]
+    return {
+        "known": HeldOut(predicted["time"], labels, objects, stretches.astype(np.str_)),
+        "new": HeldOut(predicted["object"], labels, objects, objects),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m foretouch.learning.ship", description="Train the shipped model.")
-    parser.add_argument("config", type=Path, help="YAML, such as config/train/touchnet-v1.yaml")
+    parser.add_argument("config", type=Path, help="YAML, such as config/train/contact-v1.yaml")
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="settings that differ from the file")
     parser.add_argument("--data", type=Path, required=True, help="folder of the vision2tactile recordings")
     parser.add_argument("-o", "--out", type=Path, help="folder for weights and card")
@@ -125,17 +153,26 @@ def _run(given: argparse.Namespace) -> None:
         _say({"card": str(card)})
         return
     samples = read_folder(given.data)
-    data = TrainingSet.build(samples, config.model)
+    labels = labels_of(samples)
+    learner = _learner(config, samples, labels)
     for split in given.compare:
-        _evaluate(samples, data, config, split, _say, given.workers)
+        _evaluate(samples, labels, learner, config, split, _say, given.workers)
 
 
 def _evaluate(
-    samples: Sequence[GraspSample], data: TrainingSet, config: ShipConfig, split: str, say: Say, workers: int
-) -> dict[str, dict[str, Score]]:
+    samples: Sequence[GraspSample],
+    labels: Float64,
+    learner: Learner,
+    config: ShipConfig,
+    split: str,
+    say: Say,
+    workers: int,
+) -> Evaluation:
     start = time.monotonic()
-    result = evaluate(samples, data, config.train, split, workers=workers)
-    for who, scores in result.items():
+    seed = config.train.seed if config.contact is None else config.contact.seed
+    folds = make_folds(samples, split, seed)
+    result = evaluate(samples, labels, learner, folds, learner.ranges, seed=seed, workers=workers)
+    for who, scores in result.scores.items():
         say(
             {
                 "split": split,
@@ -161,13 +198,17 @@ def _describe_data(samples: Sequence[GraspSample], folder: Path) -> dict[str, An
     }
 
 
-def _limits(skill: Mapping[str, Any], baselines: Mapping[str, Any]) -> list[str]:
-    """What to know before relying on it; the comparisons are read off the scores."""
+def _limits(
+    skill: Mapping[str, Any], baselines: Mapping[str, Any], calibration: Mapping[str, Any], *, rest_recorded: bool
+) -> list[str]:
+    """What to know before relying on it; comparisons and coverage are read off the results."""
     limits = [
         "One pair of fingers, one hand, one camera at 1.1 to 1.3 m seen from above: other fingers have other ranges.",
         "Recorded without a tare, each object on days of its own: object, day and drift cannot be told apart.",
-        "Bounds are null: no calibration exists.",
     ]
+    if not rest_recorded:
+        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
+    limits.append(_promise(calibration))
     for split in SPLITS:
         ours = _mean(skill[split])
         best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
@@ -178,6 +219,18 @@ def _limits(skill: Mapping[str, Any], baselines: Mapping[str, Any]) -> list[str]
         if ours <= 0.0:
             limits.append(f"Split {split}: no better than the training mean; do not trust it there.")
     return limits
+
+
+def _promise(calibration: Mapping[str, Any]) -> str:
+    """What that many objects can promise of the intervals."""
+    new = calibration["regimes"]["new"]
+    objects = new["objects"]
+    found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
+    least = min(min(table.values()) for table in new["coverage"].values())
+    return (
+        f"Intervals of {calibration['level']:.0%}: of {objects} objects, a distribution-free promise for one more cannot exceed "
+        f"{objects / (objects + 1):.0%}. Objects left out were covered on average: {found}; the worst of them {least:.2f}."
+    )
 
 
 def _mean(table: Mapping[str, Mapping[str, float]]) -> float:

@@ -18,7 +18,7 @@ from foretouch.models.settings import ModelConfig
 from foretouch.tactile.validity import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
-__all__ = ["TrainingSet", "duplicate_labels"]
+__all__ = ["TrainingSet", "duplicate_labels", "labels_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,15 @@ class TrainingSet:
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]
         return np.stack([c[sample_indices(c[:, :3], count, method=self.config.sampler, rng=rng)] for c in chosen])
+
+
+def labels_of(samples: Sequence[GraspSample]) -> Float64:
+    """(S, 50) float64 labels [counts].
+
+    Raises:
+        DatasetError: If a label is absent or no reading of a working sensor; named by id.
+    """
+    return np.array([_label(sample) for sample in samples])
 
 
 def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:

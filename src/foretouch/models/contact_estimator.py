@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
-from foretouch.models.contact_features import FEATURES, ContactScene
+from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES, ContactScene
 from foretouch.models.estimator import Estimate
 from foretouch.models.forest import Forest
 from foretouch.models.kernel_regression import KernelRegression
@@ -55,16 +55,21 @@ class ContactEstimator:
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """As of `Estimator`."""
-        scene = ContactScene(cloud.xyz)
-        weight = self.novelty.familiarity(scene.object_features)
-        counts = self.blend(scene.describe(grasps), np.full(len(grasps), weight))
-        return Estimate(counts, np.full(len(grasps), weight >= 0.5))
+        return Estimate(*self.predict_rows(ContactScene(cloud.xyz).describe(grasps)))
 
-    def blend(self, rows: Float64, familiarity: Float64) -> Float64:
-        """(K, 50) counts of (K, F) described grasps on objects of (K,) familiarity."""
+    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+        """Predict described grasps, each on an object of its own.
+
+        Args:
+            rows: (K, len(FEATURES)) of `ContactScene.describe`.
+
+        Returns:
+            (K, 50) [counts], and (K,) whether the object is familiar.
+        """
+        familiarity = np.array([self.novelty.familiarity(row[: len(OBJECT_FEATURES)]) for row in rows])
         weight = familiarity[:, None]
         scaled = weight * self._trees(rows) + (1.0 - weight) * self.kernel.predict(rows)
-        return scaled * self.deviation + self.mean
+        return scaled * self.deviation + self.mean, familiarity >= 0.5
 
     def _trees(self, rows: Float64) -> Float64:
         scaled = self.forests[TOGETHER].predict(rows)

@@ -17,7 +17,7 @@ from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
 
-DEFAULT_MODEL: Final = "touchnet-v1"
+DEFAULT_MODEL: Final = "contact-v1"
 
 
 def available_models() -> list[str]:

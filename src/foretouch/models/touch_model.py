@@ -85,12 +85,10 @@ class TouchModel:
         touches = memory.count if memory is not None else 0
         half = np.full_like(counts, np.nan)
         if self.trust is not None:
-            for familiar in np.unique(estimate.familiar):
-                regime = self.trust.regime(familiar=bool(familiar), tare=tare is not None)
-                mine = estimate.familiar == familiar
-                if memory is not None:
-                    counts[mine] = regime.after(counts[mine], *memory.means(), touches)
-                half[mine] = regime.half_width_after(touches)
+            touched = memory.means() if memory is not None else None
+            counts, half = self.trust.lean(
+                counts, estimate.familiar, tare=tare is not None, touched=touched, count=touches
+            )
         reference: Reference = "touches" if touches else "none" if tare is None else "tare"
         return self._predictions(grasps, Estimate(counts, estimate.familiar), half, reference)
 

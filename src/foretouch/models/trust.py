@@ -93,6 +93,35 @@ class Trust:
         name = "known" if familiar else "new"
         return self.regimes.get(f"{name}_tare" if tare else name, self.regimes[name])
 
+    def lean(
+        self,
+        expected: Float64,
+        familiar: npt.NDArray[np.bool_],
+        *,
+        tare: bool,
+        touched: tuple[Float64, Float64] | None = None,
+        count: int = 0,
+    ) -> tuple[Float64, Float64]:
+        """Predictions and half widths from what a model expects.
+
+        Args:
+            expected: (K, 50) before any touch, shifted by the tare if there is one [counts].
+            familiar: (K,) whether each is of a familiar object.
+            tare: Whether there is one.
+            touched: (50,) means of what was expected and of what was read at the touched grasps [counts].
+            count: Of the touches.
+
+        Returns:
+            (K, 50) and (K, 50) [counts].
+        """
+        counts, half = expected.copy(), np.empty_like(expected)
+        for known in np.unique(familiar):
+            regime, mine = self.regime(familiar=bool(known), tare=tare), familiar == known
+            if touched is not None:
+                counts[mine] = regime.after(expected[mine], *touched, count)
+            half[mine] = regime.half_width_after(count)
+        return counts, half
+
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
         tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}

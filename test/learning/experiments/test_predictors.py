@@ -12,8 +12,9 @@ from numpy.testing import assert_allclose
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.baselines import training_mean
-from foretouch.learning.experiments.predictors import PREDICTORS, find_predictor, labels_of, shrunk_residuals
+from foretouch.learning.experiments.predictors import PREDICTORS, find_predictor, shrunk_residuals
 from foretouch.learning.experiments.recipes import RECIPES
+from foretouch.learning.training_set import labels_of
 
 TRAIN = Path(__file__).parents[3] / "config/train"
 

@@ -15,10 +15,10 @@ from foretouch.learning.collection import Collection, load_collection
 from foretouch.learning.experiments import find_experiment
 from foretouch.learning.experiments.experiment import Row
 from foretouch.learning.experiments.manifest import read_results
-from foretouch.learning.experiments.predictors import labels_of
 from foretouch.learning.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.metrics import score
 from foretouch.learning.splits import make_folds
+from foretouch.learning.training_set import labels_of
 from foretouch.tactile.modalities import MODALITIES
 
 RESULTS = Path(__file__).parents[3] / "docs/results"

@@ -10,9 +10,10 @@ from typing import Any
 from foretouch.errors import DatasetError
 from foretouch.learning.collection import Collection
 from foretouch.learning.experiments.experiment import Cell, Row
-from foretouch.learning.experiments.predictors import find_predictor, labels_of
+from foretouch.learning.experiments.predictors import find_predictor
 from foretouch.learning.experiments.real_grasps import RealGraspSettings, error_rows, labelled, seeded_predictors
 from foretouch.learning.splits import Fold, Indices, make_folds
+from foretouch.learning.training_set import labels_of
 from foretouch.types import GraspSample
 
 __all__ = ["FoldRunner", "Part", "split_parts"]

@@ -16,7 +16,7 @@ from typing import Any, Final
 from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Table
-from foretouch.learning.experiments.predictors import find_predictor, labels_of
+from foretouch.learning.experiments.predictors import find_predictor
 from foretouch.learning.experiments.real_grasps import EVERYTHING, labelled, score_table, seeded_predictors
 from foretouch.learning.experiments.simulated_data import (
     SimulatedGrasps,
@@ -26,6 +26,7 @@ from foretouch.learning.experiments.simulated_data import (
 )
 from foretouch.learning.experiments.tables import skill_tables
 from foretouch.learning.experiments.unseen_object import UnseenObjectSettings, touch_rows
+from foretouch.learning.training_set import labels_of
 from foretouch.types import GraspSample
 
 __all__ = ["EXPERIMENT", "TOLD", "LookalikesSettings"]

@@ -27,7 +27,7 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.experiments.ceiling_table import ceiling_rows, ceiling_tables
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row
-from foretouch.learning.experiments.predictors import PREDICTORS, find_predictor, labels_of
+from foretouch.learning.experiments.predictors import PREDICTORS, find_predictor
 from foretouch.learning.experiments.repeats import CAUSES, STRANGER, Repeater
 from foretouch.learning.experiments.simulated_data import (
     SimulatedGrasps,
@@ -35,6 +35,7 @@ from foretouch.learning.experiments.simulated_data import (
     load_simulated,
     prepare_simulated,
 )
+from foretouch.learning.training_set import labels_of
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "NoiseCeilingSettings"]

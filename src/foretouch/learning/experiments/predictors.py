@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError
 from foretouch.learning.baselines import (
     TREES,
     Baseline,
@@ -26,9 +26,10 @@ from foretouch.learning.baselines import (
 from foretouch.learning.contact_predictor import ContactPredictor
 from foretouch.learning.contact_training import ContactConfig
 from foretouch.learning.experiments.recipes import network
+from foretouch.learning.training_set import labels_of
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["NETWORKS", "PREDICTORS", "SHRINKAGE", "Fit", "Fitted", "find_predictor", "labels_of", "shrunk_residuals"]
+__all__ = ["NETWORKS", "PREDICTORS", "SHRINKAGE", "Fit", "Fitted", "find_predictor", "shrunk_residuals"]
 
 SHRINKAGE: Final = 2.0
 """a of the shrunk mean of the residuals, in touches."""
@@ -121,15 +122,3 @@ def find_predictor(name: str, effort: float = 1.0) -> Fit:
     if name not in PREDICTORS:
         raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
     return PREDICTORS[name](effort)
-
-
-def labels_of(samples: Sequence[GraspSample]) -> Float64:
-    """(S, 50) labels [counts].
-
-    Raises:
-        DatasetError: If a sample has none.
-    """
-    for sample in samples:
-        if sample.touch is None:
-            raise DatasetError(f"{sample.id}: touch: is not labelled")
-    return np.array([sample.touch.vector() for sample in samples if sample.touch is not None])

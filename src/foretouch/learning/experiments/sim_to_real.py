@@ -19,7 +19,7 @@ from foretouch.errors import ConfigError
 from foretouch.learning.baselines import TREES
 from foretouch.learning.collection import Collection, load_collection
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row
-from foretouch.learning.experiments.predictors import PREDICTORS, Fit, find_predictor, labels_of, shrunk_residuals
+from foretouch.learning.experiments.predictors import PREDICTORS, Fit, find_predictor, shrunk_residuals
 from foretouch.learning.experiments.real_grasps import labelled, seeded_predictors
 from foretouch.learning.experiments.simulated_data import SimulatedSettings, beside, load_simulated, simulate_store
 from foretouch.learning.experiments.simulated_teacher import LEANINGS, simulated_changes
@@ -30,6 +30,7 @@ from foretouch.learning.experiments.unseen_object import (
     touch_rows,
 )
 from foretouch.learning.splits import make_folds
+from foretouch.learning.training_set import labels_of
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "RealAndSimulated", "SimToRealSettings"]

@@ -22,7 +22,7 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.collection import Collection
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Table
-from foretouch.learning.experiments.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor, labels_of
+from foretouch.learning.experiments.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor
 from foretouch.learning.experiments.real_grasps import (
     FREE,
     RealGraspSettings,
@@ -34,6 +34,7 @@ from foretouch.learning.experiments.real_grasps import (
 )
 from foretouch.learning.experiments.tables import skill_tables
 from foretouch.learning.splits import Indices, make_folds
+from foretouch.learning.training_set import labels_of
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "UnseenObjectSettings", "summarise_touches", "tabulate_touches", "touch_draws", "touch_rows"]

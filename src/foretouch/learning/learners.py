@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two kinds of model that can be shipped: how each is held out, and how it is fitted to everything and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from foretouch.errors import DatasetError
+from foretouch.learning.contact_training import ContactConfig, describe_samples, fit_contact
+from foretouch.learning.splits import Fold
+from foretouch.learning.train import TrainConfig, predict_set, train_network
+from foretouch.learning.training_set import TrainingSet
+from foretouch.models.contact_checkpoint import save_contact
+from foretouch.models.contact_estimator import ContactEstimator
+from foretouch.models.contact_features import ContactScene
+from foretouch.models.familiarity import Familiarity
+from foretouch.models.novelty import Novelty
+from foretouch.models.settings import ModelConfig
+from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile.ranges import TactileRanges
+from foretouch.types import Float64, GraspSample
+
+__all__ = ["ContactLearner", "Learner", "NetworkLearner"]
+
+Say = Callable[[Mapping[str, Any]], None]
+
+
+class Learner(Protocol):
+    """A kind of model with its configuration and its data."""
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """Of the hand that it learns from."""
+        ...
+
+    def __call__(self, fold: Fold) -> Float64:
+        """(T, 50) predictions of a fold's test side by a model fitted to the rest [counts]."""
+        ...
+
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
+        """Fit to all samples and write; the card's path, and the novelty that a calibration has to hold for it."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkLearner:
+    """A PointNet with all four modalities.
+
+    Attributes:
+        data: All samples, prepared for it.
+        config: How it is trained.
+        novelty: Of the samples' objects.
+    """
+
+    data: TrainingSet
+    config: TrainConfig
+    novelty: Novelty
+
+    @classmethod
+    def build(cls, samples: Sequence[GraspSample], model: ModelConfig, config: TrainConfig) -> NetworkLearner:
+        """Prepare all samples.
+
+        Raises:
+            DatasetError: If the network does not predict all modalities in their usual order.
+        """
+        if model.outputs != MODALITIES:
+            raise DatasetError(f"outputs: {list(model.outputs)} are not all modalities, {', '.join(MODALITIES)}")
+        objects = np.array([ContactScene(sample.cloud.xyz).object_features for sample in samples])
+        return cls(TrainingSet.build(samples, model), config, Novelty.fit(objects))
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """As of `Learner`."""
+        return self.data.config.ranges
+
+    def __call__(self, fold: Fold) -> Float64:
+        """As of `Learner`."""
+        return predict_set(train_network(self.data, fold.train, self.config), self.data, fold.test)
+
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
+        """As of `Learner`; one record an epoch."""
+        from foretouch.models.checkpoint import save_network
+
+        everything = np.arange(len(self.data.labels))
+        net = train_network(self.data, everything, self.config, lambda epoch, loss: say({"epoch": epoch, "loss": loss}))
+        familiar = Familiarity.fit(self.data.lengths).to_card()
+        own = {"familiar": familiar, "training": self.config.to_mapping()}
+        return save_network(out, name, net, {**facts, **own}), self.novelty
+
+
+@dataclass(frozen=True, eq=False)
+class ContactLearner:
+    """A contact model.
+
+    Attributes:
+        rows: (S, F) described samples.
+        labels: (S, 50) [counts].
+        objects: (S,) names.
+        config: How it is fitted.
+    """
+
+    rows: Float64
+    labels: Float64
+    objects: tuple[str, ...]
+    config: ContactConfig
+
+    @classmethod
+    def build(cls, samples: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> ContactLearner:
+        """Describe all samples; labels are (S, 50), told at one rest level [counts]."""
+        return cls(describe_samples(samples), labels, tuple(sample.object for sample in samples), config)
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """As of `Learner`."""
+        return self.config.ranges
+
+    def __call__(self, fold: Fold) -> Float64:
+        """As of `Learner`."""
+        objects = [self.objects[i] for i in fold.train]
+        fitted = fit_contact(self.rows[fold.train], self.labels[fold.train], objects, self.config)
+        return fitted.predict_rows(self.rows[fold.test])[0]
+
+    def fit(self) -> ContactEstimator:
+        """Fit to all samples."""
+        return fit_contact(self.rows, self.labels, self.objects, self.config)
+
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
+        """As of `Learner`; a contact model holds its novelty itself."""
+        del say
+        return save_contact(out, name, self.fit(), {**facts, "config": self.config.to_mapping()}), None
