@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces whose normals are known, grasps on them, and a small contact model that is really fitted."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from experiment_samples import make_samples
+
+from foretouch.learning.contact_training import ContactConfig, describe_samples, fit_contact
+from foretouch.models.contact_estimator import ContactEstimator
+from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES
+from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
+
+FEW_TREES = ContactConfig(trees=4)
+HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+"""Rotation of a hand in front of the camera: X away from it, Y up, Z to its right."""
+
+
+def named(row: Float64, *names: str) -> Float64:
+    """Some columns of a row of `FEATURES`, or of object features."""
+    order = FEATURES if len(row) == len(FEATURES) else OBJECT_FEATURES
+    return np.array([row[order.index(name)] for name in names])
+
+
+def patch(normal: Float64, at: Float64, step: float = 0.002, count: int = 41) -> Float64:
+    """(count², 3) points of a square of a plane, centred at a point [m]."""
+    first = np.cross(normal, [0.3, 0.5, 0.8])
+    first /= np.linalg.norm(first)
+    grid = step * (np.arange(count) - count // 2)
+    u, v = np.meshgrid(grid, grid)
+    return at + u.reshape(-1, 1) * first + v.reshape(-1, 1) * np.cross(normal, first)
+
+
+def cylinder(radius: float, at: Float64) -> Float64:
+    """(N, 3) points round an axis along y, even in angle and height [m]."""
+    angle, height = np.meshgrid(np.arange(180) * np.radians(2.0), np.linspace(-0.05, 0.05, 51))
+    ring = radius * np.column_stack([np.cos(angle.reshape(-1)), np.zeros(angle.size), np.sin(angle.reshape(-1))])
+    return at + ring + np.column_stack([np.zeros(angle.size), height.reshape(-1), np.zeros(angle.size)])
+
+
+def sphere(radius: float, at: Float64, count: int = 8000) -> Float64:
+    """(count, 3) points on Fibonacci's lattice [m]."""
+    k = np.arange(count) + 0.5
+    polar, around = np.arccos(1.0 - 2.0 * k / count), np.pi * (1.0 + 5.0**0.5) * k
+    return at + radius * np.column_stack(
+        [np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)]
+    )
+
+
+def moved(grasp: Grasp, R: Float64, t: Float64) -> Grasp:
+    """The grasp after the rigid motion p -> R p + t."""
+    return Grasp(R @ grasp.g1 + t, R @ grasp.g2 + t, R @ grasp.rotation, id=grasp.id)
+
+
+def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[GraspSample]:
+    """The samples with tares: all channels of a sample drift together, tare and label alike [counts]."""
+    rest = np.concatenate([[2600.0, 1700.0], np.full(24, 3200.0), np.full(24, 3300.0)])
+    shifts = np.random.default_rng(seed).normal(0.0, drift, len(samples))
+    return [
+        GraspSample(
+            sample.id,
+            sample.object,
+            sample.cloud,
+            sample.grasp,
+            Touch.from_vector(sample.touch.vector() + shift),
+            Touch.from_vector(rest + shift),
+            sample.stamp_ns,
+        )
+        for sample, shift in zip(samples, shifts, strict=True)
+    ]
+
+
+def labels_of(samples: list[GraspSample]) -> Float64:
+    """(S, 50) [counts]."""
+    return np.array([sample.touch.vector() for sample in samples])
+
+
+@cache
+def small_estimator() -> ContactEstimator:
+    """Fitted to five made-up objects of ten grasps each."""
+    samples = make_samples(5, 10)
+    return fit_contact(describe_samples(samples), labels_of(samples), [one.object for one in samples], FEW_TREES)
+
+
+def scaled(cloud: Cloud, factor: float) -> Cloud:
+    """The same object, larger or smaller, where it was."""
+    centre = cloud.xyz.mean(axis=0)
+    return Cloud((centre + factor * (cloud.xyz - centre)).astype(np.float32))
