@@ -49,9 +49,9 @@ def sphere(radius: float, at: Float64, count: int = 8000) -> Float64:
     )
 
 
-def moved(grasp: Grasp, R: Float64, t: Float64) -> Grasp:
-    """The grasp after the rigid motion p -> R p + t."""
-    return Grasp(R @ grasp.g1 + t, R @ grasp.g2 + t, R @ grasp.rotation, id=grasp.id)
+def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:
+    """The grasp after the rigid motion p -> turn p + shift."""
+    return Grasp(turn @ grasp.g1 + shift, turn @ grasp.g2 + shift, turn @ grasp.rotation, id=grasp.id)
 
 
 def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[GraspSample]:

@@ -33,7 +33,11 @@ def lump(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.fixture
 def grasp() -> Grasp:
-    return Grasp(HERE + [0.025, 0.01, 0.01], HERE - [0.025, -0.01, -0.01], HAND)
+    return Grasp(here(0.025, 0.01, 0.01), here(-0.025, 0.01, 0.01), HAND)
+
+
+def here(x: float, y: float, z: float) -> np.ndarray:
+    return HERE + np.array([x, y, z])
 
 
 def describe(points: np.ndarray, *grasps: Grasp) -> np.ndarray:
@@ -78,7 +82,7 @@ def test_plain_columns_are_what_their_names_say(lump, grasp) -> None:
 
 def test_along_runs_from_end_to_end_of_the_object() -> None:
     rod = HERE + np.linspace(-0.1, 0.1, 2001)[:, None] * [0.0, 1.0, 0.0]
-    ends = [Grasp(HERE + [0.01, y, 0.0], HERE + [-0.01, y, 0.0], HAND) for y in (-0.098, 0.0, 0.049, 0.098)]
+    ends = [Grasp(here(0.01, y, 0.0), here(-0.01, y, 0.0), HAND) for y in (-0.098, 0.0, 0.049, 0.098)]
     rows = describe(rod, *ends)
     assert_allclose([named(row, "along")[0] for row in rows], [-0.5, 0.0, 0.25, 0.5], atol=1e-9)
     assert_allclose([named(row, "along_abs")[0] for row in rows], [0.5, 0.0, 0.25, 0.5], atol=1e-9)
@@ -162,7 +166,7 @@ def test_slope_of_a_plane_tilted_sideways(degrees: int) -> None:
 def test_slope_at_the_other_finger_is_told_in_its_own_frame() -> None:
     a = np.radians(20.0)
     facing = np.array([-np.cos(a), 0.0, -np.sin(a)])
-    grasp = Grasp(HERE + [0.3, 0.0, 0.0], HERE, HAND)
+    grasp = Grasp(here(0.3, 0.0, 0.0), HERE, HAND)
     found = slopes(describe(patch(facing, HERE), grasp)[0], "g2")
     assert_allclose(found, np.tile([-np.sin(a), 0.0, -np.cos(a)], (3, 1)), atol=1e-9)
 
@@ -202,7 +206,7 @@ def test_a_slope_takes_four_points() -> None:
 
 
 def test_a_contact_in_empty_space_tells_how_far_the_object_is(lump) -> None:
-    far = HERE + [1.0, 0.0, 0.0]
+    far = here(1.0, 0.0, 0.0)
     (row,) = describe(lump, across(far, 0.5))
     assert_allclose(named(row, "g1_gap"), np.linalg.norm(lump - far, axis=1).min())
     assert_array_equal(named(row, *(name for name in PADS if name != "g1_gap" and name.startswith("g1"))), np.zeros(7))
