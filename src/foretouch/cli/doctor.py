@@ -74,7 +74,7 @@ def examine() -> Iterator[Finding]:
     yield from _imports()
     yield from _ros()
     yield _shared_memory()
-    yield _model()
+    yield from _models()
     yield _camera()
 
 
@@ -149,15 +149,20 @@ def _shared_memory() -> Finding:
     return Finding(name, state, f"{free_mb:.0f} MB free", mend)
 
 
-def _model() -> Finding:
+def _models() -> Iterator[Finding]:
+    """The default model and the others that came with the package, each compared with its card."""
     from foretouch.errors import ForetouchError
-    from foretouch.models import load_model
+    from foretouch.models import DEFAULT_MODEL, available_models, load_model
 
-    try:
-        model = load_model()
-    except (ForetouchError, ImportError) as err:
-        return Finding("default model", "broken", str(err), "pip install --force-reinstall foretouch")
-    return Finding("default model", "ok", f"{model.name} {model.sha256[:12]}")
+    for name in [DEFAULT_MODEL, *(other for other in available_models() if other != DEFAULT_MODEL)]:
+        what = "default model" if name == DEFAULT_MODEL else f"model {name}"
+        try:
+            model = load_model(name)
+        except (ForetouchError, ImportError) as err:
+            yield Finding(what, "broken", str(err), "pip install --force-reinstall foretouch")
+            continue
+        intervals = "with intervals" if model.trust is not None else "without intervals, tare and touches"
+        yield Finding(what, "ok", f"{model.name} {model.sha256[:12]} {intervals}")
 
 
 def _camera() -> Finding:

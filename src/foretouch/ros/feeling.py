@@ -232,5 +232,6 @@ class Feeling:
         if predictions:
             first = predictions[0]
             regime = ("new" if "unfamiliar" in first.flags else "known") + ("_tare" if tare is not None else "")
-            self._regime = f"{first.reference} ({regime})"
+            known = self._model.trust is not None and regime in self._model.trust.regimes
+            self._regime = f"{first.reference} ({regime}{'' if known else ', which its calibration lacks'})"
         return predictions
