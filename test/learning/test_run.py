@@ -203,6 +203,35 @@ def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_pa
     assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
 
 
+def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path) -> None:
+    said: list[dict] = []
+    part = data.parts("object")[0].name
+    run = config(method="contact", split=f"object/{part}", contact={"trees": 5})
+    card = train_run(run, data, tmp_path / "run", said.append)
+    assert said[-1]["status"] == "done"
+    row = said[-1]["scores"]["model"]["PDC_TH"]
+    assert 0.0 <= row["coverage90"] <= 1.0
+    told = json.loads(card.read_text())
+    assert told["skill"][f"object/{part}"]["PDC_TH"] == row
+    assert told["calibration"]["regimes"]["new"]["objects"] == len({s.object for s in data.samples}) - 1
+    again = train_run(run, data, tmp_path / "run", quiet, resume=True)
+    assert json.loads(again.read_text())["sha256"] == told["sha256"]
+
+
+def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
+    name = data.samples[0].object
+    alone = Collection("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
+    card = train_run(config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
+    told = json.loads(card.read_text())
+    assert told["calibration"] is None
+    assert told["limits"][0].startswith("No calibration: ")
+
+
+def test_a_contact_model_has_no_validation() -> None:
+    with pytest.raises(ConfigError, match="no epochs to choose from"):
+        config(method="contact", validation=0.2)
+
+
 @pytest.mark.parametrize(
     "recipe", sorted((Path(__file__).parents[2] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
 )

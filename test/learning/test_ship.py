@@ -64,7 +64,7 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
 
 def test_a_contact_model_ships_with_its_calibration(folder: Path, tmp_path: Path) -> None:
     config = tmp_path / "contact.yaml"
-    config.write_text("name: toy\ncontact: {trees: 5}\n")
+    config.write_text("name: toy\nmethod: contact\ncontact: {trees: 5}\n")
     assert main([str(config), "--data", str(folder), "-o", str(tmp_path / "out")]) == 0
     model = load_model(tmp_path / "out" / "toy.json")
     assert set(model.card["calibration"]["regimes"]) == {"known", "new"}

@@ -35,7 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
     result = judge(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
     scores = dict(result["scores"])
     record = {"split": arguments.split, "data_sha256": data.sha256, "samples": result["samples"]}
-    record |= {"same_data": result["same_data"], **scores.pop("model"), "baselines": scores}
+    record |= {
+        "unfamiliar": result["unfamiliar"],
+        "same_data": result["same_data"],
+        **scores.pop("model"),
+        "baselines": scores,
+    }
     if arguments.json:
         print_json({"model": arguments.model, "dataset": arguments.dataset, **record})
         return 0
@@ -60,9 +65,13 @@ def show_scores(result: Mapping[str, Any], split: str) -> None:
             f"{row[key]['rmse']:.1f}",
             f"{row[key]['nrmse']:.4f}",
             f"{row[key]['skill']:+.3f}",
+            "" if row[key]["coverage90"] is None else f"{row[key]['coverage90']:.3f}",
         ]
         for key in scores["model"]
         for who, row in scores.items()
     ]
-    title = f"{result['samples']} samples, split {split}; skill: 0 is the training mean, 1 is perfect"
-    print_table(title, ["", "who", "rmse (counts)", "rmse / range", "skill"], rows)
+    title = (
+        f"{result['samples']} samples ({result['unfamiliar']} flagged unfamiliar), split {split}; "
+        "skill: 0 is the training mean, 1 is perfect"
+    )
+    print_table(title, ["", "who", "rmse (counts)", "rmse / range", "skill", "in 90 % interval"], rows)

@@ -58,7 +58,8 @@ def _train(arguments: argparse.Namespace, config: RunConfig, source: str, *, qui
         return 0
     with _progress() as (say, last):
         card = train_run(config, data, arguments.out, say, resume=arguments.resume)
-    print(f"{card}: {last['epochs']} epochs on {data.name}, sha256 {data.sha256[:12]}")
+    epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
+    print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
     if "scores" in last:
         show_scores(last, str(config.split))
     return 0

@@ -24,7 +24,7 @@ from foretouch.models.trust import Regime, Trust
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = ["COVERAGE", "HeldOut", "conformal_level", "coverage_by_object", "fit_regime", "make_trust"]
+__all__ = ["COVERAGE", "HeldOut", "conformal_level", "coverage_by_object", "fit_regime", "make_trust", "promise"]
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
@@ -162,6 +162,18 @@ def make_trust(rest: Float64, held_out: Mapping[str, HeldOut]) -> tuple[Trust, d
             "coverage": coverage_by_object(one),
         }
     return Trust(rest, regimes), facts
+
+
+def promise(calibration: Mapping[str, Any]) -> str:
+    """One line for a card, from the facts of `make_trust`: what that many objects can promise of the intervals."""
+    new = calibration["regimes"]["new"]
+    objects = new["objects"]
+    found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
+    least = min(min(table.values()) for table in new["coverage"].values())
+    return (
+        f"Intervals of {calibration['level']:.0%}: of {objects} objects, a distribution-free promise for one more cannot exceed "
+        f"{objects / (objects + 1):.0%}. Objects left out were covered on average: {found}; the worst of them {least:.2f}."
+    )
 
 
 def coverage_by_object(held_out: HeldOut) -> dict[str, dict[str, float]]:

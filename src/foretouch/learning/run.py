@@ -28,12 +28,15 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.board import open_board
 from foretouch.learning.collection import Collection
+from foretouch.learning.contact_run import fit_and_save
+from foretouch.learning.contact_training import ContactConfig
 from foretouch.learning.judging import judge
 from foretouch.learning.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.train import SupervisedTrainer, TrainConfig, predict_set
 from foretouch.learning.trainer import Indices, Trainer
 from foretouch.learning.training_set import TrainingSet, duplicate_labels
 from foretouch.learning.training_state import read_state, write_state
+from foretouch.models.card import read_card, write_text
 from foretouch.models.checkpoint import save_network
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.settings import ModelConfig
@@ -58,7 +61,9 @@ class RunConfig(Settings):
     name: str = setting("touchnet", "Name of the model and of its files")
     data: str | None = setting(None, "Recorded dataset, training store or vision2tactile folders")
     method: str = setting(
-        "supervised", "Labelled samples alone, or unlabelled and fake ones too", choices=("supervised", "srgan")
+        "supervised",
+        "A network from labelled samples, or from unlabelled and fake ones too; or a contact model",
+        choices=("supervised", "srgan", "contact"),
     )
     split: str | None = setting(None, "Part to learn from, such as labels/T50 or time/block 0; all samples by default")
     validation: float = setting(
@@ -69,20 +74,26 @@ class RunConfig(Settings):
     model: ModelConfig = ModelConfig()
     train: TrainConfig = TrainConfig()
     srgan: SrganConfig = SrganConfig()
+    contact: ContactConfig = ContactConfig()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.patience is not None and self.validation == 0.0:
             raise ConfigError("RunConfig.patience: needs validation above 0, for nothing else may stop a training")
+        if self.method == "contact" and self.validation > 0.0:
+            raise ConfigError("RunConfig.validation: a contact model has no epochs to choose from; leave it at 0")
 
     @property
     def seed(self) -> int:
         """Of the method that is used."""
-        return self.srgan.seed if self.method == "srgan" else self.train.seed
+        by_method = {"srgan": self.srgan.seed, "contact": self.contact.seed}
+        return by_method.get(self.method, self.train.seed)
 
     @property
     def device(self) -> str:
         """Of the method that is used: `cpu` or `cuda`."""
+        if self.method == "contact":
+            return "cpu"
         return self.srgan.resolved_device if self.method == "srgan" else self.train.resolved_device
 
 
@@ -124,6 +135,8 @@ def train_run(config: RunConfig, data: Collection, out: Path, say: Say, *, resum
         DatasetError: If the data do not fit the configuration, or a loss stops being finite. The last good state stays.
     """
     sides = _sides(config, data)
+    if config.method == "contact":
+        return _contact_run(config, data, sides, out, say, resume=resume)
     prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
     trainer = _trainer(config, prepared, sides)
     best = _Best()
@@ -150,6 +163,23 @@ def train_run(config: RunConfig, data: Collection, out: Path, say: Say, *, resum
     if not trainer.place.first:
         return out / f"{config.name}.json"
     return _finish(config, data, prepared, sides, trainer, best, out, say)
+
+
+def _contact_run(config: RunConfig, data: Collection, sides: _Sides, out: Path, say: Say, *, resume: bool) -> Path:
+    """A contact model takes minutes, so a run that was killed starts anew."""
+    _open_folder(config, data, out, resume=resume)
+    division = {"name": config.split, **{side: len(index) for side, index in vars(sides).items()}}
+    card = fit_and_save(config, data, sides.train, division, out)
+    result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": 0, "data_sha256": data.sha256}
+    if len(sides.test):
+        judged = judge(card, data, data.parts(str(config.split)), seed=config.seed)
+        told = read_card(card)
+        told["skill"] = {str(config.split): judged["scores"]["model"]}
+        told["baselines"] = {name: table for name, table in judged["scores"].items() if name != "model"}
+        write_text(card, json.dumps(told, indent=1) + "\n")
+        result |= judged
+    say(result)
+    return card
 
 
 def _sides(config: RunConfig, data: Collection) -> _Sides:

@@ -25,7 +25,7 @@ from foretouch import __version__
 from foretouch.config import Settings, load_yaml, parse_overrides, setting
 from foretouch.dataset.vision2tactile import folder_sha256, read_folder
 from foretouch.errors import ForetouchError
-from foretouch.learning.calibration import HeldOut, make_trust
+from foretouch.learning.calibration import HeldOut, make_trust, promise
 from foretouch.learning.contact_training import ContactConfig, rest_level
 from foretouch.learning.evaluation import MODEL, Evaluation, evaluate
 from foretouch.learning.learners import ContactLearner, Learner, NetworkLearner
@@ -51,10 +51,11 @@ _SPLIT_WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ShipConfig(Settings):
-    """A model to train and to ship: a contact model where `contact` is given, else a network."""
+    """A model to train and to ship."""
 
     name: str = setting("touchnet", "Name of the model and of its files")
-    contact: ContactConfig | None = None
+    method: str = setting("supervised", "A network, or a contact model", choices=("supervised", "contact"))
+    contact: ContactConfig = ContactConfig()
     model: ModelConfig = ModelConfig()
     train: TrainConfig = TrainConfig()
 
@@ -106,7 +107,7 @@ def ship(config: ShipConfig, data_folder: Path, out: Path, say: Say, *, workers:
 
 
 def _learner(config: ShipConfig, samples: Sequence[GraspSample], labels: Float64) -> Learner:
-    if config.contact is None:
+    if config.method == "supervised":
         return NetworkLearner.build(samples, config.model, config.train)
     return ContactLearner.build(samples, labels, config.contact)
 
@@ -169,7 +170,7 @@ def _evaluate(
     workers: int,
 ) -> Evaluation:
     start = time.monotonic()
-    seed = config.train.seed if config.contact is None else config.contact.seed
+    seed = config.train.seed if config.method == "supervised" else config.contact.seed
     folds = make_folds(samples, split, seed)
     result = evaluate(samples, labels, learner, folds, learner.ranges, seed=seed, workers=workers)
     for who, scores in result.scores.items():
@@ -208,7 +209,7 @@ def _limits(
     ]
     if not rest_recorded:
         limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
-    limits.append(_promise(calibration))
+    limits.append(promise(calibration))
     for split in SPLITS:
         ours = _mean(skill[split])
         best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
@@ -219,18 +220,6 @@ def _limits(
         if ours <= 0.0:
             limits.append(f"Split {split}: no better than the training mean; do not trust it there.")
     return limits
-
-
-def _promise(calibration: Mapping[str, Any]) -> str:
-    """What that many objects can promise of the intervals."""
-    new = calibration["regimes"]["new"]
-    objects = new["objects"]
-    found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
-    least = min(min(table.values()) for table in new["coverage"].values())
-    return (
-        f"Intervals of {calibration['level']:.0%}: of {objects} objects, a distribution-free promise for one more cannot exceed "
-        f"{objects / (objects + 1):.0%}. Objects left out were covered on average: {found}; the worst of them {least:.2f}."
-    )
 
 
 def _mean(table: Mapping[str, Mapping[str, float]]) -> float:

@@ -34,6 +34,7 @@ class TouchModel:
         sha256: From the card: of the weights, or over those of all members.
         card: As read.
         trust: As given.
+        ranges: Beyond which a value is told to be out of range.
     """
 
     def __init__(self, estimator: Estimator, card: Mapping[str, Any], trust: Trust | None = None) -> None:
@@ -41,6 +42,7 @@ class TouchModel:
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.trust = trust
+        self.ranges = estimator.ranges
         self._estimator = estimator
 
     def predict(
@@ -121,7 +123,7 @@ class TouchModel:
     def _predictions(
         self, grasps: Sequence[Grasp], estimate: Estimate, half: Float64, reference: Reference
     ) -> list[TouchPrediction]:
-        outside = np.any(self._estimator.ranges.outside(estimate.counts), axis=1)
+        outside = np.any(self.ranges.outside(estimate.counts), axis=1)
         predictions = []
         for grasp, counts, width, out, known in zip(
             grasps, estimate.counts, half, outside, estimate.familiar, strict=True
