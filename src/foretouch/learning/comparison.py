@@ -40,7 +40,17 @@ from foretouch.errors import DatasetError
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = ["LEAST_OBJECTS", "MEAN", "BootstrapConfig", "Estimate", "ObjectErrors", "Verdict", "compare", "skills"]
+__all__ = [
+    "LEAST_OBJECTS",
+    "MEAN",
+    "BootstrapConfig",
+    "Estimate",
+    "ObjectErrors",
+    "Verdict",
+    "compare",
+    "mean_over_objects",
+    "skills",
+]
 
 LEAST_OBJECTS: Final = 6
 """Fewest for an interval: 2^(1 - 6) is below 5 %."""
@@ -166,6 +176,17 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig | No
     weights = _weights(len(one.objects), config)
     value = _skill(one, everyone) - _skill(other, everyone)
     return _estimates(value, _skill(one, weights) - _skill(other, weights), len(one.objects), config)
+
+
+def mean_over_objects(values: Float64, config: BootstrapConfig | None = None) -> Estimate:
+    """Mean of (O,) numbers, one an object, in the same kind of draws."""
+    config = config or BootstrapConfig()
+    weights = _weights(len(values), config)
+    if not len(weights):
+        return Estimate(float(values.mean()), None, None)
+    tail = _tail(len(values), config.level)
+    low, high = np.quantile(weights @ values / len(values), [tail, 1.0 - tail])
+    return Estimate(float(values.mean()), float(low), float(high))
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
