@@ -46,6 +46,17 @@ def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path: Pat
     assert (read < 0.9).mean() > 1.5 * (nothing < 0.9).mean()
 
 
+def test_an_interval_stands_beside_the_predicted_pressure_and_not_beside_the_reading(sample, tmp_path: Path) -> None:
+    target, prediction, tare = sample
+    low, high = (Touch.from_vector(prediction.value.vector() + shift) for shift in (-60.0, 60.0))
+    bounded = replace(prediction, lower=low, upper=high)
+    plain = imread(save_touch_picture(tmp_path / "a.png", None, target, prediction, rest=tare, read=prediction.value))
+    doubtful = imread(save_touch_picture(tmp_path / "b.png", None, target, bounded, rest=tare, read=prediction.value))
+    changed = np.flatnonzero((plain != doubtful).any(axis=(1, 2)))
+    assert changed.size
+    assert changed.max() < plain.shape[0] / 2  # the predicted row is the upper one
+
+
 def test_colours_are_the_drop_from_rest_within_the_limits() -> None:
     axes = Figure().add_subplot()
     electrodes, rest = np.linspace(3000.0, 2500.0, 24), np.full(24, 3100.0)

@@ -72,14 +72,20 @@ def _touches(nodes: dict[str, NodeView]) -> int:
 def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     from foretouch.ros.conversions import interval_text, reference_text
 
-    table = Table(title="last prediction [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
-    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "leans on", "model", "flags"):
-        table.add_column(name, justify="left" if name in {"object", "leans on", "model", "flags"} else "right")
+    models = " ".join(sorted({one.model for one in predictions if one.model}))
+    table = Table(
+        title=f"last prediction [counts] {models and f'by {models}'}",
+        title_justify="left",
+        expand=True,
+        box=SIMPLE_HEAD,
+    )
+    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "leans on"):
+        table.add_column(name, justify="left" if name in {"object", "leans on"} else "right")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
         if one.reason and one.status:
-            table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", "", one.model, one.reason)
+            table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", one.reason)
             continue
         table.add_row(
             one.grasp.object_id,
@@ -88,9 +94,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
             interval_text(one.pdc_mf),
             _span(one.e_th),
             _span(one.e_mf),
-            reference_text(one, touches),
-            one.model,
-            Text(" ".join(one.flags), "yellow"),
+            Text("\n".join([reference_text(one, touches), *one.flags]), "yellow" if one.flags else ""),
         )
     return table
 

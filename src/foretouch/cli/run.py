@@ -200,7 +200,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
 
 def _draw(graph: Graph, path: str) -> None:
     from foretouch.report.touch_figure import save_touch_picture
-    from foretouch.ros.conversions import prediction_from_msg
+    from foretouch.ros.conversions import prediction_from_msg, reference_text
 
     found = graph.monitor.last_drawable()
     if found is None:
@@ -209,7 +209,8 @@ def _draw(graph: Graph, path: str) -> None:
     prediction, felt = prediction_from_msg(found.prediction), found.felt
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        title += f", predicted by {found.prediction.model}"
+        title += f", predicted by {found.prediction.model} from {reference_text(found.prediction)}"
+        title += "".join(f", {flag}" for flag in prediction.flags)
     save_touch_picture(
         path,
         found.scene,

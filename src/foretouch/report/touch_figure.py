@@ -56,7 +56,7 @@ def save_touch_picture(
     draw_front(figure.add_subplot(grid[0, 1] if beside else grid[1, 0]), target.cloud, prediction.grasp)
     for column, name in enumerate(FINGER_COLOURS, 2 if beside else 1):
         axes = [figure.add_subplot(grid[row, column]) for row in range(len(rows))]
-        _draw_finger(axes, name, rows, rest)
+        _draw_finger(axes, name, rows, rest, _half_width(prediction, name))
     if prediction.value is None:
         figure.suptitle("\n".join(filter(None, (title, f"not predicted: {prediction.reason}"))))
     path = Path(path)
@@ -65,7 +65,16 @@ def save_touch_picture(
     return path
 
 
-def _draw_finger(rows: list[Axes], name: str, touches: dict[str, Touch], rest: Touch | None) -> None:
+def _half_width(prediction: TouchPrediction, name: str) -> float | None:
+    """Of the predicted pressure of one finger [counts]; None without a calibration."""
+    if prediction.lower is None or prediction.upper is None:
+        return None
+    return (_finger(prediction.upper, name)[0] - _finger(prediction.lower, name)[0]) / 2.0
+
+
+def _draw_finger(
+    rows: list[Axes], name: str, touches: dict[str, Touch], rest: Touch | None, half_width: float | None
+) -> None:
     """One fingertip in each of some touches, one below the other and coloured alike."""
     readings = {what: _finger(touch, name) for what, touch in touches.items()}
     at_rest = None if rest is None else _finger(rest, name)[1]
@@ -74,7 +83,8 @@ def _draw_finger(rows: list[Axes], name: str, touches: dict[str, Touch], rest: T
     finger = "thumb" if name == "TH" else "middle finger"
     for axes, (what, (pdc, electrodes)) in zip(rows, readings.items(), strict=True):
         draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name], limits=limits)
-        axes.set_title(f"{finger} {what}\nPDC {pdc:.0f}", color=FINGER_COLOURS[name], fontsize=11)
+        doubt = f" ± {half_width:.0f}" if what == "predicted" and half_width is not None else ""
+        axes.set_title(f"{finger} {what}\nPDC {pdc:.0f}{doubt}", color=FINGER_COLOURS[name], fontsize=11)
 
 
 def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
