@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction: features once, mates without influence, flags, ensembles."""
+"""Prediction: features once, mates without influence, flags, ensembles, tare and touches."""
 
 import subprocess
 import sys
@@ -7,16 +7,20 @@ import sys
 import numpy as np
 import pytest
 import torch
-from numpy.testing import assert_allclose
+from contact_builders import scaled, small_estimator
+from experiment_samples import make_samples
+from numpy.testing import assert_allclose, assert_array_equal
+from trust_builders import REST, make_trust
 
-from foretouch.errors import CloudError, ModelError
+from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.models.familiarity import Familiarity, describe
 from foretouch.models.folding import FoldedNetwork, fold
 from foretouch.models.network_estimator import Member, NetworkEstimator
 from foretouch.models.preparation import prepare_cloud, prepare_grasps
+from foretouch.models.touch_memory import TouchMemory
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.types import Cloud, Grasp
+from foretouch.types import Cloud, Grasp, Touch
 
 CARD = {"name": "toy", "sha256": "0" * 64}
 
@@ -24,6 +28,30 @@ CARD = {"name": "toy", "sha256": "0" * 64}
 @pytest.fixture
 def model(make_net, small) -> TouchModel:
     return TouchModel(NetworkEstimator([Member(small, fold(make_net()))]), CARD)
+
+
+SAMPLES = make_samples(5, 10)
+SHIFT = np.linspace(-30.0, 60.0, 50)
+TARE = Touch.from_vector(REST + SHIFT)
+
+
+@pytest.fixture
+def leaning() -> TouchModel:
+    """The contact model with a calibration."""
+    return TouchModel(small_estimator(), CARD, make_trust())
+
+
+def remember(model: TouchModel, count: int, tare: Touch | None = None) -> TouchMemory:
+    """So many touches of the first object."""
+    memory = TouchMemory(model, tare)
+    for sample in SAMPLES[:count]:
+        memory.add(sample.cloud, sample.grasp, sample.touch)
+    return memory
+
+
+def bounds(predictions) -> np.ndarray:
+    """(2, K, 50): lower and upper."""
+    return np.array([[getattr(p, end).vector() for p in predictions] for end in ("lower", "upper")])
 
 
 def vectors(predictions) -> np.ndarray:
@@ -132,6 +160,113 @@ def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
         model.predict(Cloud(can.xyz), make_grasps(1))
     with pytest.raises(CloudError, match="fewer than 32"):
         model.predict(Cloud(can.xyz[:5], can.rgb[:5]), make_grasps(1))
+
+
+def test_without_tare_and_touches_it_is_the_estimate_with_the_regime_s_interval(leaning) -> None:
+    sample = SAMPLES[3]
+    predictions = leaning.predict(sample.cloud, [sample.grasp])
+    estimate = small_estimator().estimate(sample.cloud, [sample.grasp])
+    half = leaning.trust.regime(familiar=bool(estimate.familiar[0]), tare=False).half_width
+    assert_array_equal(vectors(predictions), estimate.counts)
+    assert_array_equal(bounds(predictions), [estimate.counts - half, estimate.counts + half])
+    assert predictions[0].reference == "none"
+
+
+def test_a_tare_shifts_by_its_distance_from_rest(leaning) -> None:
+    sample = SAMPLES[3]
+    before, after = (leaning.predict(sample.cloud, [sample.grasp], tare=tare) for tare in (None, TARE))
+    assert_array_equal(vectors(after), vectors(before) + (TARE.vector() - REST))
+    familiar = "unfamiliar" not in after[0].flags
+    half = leaning.trust.regime(familiar=familiar, tare=True).half_width
+    assert_allclose(bounds(after)[1] - vectors(after), half[None], atol=1e-9)
+    assert after[0].reference == "tare"
+
+
+@pytest.mark.parametrize("tare", [None, TARE])
+@pytest.mark.parametrize("touches", [1, 3])
+def test_touches_shift_and_narrow_as_the_regime_says(leaning, tare, touches: int) -> None:
+    memory = remember(leaning, touches, tare)
+    sample = SAMPLES[6]
+    (prediction,) = leaning.predict(sample.cloud, [sample.grasp], memory=memory)
+    (before,) = leaning.predict(sample.cloud, [sample.grasp], tare=tare)
+    regime = leaning.trust.regime(familiar="unfamiliar" not in before.flags, tare=tare is not None)
+    expected = np.mean([leaning.expect(s.cloud, [s.grasp], tare)[0] for s in SAMPLES[:touches]], axis=0)
+    read = np.mean([s.touch.vector() for s in SAMPLES[:touches]], axis=0)
+    wanted = regime.after(before.value.vector()[None], expected, read, touches)
+    assert_allclose(vectors([prediction]), wanted, rtol=1e-12)
+    assert_allclose(bounds([prediction])[1] - wanted, regime.half_width_after(touches)[None], atol=1e-9)
+    assert prediction.reference == "touches"
+
+
+def test_a_memory_without_readings_is_its_tare(leaning) -> None:
+    sample = SAMPLES[6]
+    for tare, reference in ((None, "none"), (TARE, "tare")):
+        (empty,) = leaning.predict(sample.cloud, [sample.grasp], memory=TouchMemory(leaning, tare))
+        (wanted,) = leaning.predict(sample.cloud, [sample.grasp], tare=tare)
+        assert_array_equal(empty.value.vector(), wanted.value.vector())
+        assert_array_equal(bounds([empty]), bounds([wanted]))
+        assert empty.reference == wanted.reference == reference
+
+
+def test_a_drift_that_tare_and_readings_share_changes_predictions_by_itself(leaning) -> None:
+    """As sensors read 25 counts more, all that changes is 25 counts."""
+    sample, memories = SAMPLES[6], []
+    for drift in (0.0, 25.0):
+        memory = TouchMemory(leaning, Touch.from_vector(REST + SHIFT + drift))
+        for one in SAMPLES[:3]:
+            memory.add(one.cloud, one.grasp, Touch.from_vector(one.touch.vector() + drift))
+        memories.append(memory)
+    before, after = (vectors(leaning.predict(sample.cloud, [sample.grasp], memory=memory)) for memory in memories)
+    assert_allclose(after, before + 25.0, atol=1e-9)
+
+
+def test_mates_have_no_influence_after_tare_and_touches(leaning) -> None:
+    cloud, grasps = SAMPLES[6].cloud, [sample.grasp for sample in SAMPLES]
+    for leant in ({"tare": TARE}, {"memory": remember(leaning, 3, TARE)}):
+        together = leaning.predict(cloud, grasps, **leant)
+        alone = [leaning.predict(cloud, [grasp], **leant)[0] for grasp in grasps]
+        assert_array_equal(vectors(together), vectors(alone))
+        assert_array_equal(bounds(together), bounds(alone))
+    assert leaning.predict(cloud, [], tare=TARE) == []
+
+
+def test_an_object_unlike_those_of_training_is_flagged_and_doubted_as_new(leaning) -> None:
+    sample = SAMPLES[3]
+    house = scaled(sample.cloud, 50.0)
+    (prediction,) = leaning.predict(house, [sample.grasp])
+    assert "unfamiliar" in prediction.flags
+    half = leaning.trust.regimes["new"].half_width
+    assert_allclose(bounds([prediction])[1, 0] - prediction.value.vector(), half, atol=1e-9)
+
+
+def test_prediction_leaves_the_memory_as_it_was(leaning) -> None:
+    memory = remember(leaning, 3)
+    before = np.array(memory.means())
+    leaning.predict(SAMPLES[6].cloud, [SAMPLES[6].grasp], memory=memory)
+    assert memory.count == 3
+    assert_array_equal(memory.means(), before)
+
+
+def test_without_a_calibration_tare_and_memory_are_refused() -> None:
+    bare, sample = TouchModel(small_estimator(), CARD), SAMPLES[0]
+    with pytest.raises(ModelError, match="toy: tare: cannot be used: its card tells no rest level"):
+        bare.predict(sample.cloud, [sample.grasp], tare=TARE)
+    with pytest.raises(ModelError, match="toy: cannot learn from touches: its card holds no calibration"):
+        bare.predict(sample.cloud, [sample.grasp], memory=TouchMemory(bare))
+    (prediction,) = bare.predict(sample.cloud, [sample.grasp])
+    assert (prediction.lower, prediction.upper, prediction.reference) == (None, None, "none")
+
+
+def test_what_contradicts_itself_is_refused(leaning) -> None:
+    sample = SAMPLES[0]
+    with pytest.raises(ModelError, match="tare: the memory has its own"):
+        leaning.predict(sample.cloud, [sample.grasp], tare=TARE, memory=TouchMemory(leaning))
+    other = TouchModel(small_estimator(), {"name": "other", "sha256": "1" * 64}, make_trust())
+    with pytest.raises(ModelError, match="toy: memory: is of other"):
+        leaning.predict(sample.cloud, [sample.grasp], memory=remember(other, 1))
+    for tare in (np.zeros(50), np.full(50, np.nan)):
+        with pytest.raises(TactileError, match=r"tare: pdc_th: (0|nan) is not between"):
+            leaning.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
 
 
 def test_importing_models_does_not_import_torch() -> None:
