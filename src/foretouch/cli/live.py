@@ -74,13 +74,14 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
     table = Table(
-        title=f"last prediction [counts] {models and f'by {models}'}",
+        title=f"last prediction (counts){models and f' by {models}'}",
         title_justify="left",
         expand=True,
         box=SIMPLE_HEAD,
     )
-    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF", "leans on"):
-        table.add_column(name, justify="left" if name in {"object", "leans on"} else "right")
+    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
+        table.add_column(name, justify="left" if name == "object" else "right")
+    table.add_column("leans on", min_width=12, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
@@ -102,7 +103,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
 def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
     from foretouch.ros.conversions import interval_text
 
-    table = Table(title="last grasp executed [counts]", title_justify="left", expand=True, box=SIMPLE_HEAD)
+    table = Table(title="last grasp executed (counts)", title_justify="left", expand=True, box=SIMPLE_HEAD)
     for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
         table.add_column(name, justify="right" if name else "left")
     if not prediction.status:
