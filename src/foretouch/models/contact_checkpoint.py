@@ -96,8 +96,11 @@ def load_contact(card_path: Path, card: Mapping[str, Any]) -> ContactEstimator:
     Raises:
         ModelError: Names the file and the field: absent, damaged, another than the card's hash, or not fitting.
     """
+    told = card.get("ranges", {})
+    if not isinstance(told, dict):
+        raise ModelError(f"{card_path}: ranges: {told!r} is of type {type(told).__name__}")
     try:
-        ranges = TactileRanges.from_mapping(card.get("ranges", {}), f"{card_path}: ranges")
+        ranges = TactileRanges.from_mapping(told, f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     path = card_path.with_name(Path(card["weights"]).name)
