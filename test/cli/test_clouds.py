@@ -51,7 +51,7 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call: Call
 def test_a_person_gets_a_table(call: Call, files: Path) -> None:
     answer = call("segment", files / "scene.npz")
     assert answer.status == 0
-    assert "centroid" in answer.out
+    assert "centroid [m]" in answer.out
 
 
 def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:

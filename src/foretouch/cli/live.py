@@ -81,7 +81,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     )
     for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
         table.add_column(name, justify="left" if name == "object" else "right")
-    table.add_column("leans on", min_width=12, overflow="fold")
+    table.add_column("leans on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5

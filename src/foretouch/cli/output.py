@@ -22,16 +22,17 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """A title and, if it has rows, a table; numbers are formatted with their units by the caller."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console()
-    console.print(title, style="bold", highlight=False, soft_wrap=True)
+    console.print(title, style="bold", highlight=False, markup=False, soft_wrap=True)
     if not rows:
         return
     table = Table()
     for column in columns:
-        table.add_column(column, justify="left" if column == columns[0] else "right")
+        table.add_column(Text(column), justify="left" if column == columns[0] else "right")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # as it is: rich would take `[m]` for a style
     console.print(table)
 
 
