@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tensor files: to the bit and back, whole or not at all, and another file told from the right one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from foretouch.errors import ModelError
+from foretouch.models.card import file_sha256
+from foretouch.models.tensor_file import read_tensors, write_tensors
+
+TENSORS = {
+    "matrix": np.arange(12.0).reshape(3, 4).T,  # not contiguous
+    "scalar": np.array(2.5),
+    "half": np.linspace(-1, 1, 5).astype(np.float16),
+    "places": np.array([-1, 7], np.int32),
+    "none": np.empty((0, 3), np.float32),
+}
+
+
+def test_arrays_come_back_to_the_bit(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    sha256 = write_tensors(path, TENSORS)
+    found = read_tensors(path, sha256, "a.json")
+    assert sha256 == file_sha256(path)
+    assert set(found) == set(TENSORS)
+    for name, array in TENSORS.items():
+        assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
+        assert_array_equal(found[name], array)
+
+
+def test_the_same_arrays_make_the_same_file(tmp_path: Path) -> None:
+    assert len({write_tensors(tmp_path / name, TENSORS) for name in ("a", "b")}) == 1
+
+
+def test_only_the_file_itself_is_left_and_others_may_read_it(tmp_path: Path) -> None:
+    write_tensors(tmp_path / "a.safetensors", TENSORS)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.safetensors"]
+    assert (tmp_path / "a.safetensors").stat().st_mode & 0o777 == 0o644
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    sha256 = write_tensors(path, TENSORS)
+    (tmp_path / "a.safetensors.part").mkdir()  # the new one cannot be written
+    with pytest.raises(Exception, match=r"(?i)directory"):
+        write_tensors(path, {"other": np.zeros(3)})
+    assert_array_equal(read_tensors(path, sha256, "a.json")["scalar"], 2.5)
+
+
+def test_an_absent_file_is_named_with_the_card(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"gone.safetensors: no such weights; a.json names them"):
+        read_tensors(tmp_path / "gone.safetensors", "0" * 64, "a.json")
+
+
+def test_another_file_is_told_by_its_hash(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    sha256 = write_tensors(path, TENSORS)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=rf"a.safetensors: sha256: .* is not {sha256} of a.json; damaged or replaced"):
+        read_tensors(path, sha256, "a.json")
+
+
+@pytest.mark.parametrize("content", [b"", b"\x80\x04K\x01.", b"\xff" * 100, b"\x02\x00\x00\x00\x00\x00\x00\x00{}junk"])
+def test_a_file_of_another_kind_is_damaged_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"a.safetensors: damaged: ") as caught:
+        read_tensors(path, file_sha256(path), "a.json")
+    assert "\n" not in str(caught.value)
