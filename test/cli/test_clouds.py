@@ -79,15 +79,26 @@ def test_vary_is_repeated_by_its_seed_and_slide_by_its_length(call: Call, files:
     assert contact("--slide-m", "0.01") != contact()
 
 
-def test_predict_gives_50_values_and_null_bounds_without_calibration(call: Call, files: Path) -> None:
+def fifty(one: dict[str, Any], key: str) -> list[float]:
+    return [one["PDC_TH"][key], one["PDC_MF"][key], *one["E_TH"][key], *one["E_MF"][key]]
+
+
+def test_predict_gives_50_values_within_their_bounds(call: Call, files: Path) -> None:
     (record,) = call("predict", files / "object.pcd", "--json").records
     (one,) = record["predictions"]
-    values = [one["PDC_TH"]["value"], one["PDC_MF"]["value"], *one["E_TH"]["value"], *one["E_MF"]["value"]]
+    values = fifty(one, "value")
     assert len(values) == 50
     assert np.isfinite(values).all()
-    assert one["PDC_TH"]["lower"] is None
+    assert (np.less(fifty(one, "lower"), values) & np.less(values, fifty(one, "upper"))).all()
     assert one["reference"] == "none"
     assert len(record["model"]["sha256"]) == 64
+
+
+def test_bounds_are_null_without_calibration(call: Call, files: Path) -> None:
+    (record,) = call("predict", files / "object.pcd", "--json", "--model", "touchnet-v1").records
+    (one,) = record["predictions"]
+    assert np.isfinite(fifty(one, "value")).all()
+    assert all(one[name][key] is None for name in ("PDC_TH", "E_MF") for key in ("lower", "upper"))
 
 
 def test_predict_takes_given_grasps_in_their_order(call: Call, files: Path) -> None:
