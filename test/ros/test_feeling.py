@@ -262,6 +262,7 @@ def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(graph: 
 def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
     hand = start_awake(graph, card, use_tare=False)
     times = hand.touch("g", 0)
+    graph.until(lambda: hand.heard)  # else the service may come before the cloud
     memory = TouchMemory(load_model(card))
     memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
     request = PredictTouch.Request(
@@ -271,6 +272,23 @@ def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
     answer = graph.call(PredictTouch, "predict_touch", request).touch
     assert_answer(answer, hand, memory=memory)
     assert grasp_from_msg(answer.predictions[0].grasp).id == "g/0"
+
+
+def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    hand.ask()
+    mine = Grasp(np.array([0.033, 0.01, 0.8]), np.array([-0.033, 0.01, 0.8]), np.eye(3), id="mine/0", object_id="7")
+    request = PredictTouch.Request(
+        cloud=objects_to_msg([FoundObject("7", hand.cloud, ASSUMED_TABLE)], FRAME, hand.cloud.stamp_ns),
+        grasps=[grasp_to_msg(mine)],
+    )
+    assert graph.call(PredictTouch, "predict_touch", request).touch.status == Status.OK
+    asked, hand.see = hand.cloud, lambda _: None  # the planner has its own plan
+    cut = hand.cut(hand.touch("mine", 2))
+    del hand.see
+    memory = TouchMemory(load_model(card))
+    memory.add(asked, mine, cut.touch)
+    assert_answer(hand.ask(), hand, memory=memory)
 
 
 def test_a_change_of_use_tare_forgets_and_use_touches_ignores(graph: Any, card: str) -> None:

@@ -39,7 +39,8 @@ from foretouch.ros.recorder_samples import SampleMaker
 from foretouch.ros.tactile_adapters import TactileAdapter
 from foretouch.ros.touch_predictor_config import TouchPredictorConfig
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
-from foretouch_msgs.msg import ExecutedGrasp, GraspArray
+from foretouch_msgs.msg import ExecutedGrasp
+from foretouch_msgs.msg import Grasp as GraspMsg
 
 __all__ = ["Feeling"]
 
@@ -123,15 +124,25 @@ class Feeling:
             interval = Interval(start=start, contact=contact, release=release)
             self._book.tell(Execution(grasp_id=message.grasp_id, interval=interval, success=True), time.monotonic())
 
-    def see(self, cloud: PointCloud2, grasps: GraspArray) -> None:
-        """Keep a cloud with the grasps planned on it, where there is a hand that may execute one."""
-        if not self._config().use_touches or not self._readings:
+    def see(self, cloud: PointCloud2, frame_id: str, grasps: Sequence[GraspMsg]) -> None:
+        """Keep a cloud with grasps on it, planned or asked about, where there is a hand that may execute one.
+
+        Args:
+            cloud: With a stamp: without one, nothing could tell which cloud a grasp was planned on.
+            frame_id: Of the grasps.
+            grasps: Those without an id cannot be told of later, and are left out.
+        """
+        stamp, named = stamp_ns(cloud.header.stamp), [grasp for grasp in grasps if grasp.id]
+        if not self._config().use_touches or not self._readings or not stamp or not named:
             return
-        data, stamp = bytes(serialize_message(cloud)), stamp_ns(cloud.header.stamp)
+        data = bytes(serialize_message(cloud))
         with self._inbox:
-            for gone in self._clouds.add(stamp, data, time.monotonic()):
-                self._book.forget(gone.stamp_ns)
-            self._book.plan(stamp, grasps.header.frame_id, grasps.grasps)
+            plan = self._book.planned(stamp)
+            if plan is None:
+                for gone in self._clouds.add(stamp, data, time.monotonic()):
+                    self._book.forget(gone.stamp_ns)
+            known = {} if plan is None else {grasp.id: grasp for grasp in plan.grasps}
+            self._book.plan(stamp, frame_id, list({**known, **{grasp.id: grasp for grasp in named}}.values()))
 
     # What whoever predicts asks for.
 

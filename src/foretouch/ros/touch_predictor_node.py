@@ -146,10 +146,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if not grasps.grasps:
             raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames("grasps", grasps.header, header)
-        if self._feeling is not None:
-            self._feeling.see(messages["object_cloud"], grasps)
         targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # prediction asks for no table
         message = self._predict(targets, grasps.grasps, header, None)
+        self._see(messages["object_cloud"], grasps.grasps)
         self._touch.publish(message)
         if self._markers.get_subscription_count():
             for prediction in message.predictions[:1]:
@@ -202,6 +201,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self.subscribe(adapter.message, self.config.tactile_topic, tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, "executed_grasp", executed, depth=_EXECUTED_DEPTH)
 
+    def _see(self, cloud: PointCloud2, grasps: Sequence[Grasp]) -> None:
+        """Take note of grasps that somebody may execute, be they planned, sampled or asked about."""
+        if self._feeling is not None:
+            self._feeling.see(cloud, cloud.header.frame_id, grasps)
+
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
 
@@ -229,7 +233,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if not request.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
-        return self._predict(targets, request.grasps, header, posing)
+        message = self._predict(targets, request.grasps, header, posing)
+        self._see(request.cloud, request.grasps)  # not before: the same grasp may have been felt already
+        return message
 
     # The action.
 
@@ -249,9 +255,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         with self._latest_lock:
             latest = self._latest
         sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
-        return sampler.sample(
-            goal_handle.request, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested
-        )
+        goal = goal_handle.request
+        result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
+        own = goal.cloud.width * goal.cloud.height > 0
+        self._see(goal.cloud if own or latest is None else latest.cloud, result.grasps)
+        return result
 
     def _predict_candidates(
         self, target: FoundObject, grasps: Sequence[Grasp], header: Header
