@@ -10,6 +10,7 @@ Each cloud gets one array, empty with a reason where there is nothing to say; bo
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 
@@ -20,7 +21,9 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from foretouch_msgs.msg import TouchPredictionArray
+from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
+
+REFERENCES = {TouchPrediction.NONE: "sight", TouchPrediction.TARE: "tare", TouchPrediction.TOUCHES: "touches"}
 
 
 class TouchListener(Node):
@@ -48,7 +51,7 @@ class TouchListener(Node):
 
 
 def describe(prediction: object) -> str:
-    """One line [counts]: pressures, and mean and range of the electrodes."""
+    """One line [counts]: pressures with their half widths, mean and range of the electrodes, and what that leans on."""
     if prediction.reason:
         return prediction.reason
     words = []
@@ -58,8 +61,10 @@ def describe(prediction: object) -> str:
     ):
         values = [electrode.value for electrode in electrodes]
         mean = sum(values) / len(values)
-        words.append(f"{finger} PDC {pressure.value:.0f}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})")
-    return "; ".join([*words, *prediction.flags])
+        half = (pressure.upper - pressure.lower) / 2.0
+        doubt = "" if math.isnan(half) else f" ± {half:.0f}"
+        words.append(f"{finger} PDC {pressure.value:.0f}{doubt}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})")
+    return "; ".join([*words, f"leans on {REFERENCES[prediction.reference]}", *prediction.flags])
 
 
 def main() -> int:
