@@ -17,7 +17,7 @@ from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row, Table
 from foretouch.learning.experiments.predictors import find_predictor
-from foretouch.learning.experiments.real_grasps import EVERYTHING, labelled, score_table, seeded_predictors
+from foretouch.learning.experiments.real_grasps import EVERYTHING, FREE, labelled, score_table, seeded_predictors
 from foretouch.learning.experiments.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
@@ -40,7 +40,7 @@ class LookalikesSettings(UnseenObjectSettings, SimulatedSettings):
     """Of `lookalikes`."""
 
     samples: int = setting(1200, "Grasps to simulate where --data is a scene", minimum=10, maximum=1_000_000)
-    predictors: tuple[str, ...] = setting(("training_mean", "geometry_trees"), "Who is compared")
+    predictors: tuple[str, ...] = setting(("training_mean", "geometry_trees", "contact"), "Who is compared")
     touches: tuple[int, ...] = setting((0, 1, 3, 5), "Touches of the object at hand", minimum=0, maximum=1000)
     encounter: int = setting(25, "Grasps of one object in an encounter, the touched ones included", minimum=2)
 
@@ -119,4 +119,5 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=_summarise,
     prepare=prepare_simulated,
+    free=FREE,
 )

@@ -57,7 +57,7 @@ class NoiseCeilingSettings(SimulatedSettings):
         choices=("labels", "object"),
     )
     predictors: tuple[str, ...] = setting(
-        ("object_mean", "geometry_trees"), "Who is compared with the ceiling", choices=tuple(PREDICTORS)
+        ("object_mean", "geometry_trees", "contact"), "Who is compared with the ceiling", choices=tuple(PREDICTORS)
     )
     seed: int = setting(0, "Of the predictors", minimum=0)
     effort: float = setting(
@@ -147,4 +147,5 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=ceiling_tables,
     prepare=prepare_simulated,
+    free=("predictors", "draws"),
 )

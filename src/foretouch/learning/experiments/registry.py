@@ -21,6 +21,8 @@ EXPERIMENTS: Final = {
         "noise_ceiling",
         "lookalikes",
         "sim_to_real",
+        "coverage",
+        "ablation",
         "label_ratio",
         "label_ratio_tuning",
     )

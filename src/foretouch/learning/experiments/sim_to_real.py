@@ -8,20 +8,16 @@ learn from the other real objects alone stand those who lean on trees that were 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 from foretouch.config import setting
-from foretouch.errors import ConfigError
 from foretouch.learning.baselines import TREES
-from foretouch.learning.collection import Collection, load_collection
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row
 from foretouch.learning.experiments.predictors import PREDICTORS, Fit, find_predictor, shrunk_residuals
-from foretouch.learning.experiments.real_grasps import labelled, seeded_predictors
-from foretouch.learning.experiments.simulated_data import SimulatedSettings, beside, load_simulated, simulate_store
+from foretouch.learning.experiments.real_and_simulated import BothSettings, RealAndSimulated, load_both, prepare_both
+from foretouch.learning.experiments.real_grasps import FREE, labelled, seeded_predictors
 from foretouch.learning.experiments.simulated_teacher import LEANINGS, simulated_changes
 from foretouch.learning.experiments.unseen_object import (
     UnseenObjectSettings,
@@ -33,57 +29,19 @@ from foretouch.learning.splits import make_folds
 from foretouch.learning.training_set import labels_of
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "RealAndSimulated", "SimToRealSettings"]
-
-_REAL = "real"
+__all__ = ["EXPERIMENT", "SimToRealSettings"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimToRealSettings(UnseenObjectSettings, SimulatedSettings):
+class SimToRealSettings(UnseenObjectSettings, BothSettings):
     """Of `sim_to_real`."""
 
     scene: str = setting("config/scenes/rigid.yaml", "Scene that the teacher learns from")
     samples: int = setting(2000, "Grasps of it", minimum=10, maximum=1_000_000)
     predictors: tuple[str, ...] = setting(
-        ("training_mean", "geometry_trees", *LEANINGS), "Who is compared", choices=(*PREDICTORS, *LEANINGS)
+        ("training_mean", "geometry_trees", *LEANINGS, "contact"), "Who is compared", choices=(*PREDICTORS, *LEANINGS)
     )
     touches: tuple[int, ...] = setting((0, 1, 3, 5), "Touches of the new object", minimum=0, maximum=1000)
-
-
-@dataclass(frozen=True, eq=False)
-class RealAndSimulated:
-    """Who is asked, and who teaches.
-
-    Attributes:
-        real: The real grasps.
-        simulated: The simulated ones.
-    """
-
-    real: Collection
-    simulated: Collection
-
-    @property
-    def sha256(self) -> str:
-        """Of both."""
-        return hashlib.sha256(f"{self.real.sha256} {self.simulated.sha256}".encode()).hexdigest()
-
-
-def _prepare(settings: SimToRealSettings, source: Path | None, out: Path) -> Path:
-    """A folder with the store of the scene and a link to the real grasps."""
-    if source is None:
-        raise ConfigError("sim_to_real: no real grasps; give --data PATH or set FORETOUCH_DATA")
-    folder = beside(out)
-    simulate_store(Path(settings.scene), settings.samples, folder)
-    link = folder / _REAL
-    if link.is_symlink():
-        link.unlink()
-    link.symlink_to(source.absolute(), target_is_directory=True)
-    return folder
-
-
-def _load(settings: SimToRealSettings, path: Path) -> RealAndSimulated:
-    simulated = load_simulated(settings, path / Path(settings.scene).stem)
-    return RealAndSimulated(load_collection(path / _REAL), simulated.collection)
 
 
 def _cells(settings: SimToRealSettings, data: RealAndSimulated) -> list[Cell]:
@@ -122,11 +80,12 @@ EXPERIMENT = Experiment(
     module=__name__,
     settings=SimToRealSettings,
     presets={"full": {}, "smoke": {"samples": 100, "effort": 0.1, "draws": 3, "bootstrap.draws": 200}},
-    load=_load,
+    load=load_both,
     cells=_cells,
     run=_run,
     tabulate=tabulate_touches,
     summarise=summarise_touches,
-    prepare=_prepare,
+    prepare=prepare_both,
+    free=FREE,
     data_folder="vision2tactile",
 )
