@@ -117,6 +117,15 @@ def test_the_worth_of_differences_is_found(worth: float, found: float) -> None:
         assert len(np.unique(regime.worth[columns([modality])])) == 1
 
 
+def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
+    rng = np.random.default_rng(5)
+    held_out = population(rng, lasting(rng), 10, 30, 0.8)
+    known, new = fit_regime(held_out), fit_regime(held_out, new=True)
+    assert_allclose(new.worth, known.worth * 10 / 40)
+    assert (new.within > known.within).all()  # differences that count for less explain less
+    assert_allclose(make_trust(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].regimes["new"].worth, new.worth)
+
+
 def test_with_many_objects_both_covariances_are_found() -> None:
     rng = np.random.default_rng(5)
     B = lasting(rng)

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from contact_builders import FEW_TREES, with_tares
+from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
 from foretouch.errors import DatasetError

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_builders import FEW_TREES, labels_of, with_tares
+from contact_model_builders import FEW_TREES, labels_of, with_tares
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.ensemble import ExtraTreesRegressor

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_builders import small_estimator
+from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 from trust_builders import FACTS, make_trust, save_network_with_trust

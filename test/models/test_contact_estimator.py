@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_builders import labels_of, named, scaled, small_estimator
+from contact_model_builders import labels_of, named, scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 

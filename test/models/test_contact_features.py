@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from contact_builders import HAND, cylinder, moved, named, patch, sphere
-from hypothesis import given, settings
+from contact_model_builders import HAND, cylinder, moved, named, patch, sphere
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -228,7 +228,9 @@ def test_lines_sheets_and_repeated_points_are_finite(seed: int, count: int, axes
         points[:, axis] += step * rng.integers(-2, 3, count)
     points[0, min(axes)] += step  # not all in one place
     points[1, min(axes)] -= step
-    grasp = Grasp(points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step], HAND)
+    g1, g2 = points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step]
+    assume((g1 != g2).any())
+    grasp = Grasp(g1, g2, HAND)
     assert np.isfinite(describe(points, grasp)).all()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from contact_builders import scaled
+from contact_model_builders import scaled
 
 from foretouch.models.contact_features import ContactScene
 from foretouch.models.folding import fold

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contact_builders import cylinder
+from contact_model_builders import cylinder
 from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contact_builders import small_estimator
+from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 
 from foretouch.errors import ModelError

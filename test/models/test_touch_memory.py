@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from contact_builders import labels_of, small_estimator
+from contact_model_builders import labels_of, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from trust_builders import REST, make_trust

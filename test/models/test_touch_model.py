@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from contact_builders import scaled, small_estimator
+from contact_model_builders import scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from trust_builders import REST, make_trust

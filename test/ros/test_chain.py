@@ -12,6 +12,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.clouds import cloud_to_msg
 from foretouch.ros.conversions import grasp_from_msg, plane_from_msg, stamp_ns
 from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.statistics import Snapshot
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 
@@ -181,7 +182,15 @@ def test_every_input_is_accounted_for(chain, scene_cloud):
     for stamp in range(1, 31):
         publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
     first = graph.nodes[0].statistics
-    graph.until(lambda: first.snapshot().received > 0 and first.snapshot().waiting == 0)
-    now = first.snapshot()
+    settled: list[Snapshot] = []  # of one instant: the next cloud may be on its way
+
+    def all_answered() -> bool:
+        now = first.snapshot()
+        if now.received > 0 and now.waiting == 0:
+            settled.append(now)
+        return bool(settled)
+
+    graph.until(all_answered)
+    now = settled[0]
     assert now.received == now.used + sum(now.dropped.values())
     assert now.received + now.lost <= 30
