@@ -28,7 +28,7 @@ __all__ = ["COVERAGE", "HeldOut", "conformal_level", "coverage_by_object", "fit_
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
-_PRIOR_OBJECTS: Final = 30.0  # as many objects' worth of belief that values of new objects err independently
+_PRIOR_OBJECTS: Final = 30.0  # as many objects' worth of belief that errors tell nothing of each other on new objects
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: an object is never known to err by nothing
 
 Names = npt.NDArray[np.str_]
@@ -55,25 +55,31 @@ class HeldOut:
         return HeldOut(self.predicted[chosen], self.labels[chosen], self.objects[chosen], self.sessions[chosen])
 
 
-def fit_regime(held_out: HeldOut) -> Regime:
+def fit_regime(held_out: HeldOut, *, new: bool = False) -> Regime:
     """Covariances of the lasting part and of the rest, the worth of differences, and conformal half widths.
 
     B is estimated by the method of moments from the mean residual of each session; its correlations are shrunk to zero
     by G / (G + 30) for G objects, for 8 objects cannot tell 1225 of them. Where no session holds two samples nothing tells
     the lasting part from the rest: then all of the error counts as new with each grasp, and touches narrow nothing.
+
+    Args:
+        held_out: Predictions of one condition.
+        new: Whether it speaks of objects beyond these. Then the worth is shrunk by the same factor, for what differences
+            were worth on G objects is known of those alone.
     """
+    trusted = _trusted(held_out.objects)
     residuals = held_out.labels - held_out.predicted
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
-    worth = _worth(differences, actual)
+    worth = _worth(differences, actual) * (trusted if new else 1.0)
     spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
     freedom = len(residuals) - len(owners)
     within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6) if freedom else spread
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
-    between = _shrunk(moments, within, len(np.unique(held_out.objects)))
+    between = _shrunk(moments, within, trusted)
     return Regime(between, within, worth, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 
@@ -100,15 +106,20 @@ def _worth(predicted: Float64, actual: Float64) -> Float64:
     return worth
 
 
-def _shrunk(moments: Float64, within: Float64, objects: int) -> Float64:
-    """The moments made positive definite, their correlations shrunk."""
+def _trusted(names: Names) -> float:
+    """G / (G + 30) of G objects."""
+    objects = len(np.unique(names))
+    return objects / (objects + _PRIOR_OBJECTS)
+
+
+def _shrunk(moments: Float64, within: Float64, trusted: float) -> Float64:
+    """The moments made positive definite, their correlations times `trusted`."""
     deviation = np.sqrt(np.maximum(np.diag(moments), _LEAST_SHARE * within))
     values, vectors = np.linalg.eigh(moments / np.outer(deviation, deviation))
     correlation = (vectors * np.maximum(values, 0.0)) @ vectors.T
     # What was cut off has raised the diagonal; to lower it alone to 1, below, would make B indefinite.
     size = np.sqrt(np.maximum(np.diag(correlation), 1.0))
     correlation /= np.outer(size, size)
-    trusted = objects / (objects + _PRIOR_OBJECTS)
     shrunk = trusted * correlation + (1.0 - trusted) * np.eye(TOUCH_SIZE)
     np.fill_diagonal(shrunk, 1.0)
     return np.asarray(shrunk * np.outer(deviation, deviation), np.float64)
@@ -151,7 +162,7 @@ def make_trust(rest: Float64, held_out: Mapping[str, HeldOut]) -> tuple[Trust, d
         The trust, and facts: `level`, and by regime `objects`, `samples`, `cut` and `coverage` of objects left out of the
         calibration, by modality and by object.
     """
-    regimes = {name: fit_regime(one) for name, one in held_out.items()}
+    regimes = {name: fit_regime(one, new=name.startswith("new")) for name, one in held_out.items()}
     facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}
     for name, one in held_out.items():
         objects = len(np.unique(one.objects))

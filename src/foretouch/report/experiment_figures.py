@@ -18,6 +18,8 @@ FIGURES: Final = {
     "sim_to_real": "experiment_touches",
     "noise_ceiling": "experiment_ceiling",
     "lookalikes": "experiment_lookalikes",
+    "coverage": "experiment_coverage",
+    "ablation": "experiment_ablation",
     "label_ratio": "label_ratio_figure",
 }
 """By experiment, the module beside this one whose `draw(rows, folder)` returns the paths that it wrote."""

@@ -35,13 +35,19 @@ from foretouch.types import Float64, GraspSample
 __all__ = ["EXPERIMENT", "AblationSettings"]
 
 _SIMULATED: Final = "simulated"
-_SPLITS: Final = ("random", "time", "object")
+_GROUNDS: Final = {
+    _SIMULATED: "simulated new objects",
+    "random": "real, random folds",
+    "time": "real, blocks of time",
+    "object": "real, new objects",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class AblationSettings(BothSettings):
     """Of `ablation`."""
 
+    grounds: tuple[str, ...] = setting(tuple(_GROUNDS), "Where it is asked", choices=tuple(_GROUNDS))
     seeds: tuple[int, ...] = setting((0, 1, 2), "Of the random folds and blocks of time, and of their trees", minimum=0)
     divisions: tuple[int, ...] = setting((0, 1), "Seeds of the divisions of the simulated objects", minimum=0)
     learned: int = setting(65, "Simulated objects to learn from; the others are met", minimum=2)
@@ -54,16 +60,20 @@ class AblationSettings(BothSettings):
 
 def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
     real = labelled(data.real)
-    cells = [
-        Cell(f"simulated+division{seed}", {"ground": _SIMULATED, "part": str(seed), "seed": 0})
-        for seed in settings.divisions
+    return [
+        Cell(f"{ground}+{part}+seed{seed}".replace(" ", "_"), {"ground": ground, "part": part, "seed": seed})
+        for ground in settings.grounds
+        for part, seed in _parts(ground, real, settings)
     ]
-    for split in _SPLITS:
-        for seed in settings.seeds if split != "object" else settings.seeds[:1]:
-            for fold in make_folds(real, split, seed):
-                key = f"real+{split}+{fold.name}+seed{seed}".replace(" ", "_")
-                cells.append(Cell(key, {"ground": split, "part": fold.name, "seed": seed}))
-    return cells
+
+
+def _parts(ground: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
+    """Names of divisions or folds, and seeds. Calibrations take time: objects left out are asked with one seed."""
+    if ground == _SIMULATED:
+        yield from ((str(division), settings.seeds[0]) for division in settings.divisions)
+        return
+    for seed in settings.seeds if ground != "object" else settings.seeds[:1]:
+        yield from ((fold.name, seed) for fold in make_folds(real, ground, seed))
 
 
 def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
@@ -77,22 +87,13 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
         train, test = ([real[k] for k in side] for side in (fold.train, fold.test))
     models = assemble(train, test, config, calibrated=ground in (_SIMULATED, "object"))
     mean = labels_of(train).mean(axis=0)
-    rows = list(_before_touch(f"{_named(ground)}, no touch", models, test, mean))
+    rows = list(_before_touch(f"{_GROUNDS[ground]}, no touch", models, test, mean))
     if ground == "object":
-        rows += _after_touches(_named(ground), models, test, mean, settings, tare=False)
+        rows += _after_touches(_GROUNDS[ground], models, test, mean, settings, tare=False)
     if ground == _SIMULATED:
-        rows += _after_touches(_named(ground), models, test, mean, settings, tare=True)
-        rows += _leaning(f"{_named(ground)}: what is leaned on", models[FULL], test, mean, settings)
+        rows += _after_touches(_GROUNDS[ground], models, test, mean, settings, tare=True)
+        rows += _leaning(f"{_GROUNDS[ground]}: what is leaned on", models[FULL], test, mean, settings)
     return rows
-
-
-def _named(ground: str) -> str:
-    return {
-        _SIMULATED: "simulated new objects",
-        "random": "real, random folds",
-        "time": "real, blocks of time",
-        "object": "real, new objects",
-    }[ground]
 
 
 def _before_touch(
@@ -182,8 +183,8 @@ EXPERIMENT = Experiment(
         "smoke": {
             "samples": 100,
             "learned": 50,
+            "grounds": ["time"],
             "seeds": [0],
-            "divisions": [],
             "draws": 2,
             "contact.trees": 5,
             "bootstrap.draws": 200,
@@ -195,6 +196,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=ablation_tables,
     prepare=prepare_both,
-    free=("seeds", "divisions", "bootstrap"),
+    free=("grounds", "seeds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.learning.calibration import HeldOut, fit_regime
+from foretouch.learning.calibration import HeldOut, make_trust
 from foretouch.learning.contact_predictor import calibration_folds
 from foretouch.learning.contact_training import ContactConfig, describe_samples, fit_contact, rest_level, resting_labels
 from foretouch.learning.geometry_features import geometry_features
@@ -189,13 +189,13 @@ class _Dissected:
 
     def trust(self, blend: Blend, held_out: Mapping[str, tuple[Pieces, npt.NDArray[np.str_]]]) -> Trust:
         """The calibration of one way to put the parts together."""
-        regimes = {}
+        found = {}
         for name, (pieces, sessions) in held_out.items():
             predicted = blend(pieces)
-            regimes[name] = fit_regime(HeldOut(predicted, self._labels, self._objects, sessions))
+            found[name] = HeldOut(predicted, self._labels, self._objects, sessions)
             if self._rest_recorded:
-                regimes[f"{name}_tare"] = fit_regime(HeldOut(predicted, self._resting, self._objects, sessions))
-        return Trust(self._rest, regimes)
+                found[f"{name}_tare"] = HeldOut(predicted, self._resting, self._objects, sessions)
+        return make_trust(self._rest, found)[0]
 
     def _without(self, fold: Fold) -> Pieces:
         return Pieces.ask(self._fit(fold.train), self._rows[fold.test])

@@ -45,12 +45,16 @@ __all__ = ["EXPERIMENT", "CoverageSettings", "coverage_rows"]
 
 _LEFT_OUT: Final = "left out"
 _TIME: Final = "time blocks"
+_SPLITS: Final = {_LEFT_OUT: "object", _TIME: "time"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSettings(BothSettings):
     """Of `coverage`."""
 
+    grounds: tuple[str, ...] = setting(
+        (SIMULATED, _LEFT_OUT, _TIME), "Where it is asked", choices=(SIMULATED, _LEFT_OUT, _TIME)
+    )
     divisions: tuple[int, ...] = setting((0, 1, 2), "Seeds of the divisions of the simulated objects", minimum=0)
     learned: int = setting(65, "Simulated objects to learn from; the others are met", minimum=2)
     touches: tuple[int, ...] = setting((0, 1, 3, 5), "Touches of an object that is met", minimum=0, maximum=1000)
@@ -60,12 +64,13 @@ class CoverageSettings(BothSettings):
 
 
 def _cells(settings: CoverageSettings, data: RealAndSimulated) -> list[Cell]:
-    real = labelled(data.real)
-    cells = [Cell(f"simulated+division{seed}", {"ground": SIMULATED, "part": str(seed)}) for seed in settings.divisions]
-    for ground, split in ((_LEFT_OUT, "object"), (_TIME, "time")):
-        for fold in make_folds(real, split, 0):
-            name = f"{ground}+{fold.name}".replace(" ", "_")
-            cells.append(Cell(name, {"ground": ground, "part": fold.name}))
+    cells = []
+    for ground in settings.grounds:
+        if ground == SIMULATED:
+            parts = [str(seed) for seed in settings.divisions]
+        else:
+            parts = [fold.name for fold in make_folds(labelled(data.real), _SPLITS[ground], 0)]
+        cells += [Cell(f"{ground}+{part}".replace(" ", "_"), {"ground": ground, "part": part}) for part in parts]
     return cells
 
 
@@ -76,7 +81,7 @@ def _run(cell: Cell, settings: CoverageSettings, data: RealAndSimulated) -> list
         train, test = divide_objects(labelled(data.simulated), settings.learned, int(part))
     else:
         real = labelled(data.real)
-        (fold,) = (f for f in make_folds(real, "object" if ground == _LEFT_OUT else "time", 0) if f.name == part)
+        (fold,) = (f for f in make_folds(real, _SPLITS[ground], 0) if f.name == part)
         train, test = ([real[k] for k in side] for side in (fold.train, fold.test))
     if ground == _TIME:
         touches = (0,)
@@ -156,6 +161,7 @@ EXPERIMENT = Experiment(
         "smoke": {
             "samples": 100,
             "learned": 50,
+            "grounds": [SIMULATED],
             "divisions": [0],
             "touches": [0],
             "contact.trees": 5,
@@ -168,6 +174,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=coverage_tables,
     prepare=prepare_both,
-    free=("divisions", "bootstrap"),
+    free=("grounds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

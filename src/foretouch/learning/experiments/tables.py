@@ -15,21 +15,23 @@ __all__ = ["LEGEND", "markdown", "skill_tables"]
 
 LEGEND: Final = (
     "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]",
-    "▲ better, ▼ worse, = tie with {reference} on the same grasps, in paired draws",
+    "▲ better, ▼ worse, = tie with {references} on the same grasps, in paired draws",
 )
 _SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}
+_ITSELF: Final = "·"
 
 
 def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
-    """One table of skills for each `table` of the results."""
-    reference = next((name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")), "")
-    legend = [line.format(reference=reference) for line in LEGEND if reference or "{" not in line]
+    """One table of skills for each `table` of the results, with a sign for each of those that it is compared with."""
+    references = [name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")]
+    named = ", then with ".join(references)
+    legend = [line.format(references=named) for line in LEGEND if references or "{" not in line]
     together = [row for row in rows if row["object"] == EVERYTHING]
     tables = []
     for name in dict.fromkeys(row["table"] for row in together):
         mine = [row for row in together if row["table"] == name]
         who = dict.fromkeys(row["predictor"] for row in mine)
-        body = [[one, *(_cell(mine, one, key, reference) for key in (*MODALITIES, MEAN))] for one in who]
+        body = [[one, *(_cell(mine, one, key, references) for key in (*MODALITIES, MEAN))] for one in who]
         first = mine[0]
         title = f"{name}: {first['samples']} predictions on {first['objects']} objects"
         tables.append(Table(title, ["skill", *MODALITIES, MEAN], body))
@@ -51,10 +53,10 @@ def markdown(title: str, tables: Sequence[Table]) -> str:
     return "\n".join(lines[:-1]) + "\n"
 
 
-def _cell(rows: Sequence[Row], predictor: str, modality: str, reference: str) -> str:
+def _cell(rows: Sequence[Row], predictor: str, modality: str, references: Sequence[str]) -> str:
     row = next(row for row in rows if row["predictor"] == predictor and row["modality"] == modality)
-    sign = _SIGNS.get(row.get(f"vs_{reference}_verdict") or "", "")
-    text = f"{_short(row['skill'])} {sign}".rstrip()
+    signs = "".join(_SIGNS.get(row[f"vs_{name}_verdict"] or "", _ITSELF) for name in references)
+    text = f"{_short(row['skill'])} {signs.strip(_ITSELF) and signs}".rstrip()
     if row["skill_low"] is not None and modality != MEAN and row["skill_low"] != row["skill_high"]:
         text += f"\n[{_short(row['skill_low'])}, {_short(row['skill_high'])}]"
     return text

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is gained or lost against the whole model, or against nothing to lean on, with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+__all__ = ["draw", "draw_differences"]
+
+Rows = Sequence[Mapping[str, Any]]
+
+_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
+_REFERENCES: Final = ("full", "nothing")
+_LEAST: Final = -0.3
+"""What lies below is drawn at this edge, as an arrow with its number."""
+
+
+def draw(rows: Rows, folder: Path) -> list[Path]:
+    """`ablation.png`: tables below each other, modalities side by side."""
+    tables = list(dict.fromkeys(row["table"] for row in rows))
+    sizes = [len({row["predictor"] for row in rows if row["table"] == table}) - 1 for table in tables]
+    figure = Figure(figsize=(15.0, 0.6 + sum(0.9 + 0.22 * size for size in sizes)), layout="constrained")
+    FigureCanvasAgg(figure)
+    ratios = [3.0 + size for size in sizes]
+    grid = figure.subplots(len(tables), len(_MODALITIES), squeeze=False, height_ratios=ratios, sharey="row")
+    for line, table in zip(grid, tables, strict=True):
+        mine = [row for row in rows if row["table"] == table]
+        reference = next(name for name in _REFERENCES if any(row["predictor"] == name for row in mine))
+        who = list(dict.fromkeys(row["predictor"] for row in mine if row["predictor"] != reference))
+        for axes, modality in zip(line, _MODALITIES, strict=True):
+            shown = [row for row in mine if row["modality"] == modality and row["predictor"] != reference]
+            draw_differences(axes, shown, who, f"vs_{reference}")
+            axes.set_title(f"{table}: {modality}", fontsize=8)
+        line[0].set_xlabel(f"skill less that of `{reference}`", fontsize=8)
+        line[0].invert_yaxis()
+    path = folder / "ablation.png"
+    figure.savefig(path, dpi=120)
+    return [path]
+
+
+def draw_differences(axes: Axes, rows: Rows, who: Sequence[str], column: str) -> None:
+    """Difference and interval of each variant, one below the other; colours tell what is shown."""
+    colours = {"better": "C2", "worse": "C3"}
+    for row in rows:
+        place, value = who.index(row["predictor"]), row[column]
+        colour = colours.get(row[f"{column}_verdict"], "grey")
+        if value < _LEAST:
+            axes.plot(_LEAST, place, marker="<", color=colour, clip_on=False)
+            axes.annotate(f"  {value:.2f}", (_LEAST, place), va="center", fontsize=7)
+            continue
+        axes.plot(value, place, marker="o", color=colour, markersize=4)
+        if row[f"{column}_low"] is not None:
+            axes.plot([max(row[f"{column}_low"], _LEAST), row[f"{column}_high"]], [place, place], color=colour)
+    axes.axvline(0.0, color="black", linewidth=0.6)
+    axes.set_yticks(range(len(who)), who, fontsize=8)
+    axes.tick_params(axis="x", labelsize=7)
+    axes.grid(visible=True, axis="x", alpha=0.3)
