@@ -15,6 +15,8 @@ ROWS = [
         "srgan_rmse": 76.0,
         "pointnet_percent": 2.3,
         "srgan_percent": 2.2,
+        "mean_rmse": 90.0,
+        "trees_rmse": None,
         "pointnet_sd": None,
         "srgan_sd": 1.0,
         "change": -5.0,

@@ -22,6 +22,7 @@ __all__ = ["draw", "draw_changes", "draw_errors"]
 Rows = Sequence[Mapping[str, Any]]
 
 _MODELS: Final = (("pointnet", "P", "#8d99ae"), ("srgan", "S", "#00798c"))
+_BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees on geometry", "#edae49"))
 _VERDICTS: Final = {"win": "#2a9d4e", "tie": "#555555", "loss": "#d1495b", None: "#555555"}
 _HALF: Final = 0.38
 _LEAST_SPAN: Final = 5.0  # of a change [%] that the axis shows at least
@@ -40,7 +41,7 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
         top.set_title(name)
     above[0].set_ylabel("RMSE [% of the range]\nmean ± deviation of the runs")
     below[0].set_ylabel("change of the RMSE by the SR-GAN [%]\n95 % interval")
-    figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=3)
+    figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=5)
     figure.suptitle("; ".join(tally(rows)), fontsize=10)
     path = folder / "figure.png"
     figure.savefig(path, dpi=120)
@@ -48,13 +49,19 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
 
 
 def draw_errors(axes: Axes, rows: Rows) -> None:
-    """Bars of both models at each ratio, S and P as in P2, and the lowest error that P2 tells of this modality."""
+    """Bars of both models at each ratio, S and P as in P2; baselines across them; the lowest error that P2 tells."""
     for side, (model, letter, colour) in zip((-0.5, 0.5), _MODELS, strict=True):
         places = [k + side * _HALF for k in range(len(rows))]
         heights = [row[f"{model}_percent"] for row in rows]
         widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or 0.0) for row in rows]
         label = f"{letter}: {'SR-GAN' if model == 'srgan' else 'PointNet'}"
         axes.bar(places, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
+    for name, label, colour in _BASELINES:
+        for k, row in enumerate(rows):
+            if row[f"{name}_rmse"] is not None:
+                height = row["srgan_percent"] / row["srgan_rmse"] * row[f"{name}_rmse"]
+                ends = [k - 1.1 * _HALF, k + 1.1 * _HALF]
+                axes.plot(ends, [height, height], color=colour, linewidth=2, label=label if k == 0 else None)
     lowest = P2_LOWEST[rows[0]["modality"]]
     axes.axhline(lowest, color="black", linestyle=":", linewidth=1, label="lowest in P2 (its P30), other objects")
     _ticks(axes, rows)

@@ -63,7 +63,7 @@ def test_nobody_held_back_is_refused(data: SimulatedGrasps) -> None:
 def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -> None:
     experiment = find_experiment("label_ratio")
     settings = experiment.resolve("smoke", TINY)
-    cells = experiment.cells(settings, data)
+    cells = [cell for cell in experiment.cells(settings, data) if cell.values["model"] in MODELS]
     assert len(cells) == 2 * 2 * 2
     first: dict[tuple[Any, ...], list[Cell]] = {}
     for cell in cells:
@@ -89,10 +89,11 @@ def test_a_sweep_that_was_cut_gives_the_same_table(store: Path, tmp_path: Path) 
     for cell in sorted((cut / "cells").iterdir())[::2]:
         cell.unlink()
     again = run_sweep(experiment, settings, cut, source=store, resume=True)
-    assert (again.reused, again.cells) == (4, 8)
+    assert (again.reused, again.cells) == (5, 10)
     assert (whole / "results.csv").read_bytes() == (cut / "results.csv").read_bytes()
     assert {row["runs"] for row in result.rows} == {2}
-    assert [table.title for table in experiment.summarise(result.rows)][1] == "SR-GAN against PointNet [%]"
+    assert [table.title for table in experiment.summarise(result.rows)][2] == "SR-GAN against PointNet [%]"
+    assert all(0.0 < row["trees_rmse"] != row["mean_rmse"] for row in result.rows)
 
 
 def test_tuning_gives_both_models_as_many_trials_and_chooses_one(store: Path, tmp_path: Path) -> None:
@@ -131,4 +132,4 @@ def test_an_unknown_trial_is_refused(data: SimulatedGrasps) -> None:
     experiment = find_experiment("label_ratio")
     settings = experiment.resolve("smoke", TINY | {"pointnet": {"pressure": ["fast", "faster"]}})
     with pytest.raises(ConfigError, match="pointnet 'fast' is none of rate"):
-        experiment.run(experiment.cells(settings, data)[0], settings, data)
+        experiment.run(experiment.cells(settings, data)[len(settings.ratios)], settings, data)

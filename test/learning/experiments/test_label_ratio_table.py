@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from foretouch.errors import DatasetError
-from foretouch.learning.experiments.label_ratio_table import P2_AVERAGES, P2_CHANGES, compare_models, summarise, tally
+from foretouch.learning.experiments.label_ratio_table import (
+    P2_AVERAGES,
+    P2_CHANGES,
+    TREES,
+    compare_models,
+    summarise,
+    tally,
+)
 from foretouch.tactile.ranges import P2_RANGES
 
 
@@ -38,7 +45,17 @@ def test_a_single_run_is_no_verdict() -> None:
     (told,) = compare_models([row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})], P2_RANGES, draws=200)
     assert told["change"] == pytest.approx(50.0)
     assert told["verdict"] is told["change_low"] is told["srgan_sd"] is None
-    assert summarise([told])[1].rows[0][1] == "+50.0"
+    errors, baselines, changes = summarise([told])
+    assert (errors.rows[0][1], changes.rows[0][1]) == ("2.0 / 3.0", "+50.0")
+    assert baselines.rows[0][1] == "14.1 / –"
+
+
+def test_trees_and_mean_stand_beside_on_the_same_samples() -> None:
+    networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
+    (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
+    assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
+    with pytest.raises(DatasetError, match="not judged on the same samples"):
+        compare_models([row(TREES, 0, {"b": [2.25]}), *networks], P2_RANGES, draws=200)
 
 
 def test_a_run_without_its_partner_is_left_out() -> None:

@@ -27,7 +27,10 @@ from foretouch.tactile.modalities import MODALITIES
 from foretouch.tactile.ranges import TactileRanges
 from foretouch.types import Float64
 
-__all__ = ["P2_AVERAGES", "P2_CHANGES", "P2_LOWEST", "compare_models", "summarise", "tally"]
+__all__ = ["P2_AVERAGES", "P2_CHANGES", "P2_LOWEST", "TREES", "compare_models", "summarise", "tally"]
+
+TREES: Final = "geometry_trees"
+"""In the column `model`: the baseline that learns from the labelled samples alone."""
 
 P2_CHANGES: Final = {
     ("PDC_TH", 30): 0.09,
@@ -65,7 +68,7 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
         seed: Of the resamples.
 
     Raises:
-        DatasetError: If the two networks of a run were not judged on the same samples.
+        DatasetError: If those who are compared were not judged on the same samples.
     """
     found = {(row["ratio"], row["modality"], row["model"], row["seed"]): row for row in rows}
     cells = dict.fromkeys((row["ratio"], row["modality"]) for row in rows)
@@ -79,6 +82,7 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
             low, high = ranges.of(modality)
             result.append({"modality": modality, "ratio": ratio, **_compared(runs, high - low, draws, seed)})
             result[-1]["p2_change"] = P2_CHANGES.get((modality, ratio))
+            result[-1] |= _baselines(runs[0][0], found.get((ratio, modality, TREES, 0)))
     return result
 
 
@@ -103,6 +107,15 @@ def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: i
     verdict = None if low is None or high is None else _WIN if high < 0.0 else _LOSS if low > 0.0 else _TIE
     ends = {"change": change, "change_low": low, "change_high": high}
     return result | {name: _rounded(value) for name, value in ends.items()} | {"verdict": verdict}
+
+
+def _baselines(network: Row, trees: Row | None) -> Row:
+    """RMSE [counts] of the mean of the labels that were kept, and of the trees, where they were asked."""
+    _sizes([(network, trees or network)])
+    return {
+        "mean_rmse": _rounded(np.sqrt(np.mean(_samples(network, "reference")))),
+        "trees_rmse": _rounded(np.sqrt(np.mean(_samples(trees, "squared")))) if trees else None,
+    }
 
 
 def _change(
@@ -136,12 +149,12 @@ def _sizes(runs: Sequence[tuple[Row, Row]]) -> list[int]:
     told = [{name: len(one["squared"]) for name, one in row["objects"].items()} for run in runs for row in run]
     references = [_samples(row, "reference") for run in runs for row in run]
     if any(one != told[0] for one in told) or any(one != references[0] for one in references):
-        raise DatasetError("label_ratio: the two networks of a run were not judged on the same samples")
+        raise DatasetError("label_ratio: those who are compared were not judged on the same samples")
     return [told[0][name] for name in sorted(told[0])]
 
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
-    """Rows of `results.csv` as one table of changes and one of errors."""
+    """Rows of `results.csv` as tables of errors, of those of the baselines, and of changes."""
     notes = [
         "change of the SR-GAN's RMSE from the PointNet's [95 % interval]; > win, < loss, = tie",
         *tally(rows),
@@ -151,7 +164,16 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
         ["", *MODALITIES],
         list(_body(rows, _errors)),
     )
-    return [errors, Table("SR-GAN against PointNet [%]", ["", *MODALITIES], list(_body(rows, _told_change)), notes)]
+    baselines = Table(
+        "Baselines with the same labels: mean of them / trees on geometry, RMSE in counts",
+        ["", *MODALITIES],
+        list(_body(rows, _told_baselines)),
+    )
+    return [
+        errors,
+        baselines,
+        Table("SR-GAN against PointNet [%]", ["", *MODALITIES], list(_body(rows, _told_change)), notes),
+    ]
 
 
 def tally(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -181,6 +203,10 @@ def _errors(row: Row) -> str:
         for name in ("pointnet", "srgan")
     )
     return " / ".join(parts)
+
+
+def _told_baselines(row: Row) -> str:
+    return f"{row['mean_rmse']:.1f} / " + ("–" if row["trees_rmse"] is None else f"{row['trees_rmse']:.1f}")
 
 
 def _told_change(row: Row) -> str:
