@@ -17,6 +17,7 @@ from trust_builders import FACTS, make_trust, save_network_with_trust
 from foretouch.errors import ModelError
 from foretouch.models.card import read_card
 from foretouch.models.contact_checkpoint import add_trust, load_contact, load_trust, save_contact
+from foretouch.models.fallback import Fallback
 from foretouch.models.registry import load_model
 from foretouch.models.tensor_file import read_tensors, write_tensors
 from foretouch.models.touch_memory import TouchMemory
@@ -100,17 +101,17 @@ def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> 
     assert prediction.lower is None
 
 
-def test_a_calibration_of_a_network_brings_its_novelty(tmp_path: Path) -> None:
+def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
     card = Path(save_network_with_trust(tmp_path))
-    novelty = small_estimator().novelty
-    add_trust(card, make_trust(), FACTS, novelty)
+    fallback = Fallback(small_estimator().novelty, np.linspace(1000.0, 3000.0, 50))
+    add_trust(card, make_trust(), FACTS, fallback)
     trust, found = load_trust(card, read_card(card))
     assert isinstance(trust, Trust)
-    for name, array in novelty.to_tensors().items():
+    for name, array in fallback.to_tensors().items():
         assert_array_equal(found.to_tensors()[name], array)
     sample = SAMPLES[0]
     (prediction,) = load_model(card).predict(sample.cloud, [sample.grasp])
-    known = novelty.familiarity(np.asarray(_sizes(sample))) >= 0.5
+    known = fallback.novelty.familiarity(np.asarray(_sizes(sample))) >= 0.5
     assert ("unfamiliar" in prediction.flags) is not known
 
 

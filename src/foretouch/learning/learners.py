@@ -18,8 +18,8 @@ from foretouch.learning.training_set import TrainingSet
 from foretouch.models.contact_checkpoint import save_contact
 from foretouch.models.contact_estimator import ContactEstimator
 from foretouch.models.contact_features import ContactScene
+from foretouch.models.fallback import Fallback
 from foretouch.models.familiarity import Familiarity
-from foretouch.models.novelty import Novelty
 from foretouch.models.settings import ModelConfig
 from foretouch.tactile.modalities import MODALITIES
 from foretouch.tactile.ranges import TactileRanges
@@ -42,8 +42,8 @@ class Learner(Protocol):
         """(T, 50) predictions of a fold's test side by a model fitted to the rest [counts]."""
         ...
 
-    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
-        """Fit to all samples and write; the card's path, and the novelty that a calibration has to hold for it."""
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Fallback | None]:
+        """Fit to all samples and write; the card's path, and the fallback that goes with a calibration."""
         ...
 
 
@@ -54,12 +54,12 @@ class NetworkLearner:
     Attributes:
         data: All samples, prepared for it.
         config: How it is trained.
-        novelty: Of the samples' objects.
+        objects: (S, len(OBJECT_FEATURES)) descriptions of the samples' clouds.
     """
 
     data: TrainingSet
     config: TrainConfig
-    novelty: Novelty
+    objects: Float64
 
     @classmethod
     def build(cls, samples: Sequence[GraspSample], model: ModelConfig, config: TrainConfig) -> NetworkLearner:
@@ -71,7 +71,7 @@ class NetworkLearner:
         if model.outputs != MODALITIES:
             raise DatasetError(f"outputs: {list(model.outputs)} are not all modalities, {', '.join(MODALITIES)}")
         objects = np.array([ContactScene(sample.cloud.xyz).object_features for sample in samples])
-        return cls(TrainingSet.build(samples, model), config, Novelty.fit(objects))
+        return cls(TrainingSet.build(samples, model), config, objects)
 
     @property
     def ranges(self) -> TactileRanges:
@@ -80,9 +80,11 @@ class NetworkLearner:
 
     def __call__(self, fold: Fold) -> Float64:
         """As of `Learner`."""
-        return predict_set(train_network(self.data, fold.train, self.config), self.data, fold.test)
+        counts = predict_set(train_network(self.data, fold.train, self.config), self.data, fold.test)
+        fallback = Fallback.fit(self.objects[fold.train], self.data.labels[fold.train])
+        return fallback.fade(counts, self.objects[fold.test])[0]
 
-    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Fallback | None]:
         """As of `Learner`; one record an epoch."""
         from foretouch.models.checkpoint import save_network
 
@@ -90,7 +92,7 @@ class NetworkLearner:
         net = train_network(self.data, everything, self.config, lambda epoch, loss: say({"epoch": epoch, "loss": loss}))
         familiar = Familiarity.fit(self.data.lengths).to_card()
         own = {"familiar": familiar, "training": self.config.to_mapping()}
-        return save_network(out, name, net, {**facts, **own}), self.novelty
+        return save_network(out, name, net, {**facts, **own}), Fallback.fit(self.objects, self.data.labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ class ContactLearner:
         """Fit to all samples."""
         return fit_contact(self.rows, self.labels, self.objects, self.config)
 
-    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Novelty | None]:
-        """As of `Learner`; a contact model holds its novelty itself."""
+    def finish(self, out: Path, name: str, facts: Mapping[str, Any], say: Say) -> tuple[Path, Fallback | None]:
+        """As of `Learner`; a contact model fades by itself."""
         del say
         return save_contact(out, name, self.fit(), {**facts, "config": self.config.to_mapping()}), None

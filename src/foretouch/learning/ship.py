@@ -99,9 +99,9 @@ def ship(config: ShipConfig, data_folder: Path, out: Path, say: Say, *, workers:
         "limits": _limits(skill, baselines, calibration, rest_recorded=recorded),
         "version": __version__,
     }
-    card, novelty = learner.finish(out, config.name, facts, say)
+    card, fallback = learner.finish(out, config.name, facts, say)
     add_trust(
-        card, trust, {**calibration, "rest": "recorded tares" if recorded else "guessed from the labels"}, novelty
+        card, trust, {**calibration, "rest": "recorded tares" if recorded else "guessed from the labels"}, fallback
     )
     return card
 

@@ -16,14 +16,14 @@ from typing import Any
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.card import new_card, read_card, write_text
 from foretouch.models.contact_estimator import ContactEstimator
-from foretouch.models.novelty import Novelty
+from foretouch.models.fallback import Fallback
 from foretouch.models.tensor_file import read_tensors, write_tensors
 from foretouch.models.trust import Trust
 from foretouch.tactile.ranges import TactileRanges
 
 __all__ = ["add_trust", "load_contact", "load_trust", "save_contact"]
 
-_NOVELTY = "novelty/"
+_FALLBACK = "fallback/"
 
 
 def save_contact(folder: str | Path, name: str, estimator: ContactEstimator, facts: Mapping[str, Any]) -> Path:
@@ -51,26 +51,26 @@ def save_contact(folder: str | Path, name: str, estimator: ContactEstimator, fac
     return path
 
 
-def add_trust(card_path: Path, trust: Trust, facts: Mapping[str, Any], novelty: Novelty | None = None) -> None:
+def add_trust(card_path: Path, trust: Trust, facts: Mapping[str, Any], fallback: Fallback | None = None) -> None:
     """Write a calibration beside a model and name it in the card.
 
     Args:
         card_path: The card of a network or a contact model.
         trust: The calibration.
         facts: What the card tells of it: level, objects, coverage, promise.
-        novelty: For a network, which has none of its own.
+        fallback: For a network.
     """
     card = read_card(card_path)
     path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
     tensors = trust.to_tensors()
-    if novelty is not None:
-        tensors |= {_NOVELTY + key: value for key, value in novelty.to_tensors().items()}
+    if fallback is not None:
+        tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}
     card["calibration"] = {"weights": path.name, "sha256": write_tensors(path, tensors), **facts}
     write_text(card_path, json.dumps(card, indent=1) + "\n")
 
 
-def load_trust(card_path: Path, card: Mapping[str, Any]) -> tuple[Trust | None, Novelty | None]:
-    """The calibration that a card names, and the novelty in it; None where there is none.
+def load_trust(card_path: Path, card: Mapping[str, Any]) -> tuple[Trust | None, Fallback | None]:
+    """The calibration that a card names, and the fallback in it; None where there is none.
 
     Raises:
         ModelError: Names the file and the field: absent, damaged, another than the card's hash, or not fitting.
@@ -83,9 +83,9 @@ def load_trust(card_path: Path, card: Mapping[str, Any]) -> tuple[Trust | None, 
             raise ModelError(f"{card_path}: calibration.{field}: is missing")
     path = card_path.with_name(Path(facts["weights"]).name)
     tensors = read_tensors(path, facts["sha256"], card_path.name)
-    held = {key.removeprefix(_NOVELTY): value for key, value in tensors.items() if key.startswith(_NOVELTY)}
+    held = {key.removeprefix(_FALLBACK): value for key, value in tensors.items() if key.startswith(_FALLBACK)}
     try:
-        return Trust.from_tensors(tensors), Novelty.from_tensors(held) if held else None
+        return Trust.from_tensors(tensors), Fallback.from_tensors(held) if held else None
     except ModelError as err:
         raise ModelError(f"{path}: {err}") from err
 

@@ -2,7 +2,7 @@
 """Touch from sight by one network with 50 outputs, or by several that share the modalities out.
 
 cloud ─ sample, unit sphere ─ features (once) ─┐
-K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts
+K grasps ─ unit sphere ────────────────────────┴─ head, in blocks ─► K x 50 counts ─► faded to the mean on new objects
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from foretouch.errors import ModelError
 from foretouch.models.contact_features import ContactScene
 from foretouch.models.estimator import Estimate
+from foretouch.models.fallback import Fallback
 from foretouch.models.familiarity import Familiarity, describe
-from foretouch.models.novelty import Novelty
 from foretouch.models.preparation import PreparedCloud, prepare_cloud, prepare_grasps
 from foretouch.models.settings import ModelConfig
 from foretouch.tactile.modalities import MODALITIES, columns
@@ -50,7 +50,7 @@ class NetworkEstimator:
 
     Args:
         members: One network with all outputs, or several that share them out.
-        novelty: Of the objects that they were trained on; None if that was not kept.
+        fallback: On objects unlike those that they were trained on; None if these were not kept.
 
     Attributes:
         ranges: Of each modality, those of the network that predicts it.
@@ -59,9 +59,9 @@ class NetworkEstimator:
         ModelError: If a modality is predicted by no member, or by two.
     """
 
-    def __init__(self, members: Sequence[Member], novelty: Novelty | None = None) -> None:
+    def __init__(self, members: Sequence[Member], fallback: Fallback | None = None) -> None:
         self._members = tuple(members)
-        self._novelty = novelty
+        self._fallback = fallback
         limits = {}
         for modality in MODALITIES:
             mine = [member for member in members if modality in member.config.outputs]
@@ -80,8 +80,9 @@ class NetworkEstimator:
             if member.familiar is not None:
                 faults = member.familiar.unfamiliar(describe(prepared, grasps))
                 familiar &= np.array([not fault for fault in faults], np.bool_)
-        if self._novelty is not None and familiar.any():
-            familiar &= self._novelty.familiarity(ContactScene(cloud.xyz).object_features) >= 0.5
+        if self._fallback is not None:
+            counts, known = self._fallback.fade(counts, ContactScene(cloud.xyz).object_features[None])
+            familiar &= known
         return Estimate(counts, familiar)
 
 

@@ -10,9 +10,9 @@ from typing import Any, Final
 from foretouch.errors import ModelError
 from foretouch.models.card import combined_sha256, read_card
 from foretouch.models.contact_checkpoint import load_contact, load_trust
+from foretouch.models.fallback import Fallback
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.network_estimator import Member, NetworkEstimator
-from foretouch.models.novelty import Novelty
 from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
@@ -40,10 +40,10 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
     card = read_card(path)
     if card["kind"] == "ensemble":
         return _load_ensemble(path, card)
-    trust, novelty = load_trust(path, card)
+    trust, fallback = load_trust(path, card)
     if card["kind"] == "contact":
         return TouchModel(load_contact(path, card), card, trust)
-    return TouchModel(_networks(card["name"], [_member(path)[0]], novelty), card, trust)
+    return TouchModel(_networks(card["name"], [_member(path)[0]], fallback), card, trust)
 
 
 def _load_ensemble(path: Path, card: dict[str, Any]) -> TouchModel:
@@ -54,9 +54,9 @@ def _load_ensemble(path: Path, card: dict[str, Any]) -> TouchModel:
     return TouchModel(_networks(card["name"], [member for member, _ in loaded]), card)
 
 
-def _networks(name: str, members: list[Member], novelty: Novelty | None = None) -> NetworkEstimator:
+def _networks(name: str, members: list[Member], fallback: Fallback | None = None) -> NetworkEstimator:
     try:
-        return NetworkEstimator(members, novelty)
+        return NetworkEstimator(members, fallback)
     except ModelError as err:
         raise ModelError(f"{name}: {err}") from err
 

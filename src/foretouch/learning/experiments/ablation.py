@@ -21,7 +21,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.learning.comparison import BootstrapConfig
 from foretouch.learning.contact_training import ContactConfig
-from foretouch.learning.experiments.ablation_parts import FULL, Assembled, assemble
+from foretouch.learning.experiments.ablation_parts import FULL, REGIME_EDITS, Assembled, assemble
 from foretouch.learning.experiments.ablation_table import NOTHING, TARE, ablation_rows, ablation_tables
 from foretouch.learning.experiments.divisions import divide_objects
 from foretouch.learning.experiments.experiment import Cell, Experiment, Row
@@ -101,6 +101,8 @@ def _before_touch(
 ) -> Iterator[Row]:
     everyone = np.arange(len(test))
     for name, model in models.items():
+        if name in REGIME_EDITS:  # matter after touches alone
+            continue
         predicted = model.predict(everyone, everyone[:0], tare=False)
         yield from _told(table, name, test, predicted, mean)
 
