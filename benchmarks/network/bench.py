@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time the shared-feature network against four eager networks of P2, after proving equal answers."""
+"""Time the shared-feature network against four eager networks of P2, after proving equal answers; then the shipped models."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from foretouch.learning.splits import SPLITS
 from foretouch.models.folding import fold
+from foretouch.models.network_estimator import Member, NetworkEstimator
 from foretouch.models.pointnet import Layer
-from foretouch.models.registry import load_model
+from foretouch.models.registry import available_models, load_model
 from foretouch.models.regressor import TouchNet
 from foretouch.models.settings import ModelConfig
-from foretouch.models.touch_model import Member, TouchModel
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES
 from foretouch.types import Cloud, Grasp
 
@@ -109,20 +111,23 @@ def main() -> None:
         )
 
     cloud, candidates = scene(np.random.default_rng(0))
-    full = TouchModel([Member(ModelConfig(), folded)], {"name": "full width", "sha256": ""})
-    shipped = load_model()
+    full = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
     rows: list[tuple[str, Callable[[int], object]]] = [
         ("four eager networks, channels first", lambda k: [net(points.expand(k, -1, -1), grasps[:k]) for net in first]),
         ("four eager networks, rows", lambda k: [net.counts(points.expand(k, -1, -1), grasps[:k]) for net in four]),
         ("shared, folded: network", lambda k: folded.regress(folded.features(points[0]), grasps[:k])),
         ("shared, folded: TouchModel.predict", lambda k: full.predict(cloud, candidates[:k])),
-        (f"shipped {shipped.name}: TouchModel.predict", lambda k: shipped.predict(cloud, candidates[:k])),
     ]
     print(f"\n| median CPU time [ms], one thread | 1 grasp | {GRASPS} grasps |\n|---|---|---|")
     for name, call in rows:
         one = median_ms(lambda call=call: call(1))
         many = "not run" if "eager" in name else f"{median_ms(lambda call=call: call(GRASPS)):.1f}"
         print(f"| {name} | {one:.1f} | {many} |")
+    print(f"\n| shipped model | skill: {', '.join(SPLITS)} | 1 grasp [ms] | {GRASPS} grasps [ms] |\n|---|---|---|---|")
+    for model in map(load_model, available_models()):
+        skills = (np.mean([row["skill"] for row in model.card["skill"][split].values()]) for split in SPLITS)
+        one, many = (median_ms(lambda model=model, k=k: model.predict(cloud, candidates[:k])) for k in (1, GRASPS))
+        print(f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {one:.1f} | {many:.1f} |")
 
 
 if __name__ == "__main__":
