@@ -155,12 +155,23 @@ def ray():
     return pytest.importorskip("ray", reason="ray is not installed: pip install 'foretouch[sweep]'")
 
 
-@pytest.mark.slow
-def test_ray_gives_the_same_bits_and_outlives_a_node(ray, tmp_path, numbers, trace) -> None:
+@pytest.fixture
+def two_nodes(ray, monkeypatch):
+    """A cluster of two nodes of one core each; only what the test kills dies, however busy the machine is."""
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    lost = cluster.add_node(num_cpus=1)
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))  # where workers find `own_experiments`
+    monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
+    head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    yield cluster, cluster.add_node(num_cpus=1)
+    cluster.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # starting nodes and processes takes a minute or two on a busy machine
+def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, numbers, trace) -> None:
+    cluster, lost = two_nodes
     settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
     seen = []
 
@@ -169,10 +180,7 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(ray, tmp_path, numbers, tra
         if len(seen) == 2:
             cluster.remove_node(lost, allow_graceful=False)
 
-    try:
-        result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, tell=kill)
-    finally:
-        cluster.shutdown()
+    result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, tell=kill)
     assert result.failures == {}
     assert sorted(seen) == [f"cell{k}" for k in range(8)]
     assert sum(starts(trace).values()) <= 8 + 2  # cell 0, and at most the one that the lost node ran
