@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from foretouch.errors import ModelError
+from foretouch.errors import FileError, ModelError
 from foretouch.models.card import file_sha256
 from foretouch.models.checkpoint import load_network, save_ensemble, save_network
 from foretouch.models.registry import load_model
@@ -46,6 +46,16 @@ def test_roundtrip_is_exact(card: Path, make_net) -> None:
     assert facts["limits"] == ["a toy"]
     assert facts["calibration"] is None
     assert facts["sha256"] == file_sha256(card.with_suffix(".safetensors"))
+
+
+@pytest.mark.parametrize("full", ["tiny.safetensors", "tiny.json"])
+def test_a_full_disk_leaves_the_checkpoint_before(card: Path, make_net, full: str) -> None:
+    before = {path.name: path.read_bytes() for path in card.parent.iterdir()}
+    card.with_name(f"{full}.part").symlink_to("/dev/full")
+    with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
+        save_network(card.parent, "tiny", make_net(seed=5), {"limits": ["another"]})
+    assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
+    load_network(card)
 
 
 def test_one_flipped_byte_is_refused(card: Path) -> None:

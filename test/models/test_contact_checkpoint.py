@@ -14,12 +14,12 @@ from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 from trust_builders import FACTS, make_trust, save_network_with_trust
 
-from foretouch.errors import ModelError
+from foretouch.errors import FileError, ModelError
 from foretouch.models.card import read_card
 from foretouch.models.contact_checkpoint import add_trust, load_contact, load_trust, save_contact
 from foretouch.models.fallback import Fallback
 from foretouch.models.registry import load_model
-from foretouch.models.tensor_file import read_tensors, write_tensors
+from foretouch.models.tensor_file import packed, read_tensors
 from foretouch.models.touch_memory import TouchMemory
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.trust import Trust
@@ -56,7 +56,8 @@ def rewrite(card: Path, name: str, value: Any, *, trust: bool = False) -> None:
         del tensors[name]
     else:
         tensors[name] = value
-    mine["sha256"] = write_tensors(path, tensors)
+    content, mine["sha256"] = packed(tensors)
+    path.write_bytes(content)
     card.write_text(json.dumps(facts))
 
 
@@ -92,6 +93,23 @@ def test_the_card_holds_what_was_given_and_the_hashes(card: Path) -> None:
 def test_saving_again_gives_the_same_files(card: Path, tmp_path: Path) -> None:
     again = save_contact(tmp_path / "again", "toy", load_contact(card, read_card(card)), {"summary": "a toy"})
     assert read_card(again)["sha256"] == read_card(card)["sha256"]
+
+
+def test_model_and_calibration_at_once_are_those_one_after_the_other(card: Path, tmp_path: Path) -> None:
+    facts = {"summary": "a toy", "limits": ["none"]}
+    once = save_contact(tmp_path / "once", "toy", small_estimator(), facts, (make_trust(), FACTS))
+    for path in card.parent.glob("toy.*"):
+        assert (once.parent / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("full", ["toy.safetensors", "toy.trust.safetensors", "toy.json"])
+def test_a_full_disk_leaves_the_calibrated_model_before(card: Path, full: str) -> None:
+    before = {path.name: path.read_bytes() for path in card.parent.iterdir()}
+    card.with_name(f"{full}.part").symlink_to("/dev/full")
+    other = make_trust(seed=1)
+    with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
+        save_contact(card.parent, "toy", small_estimator(), {"summary": "another"}, (other, FACTS))
+    assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
 
 
 def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> None:

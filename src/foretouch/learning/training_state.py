@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from foretouch.errors import FileError
+from foretouch.models.atomic_file import replace_files
 
 __all__ = ["read_state", "write_state"]
 
@@ -21,7 +21,7 @@ _KEY = "foretouch-training"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-    """Write a state beside its place and move it there; the one before survives any failure until then.
+    """Replace the state on disk; the one before survives any failure.
 
     Args:
         path: Of the file.
@@ -31,16 +31,7 @@ def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, A
     Raises:
         FileError: If it cannot be written, such as on a full disk.
     """
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            file.write(save(dict(tensors), {_KEY: json.dumps(plain)}))
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as err:
-        part.unlink(missing_ok=True)
-        raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
+    replace_files({path: save(dict(tensors), {_KEY: json.dumps(plain)})})
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

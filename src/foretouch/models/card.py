@@ -14,8 +14,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.errors import ModelError
+from foretouch.models.atomic_file import replace_files
 
-__all__ = ["CARD_FORMAT", "CARD_VERSION", "combined_sha256", "file_sha256", "new_card", "read_card", "write_text"]
+__all__ = [
+    "CARD_FORMAT",
+    "CARD_VERSION",
+    "card_text",
+    "combined_sha256",
+    "file_sha256",
+    "new_card",
+    "read_card",
+    "write_text",
+]
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 1
@@ -82,10 +92,17 @@ def combined_sha256(hashes: Sequence[str]) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that a reader sees the old or the new one, never a part."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    """Write a file so that a reader sees the old or the new one, never a part.
+
+    Raises:
+        FileError: If it cannot be written, such as on a full disk; the one before is kept.
+    """
+    replace_files({path: text.encode()})
+
+
+def card_text(card: Mapping[str, Any]) -> str:
+    """A card as it stands in its file."""
+    return json.dumps(card, indent=1) + "\n"
 
 
 def _check_fields(path: Path, card: Mapping[str, Any], wanted: Mapping[str, type | tuple[type, ...]]) -> None:

@@ -6,18 +6,19 @@ Weights are read with safetensors alone, which holds numbers and no code.
 
 from __future__ import annotations
 
-import json
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.card import combined_sha256, file_sha256, new_card, read_card, write_text
+from foretouch.models.atomic_file import replace_files
+from foretouch.models.card import card_text, combined_sha256, file_sha256, new_card, read_card, write_text
 from foretouch.models.regressor import TouchNet
 from foretouch.models.settings import ModelConfig
 
@@ -36,15 +37,13 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
 
     Returns:
         Path of the card.
+
+    Raises:
+        FileError: If a file cannot be written, such as on a full disk; those before are kept.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    weights, card_path = folder / f"{name}.safetensors", folder / f"{name}.json"
-    part = weights.with_name(weights.name + ".part")
-    tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
-    save_file(tensors, part)
-    part.chmod(0o644)  # safetensors leaves it to its owner alone
-    part.replace(weights)
+    card_path = Path(folder) / f"{name}.json"
+    weights = card_path.with_suffix(".safetensors")
+    content: bytes = save({key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()})
     empty: dict[str, Any] = {
         "summary": "",
         "data": {},
@@ -59,11 +58,11 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
         name,
         "network",
         weights=weights.name,
-        sha256=file_sha256(weights),
+        sha256=hashlib.sha256(content).hexdigest(),
         config=net.config.to_mapping(),
         **{**empty, **facts},
     )
-    write_text(card_path, json.dumps(card, indent=1) + "\n")
+    replace_files({weights: content, card_path: card_text(card).encode()})
     return card_path
 
 
@@ -78,6 +77,7 @@ def save_ensemble(folder: str | Path, name: str, members: Sequence[str | Path], 
 
     Raises:
         ModelError: If a member's card cannot be read.
+        FileError: If the card cannot be written.
     """
     folder = Path(folder)
     hashes = [read_card(member)["sha256"] for member in members]
@@ -89,7 +89,7 @@ def save_ensemble(folder: str | Path, name: str, members: Sequence[str | Path], 
         sha256=combined_sha256(hashes),
     )
     path = folder / f"{name}.json"
-    write_text(path, json.dumps(card, indent=1) + "\n")
+    write_text(path, card_text(card))
     return path
 
 

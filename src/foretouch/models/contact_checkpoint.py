@@ -8,16 +8,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy.typing as npt
+
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.card import new_card, read_card, write_text
+from foretouch.models.atomic_file import replace_files
+from foretouch.models.card import card_text, new_card, read_card
 from foretouch.models.contact_estimator import ContactEstimator
 from foretouch.models.fallback import Fallback
-from foretouch.models.tensor_file import read_tensors, write_tensors
+from foretouch.models.tensor_file import packed, read_tensors
 from foretouch.models.trust import Trust
 from foretouch.tactile.ranges import TactileRanges
 
@@ -26,8 +28,14 @@ __all__ = ["add_trust", "load_contact", "load_trust", "save_contact"]
 _FALLBACK = "fallback/"
 
 
-def save_contact(folder: str | Path, name: str, estimator: ContactEstimator, facts: Mapping[str, Any]) -> Path:
-    """Write weights and card.
+def save_contact(
+    folder: str | Path,
+    name: str,
+    estimator: ContactEstimator,
+    facts: Mapping[str, Any],
+    calibration: tuple[Trust, Mapping[str, Any]] | None = None,
+) -> Path:
+    """Write weights, card and, where there is one, the calibration: all of them or none.
 
     Args:
         folder: Made if absent.
@@ -35,19 +43,25 @@ def save_contact(folder: str | Path, name: str, estimator: ContactEstimator, fac
         estimator: The fitted model.
         facts: The rest of the card: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits`; what is left
             out is empty.
+        calibration: And what the card tells of it, as of `add_trust`.
 
     Returns:
         Path of the card.
+
+    Raises:
+        FileError: If a file cannot be written, such as on a full disk; those before are kept.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    weights = folder / f"{name}.safetensors"
-    sha256 = write_tensors(weights, estimator.to_tensors())
+    path = Path(folder) / f"{name}.json"
+    weights = path.with_suffix(".safetensors")
+    content, sha256 = packed(estimator.to_tensors())
     empty: dict[str, Any] = {"summary": "", "config": {}, "data": {}, "split": {}, "skill": {}, "baselines": {}}
     rest: dict[str, Any] = {"limits": [], "calibration": None, "ranges": estimator.ranges.to_mapping()}
     card = new_card(name, "contact", weights=weights.name, sha256=sha256, **{**empty, **rest, **facts})
-    path = folder / f"{name}.json"
-    write_text(path, json.dumps(card, indent=1) + "\n")
+    files = {weights: content}
+    if calibration is not None:
+        trust, told = calibration
+        files |= _trust_file(path, card, trust.to_tensors(), told)
+    replace_files({**files, path: card_text(card).encode()})
     return path
 
 
@@ -59,14 +73,27 @@ def add_trust(card_path: Path, trust: Trust, facts: Mapping[str, Any], fallback:
         trust: The calibration.
         facts: What the card tells of it: level, objects, coverage, promise.
         fallback: For a network.
+
+    Raises:
+        ModelError: If the card cannot be read.
+        FileError: If a file cannot be written, such as on a full disk; those before are kept.
     """
     card = read_card(card_path)
-    path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
     tensors = trust.to_tensors()
     if fallback is not None:
         tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}
-    card["calibration"] = {"weights": path.name, "sha256": write_tensors(path, tensors), **facts}
-    write_text(card_path, json.dumps(card, indent=1) + "\n")
+    files = _trust_file(card_path, card, tensors, facts)
+    replace_files({**files, card_path: card_text(card).encode()})
+
+
+def _trust_file(
+    card_path: Path, card: dict[str, Any], tensors: Mapping[str, npt.NDArray[Any]], facts: Mapping[str, Any]
+) -> dict[Path, bytes]:
+    """The file of a calibration with its content; enters it in the card."""
+    path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
+    content, sha256 = packed(tensors)
+    card["calibration"] = {"weights": path.name, "sha256": sha256, **facts}
+    return {path: content}
 
 
 def load_trust(card_path: Path, card: Mapping[str, Any]) -> tuple[Trust | None, Fallback | None]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,15 @@ import numpy.typing as npt
 from foretouch.errors import ModelError
 from foretouch.models.card import file_sha256
 
-__all__ = ["read_tensors", "write_tensors"]
+__all__ = ["packed", "read_tensors"]
 
 
-def write_tensors(path: Path, tensors: Mapping[str, npt.NDArray[Any]]) -> str:
-    """Write arrays so that a reader sees the old or the new file, never a part; returns the SHA-256."""
-    from safetensors.numpy import save_file
+def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
+    """Arrays as the content of a safetensors file, and its SHA-256; the same arrays make the same bytes."""
+    from safetensors.numpy import save
 
-    part = path.with_name(path.name + ".part")
-    save_file({name: np.asarray(value, order="C") for name, value in tensors.items()}, part)
-    part.chmod(0o644)  # safetensors leaves it to its owner alone
-    part.replace(path)
-    return file_sha256(path)
+    content: bytes = save({name: np.asarray(value, order="C") for name, value in tensors.items()})
+    return content, hashlib.sha256(content).hexdigest()
 
 
 def read_tensors(path: Path, sha256: str, named_by: str) -> dict[str, npt.NDArray[Any]]:
