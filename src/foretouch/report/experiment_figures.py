@@ -20,6 +20,7 @@ FIGURES: Final = {
     "lookalikes": "experiment_lookalikes",
     "coverage": "experiment_coverage",
     "ablation": "experiment_ablation",
+    "learning_curve": "experiment_learning_curve",
     "label_ratio": "label_ratio_figure",
 }
 """By experiment, the module beside this one whose `draw(rows, folder)` returns the paths that it wrote."""

@@ -23,6 +23,7 @@ EXPERIMENTS: Final = {
         "sim_to_real",
         "coverage",
         "ablation",
+        "learning_curve",
         "label_ratio",
         "label_ratio_tuning",
     )
