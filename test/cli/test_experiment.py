@@ -58,10 +58,26 @@ def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch)
     assert "-o DIR is needed" in call("experiment", OWN).err
     assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
     assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
+    answer = call("experiment", "noise_ceiling", *out, "--data", tmp_path)
+    assert (answer.status, answer.err.count("\n")) == (1, 1)  # and no bar beside it
+    assert "is neither a scene (.yaml) nor a store" in answer.err
     assert not (tmp_path / "out").exists()
-    with pytest.raises(SystemExit) as wrong:
-        call("experiment", OWN, *out, "--bogus")
-    assert wrong.value.code == 2
+    for words in (["--bogus"], ["--workers", "0"], ["--workers", "-3"]):
+        with pytest.raises(SystemExit) as wrong:
+            call("experiment", OWN, *out, "--data", numbers, *words)
+        assert wrong.value.code == 2
+
+
+def test_a_folder_of_another_experiment_is_not_redrawn(call, tmp_path, numbers) -> None:
+    out = tmp_path / "out"
+    call("experiment", OWN, "-o", out, "--data", numbers, "cells=1", "--workers", "1")
+    answer = call("experiment", "coverage", "-o", out, "--redraw")
+    assert answer.status == 1
+    assert answer.err.endswith("manifest.json: experiment: 'counting' is not 'coverage'\n")
+    (out / "results.csv").write_text("")
+    assert "holds no row" in call("experiment", OWN, "-o", out, "--redraw").err
+    (out / "results.csv").unlink()
+    assert call("experiment", OWN, "-o", out, "--redraw").err.endswith("results.csv: No such file or directory\n")
 
 
 def test_list_names_all(call) -> None:

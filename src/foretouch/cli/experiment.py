@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.config import parse_overrides
+from foretouch.errors import ConfigError, FileError, ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.learning.experiments import Experiment
@@ -30,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", default="full", help="full (default), smoke, or another that the experiment has")
     parser.add_argument("--data", type=Path, metavar="PATH", help=f"by default the folder below {_ENVIRONMENT}")
     parser.add_argument("--resume", action="store_true", help="go on with the sweep that stands there, if any")
-    parser.add_argument("--workers", type=int, help="processes (default: one a core); the results do not depend on it")
+    parser.add_argument(
+        "--workers", type=positive_number, help="processes (default: one a core); the results do not depend on it"
+    )
     parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node of this machine")
     parser.add_argument("--redraw", action="store_true", help="only write tables and figures of DIR/results.csv again")
     parser.add_argument("--json", action="store_true", help="one JSON object a cell, and the summary last")
@@ -38,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cell failed; the others are done then."""
-    from foretouch.errors import ConfigError
     from foretouch.learning.experiments import EXPERIMENTS, find_experiment
 
     if arguments.name == "list":
@@ -63,13 +66,17 @@ def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
 
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.learning.experiments.manifest import RESULTS_FILE, read_results
+    from foretouch.learning.experiments.manifest import RESULTS_FILE, SUMMARY_FILE, read_results, require_experiment
 
-    figures = _report(experiment, read_results(arguments.out / RESULTS_FILE), arguments.out)
+    require_experiment(arguments.out, experiment.name)
+    rows = read_results(arguments.out / RESULTS_FILE)
+    if not rows:
+        raise FileError(arguments.out / RESULTS_FILE, "holds no row: no cell has finished")
+    figures = _report(experiment, rows, arguments.out)
     if arguments.json:
         print_json({"status": "done", "figures": figures})
     else:
-        print(f"drawn: {', '.join(figures) or 'nothing'}")
+        print(f"drawn: {', '.join([SUMMARY_FILE, *figures])}")
     return 0
 
 
@@ -141,7 +148,7 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
 
 @contextmanager
 def _progress(as_json: bool) -> Iterator[Callable[[Outcome, int, int], None]]:
-    """A bar with the time left on stderr, or a line a cell on stdout."""
+    """A bar with the time left, where stderr is a terminal; with --json a line a cell on stdout."""
     if as_json:
         yield _tell_json
         return
@@ -162,13 +169,18 @@ def _progress(as_json: bool) -> Iterator[Callable[[Outcome, int, int], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.description}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading the data", total=None)
 
         def tell(outcome: Outcome, done: int, total: int) -> None:
             bar.update(task, total=total, completed=done, description=outcome.cell.key)
 
-        yield tell
+        try:
+            yield tell
+        except ForetouchError:
+            bar.live.transient = True  # what was wrong is told in one line
+            raise
 
 
 def _tell_json(outcome: Outcome, done: int, total: int) -> None:

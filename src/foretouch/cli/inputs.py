@@ -25,6 +25,7 @@ __all__ = [
     "four_numbers",
     "grasp_record",
     "pipeline_config",
+    "positive_number",
     "six_numbers",
 ]
 
@@ -62,6 +63,14 @@ def four_numbers(text: str) -> list[float]:
 def six_numbers(text: str) -> list[float]:
     """`x1,y1,z1,x2,y2,z2` for argparse."""
     return _numbers(text, 6)
+
+
+def positive_number(text: str) -> int:
+    """A whole number from 1 on, for argparse."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value
 
 
 def pipeline_config(arguments: argparse.Namespace, changes: dict[str, Any] | None = None) -> PipelineConfig:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch import __version__
+from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError, FileError
@@ -30,11 +31,11 @@ _SHEET_SAMPLES = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
-    parser.add_argument("-n", "--count", type=_positive, metavar="N", help="how many samples")
+    parser.add_argument("-n", "--count", type=positive_number, metavar="N", help="how many samples")
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="the data set; must not exist")
     parser.add_argument("--seed", type=int, help="in place of the scene's")
     parser.add_argument(
-        "--workers", type=_positive, help="processes (default: one a core); the samples do not depend on it"
+        "--workers", type=positive_number, help="processes (default: one a core); the samples do not depend on it"
     )
     parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting of the scene")
     parser.add_argument(
@@ -195,10 +196,3 @@ def _progress(count: int, quiet: bool) -> Iterator[Callable[[], None]]:
     with Progress(console=Console(stderr=True), disable=quiet) as bar:
         task = bar.add_task("simulating", total=count)
         yield lambda: bar.advance(task)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
-    return value

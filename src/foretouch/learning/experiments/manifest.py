@@ -36,6 +36,7 @@ __all__ = [
     "open_folder",
     "read_cells",
     "read_results",
+    "require_experiment",
     "write_cell",
     "write_manifest",
     "write_results",
@@ -99,6 +100,18 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequ
     return {**manifest, **fixed}
 
 
+def require_experiment(out: Path, name: str) -> None:
+    """Refuse the folder of another experiment; one without a manifest may be of any.
+
+    Raises:
+        ConfigError: If it is another one's.
+        FileError: If the manifest is damaged.
+    """
+    file = out / MANIFEST_FILE
+    if file.exists() and (found := _read_json(file).get("experiment")) != name:
+        raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
+
+
 def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Replace the manifest as a whole."""
     write_text(out / MANIFEST_FILE, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
@@ -157,7 +170,9 @@ def read_results(path: Path) -> list[Row]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return [{name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    except (OSError, UnicodeDecodeError, csv.Error) as err:
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except (UnicodeDecodeError, csv.Error) as err:
         raise FileError(path, str(err)) from err
 
 

@@ -56,7 +56,11 @@ def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Pat
         raise ConfigError(
             "experiment: no data; give --data a scene, such as config/scenes/deformables.yaml, or a store"
         )
-    return source if is_store(source) else simulate_store(source, settings.samples, beside(out))
+    if is_store(source):
+        return source
+    if source.is_dir():
+        raise ConfigError(f"--data: {source}: is neither a scene (.yaml) nor a store of simulated grasps")
+    return simulate_store(source, settings.samples, beside(out))
 
 
 def beside(out: Path) -> Path:
