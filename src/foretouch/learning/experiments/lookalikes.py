@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects that look alike and differ in stiffness: what sight can tell of them, and what touches add.
 
-Half of each object's grasps are trained on, under one name, since nobody who only looks can tell them apart. The other
-half is met in encounters: some grasps of one object, which are touched as those of an unseen object are. The skill
+All grasps come in encounters: some grasps of one object, under a name of its own, since nobody who only looks can tell which
+object it is. Half of each object's encounters are trained on; in the others it is touched as an unseen object is. The skill
 compares with the mean over the look-alikes throughout. A predictor that was trained on the one object alone, as if it
 were told which it is, shows how much there is to be gained ("told which").
 """
@@ -32,7 +32,7 @@ from foretouch.types import GraspSample
 __all__ = ["EXPERIMENT", "TOLD", "LookalikesSettings"]
 
 TOLD: Final = "told which"
-_SIGHT: Final = "alike"  # the one name that they have by sight
+_SIGHT: Final = "alike"  # trained on all of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,17 +46,17 @@ class LookalikesSettings(UnseenObjectSettings, SimulatedSettings):
 
 
 def _sides(settings: LookalikesSettings, data: SimulatedGrasps) -> tuple[list[GraspSample], list[list[GraspSample]]]:
-    """Those trained on, under their own names; and the encounters, each an object of its own name."""
+    """The grasps to train on and the encounters that are tested; each encounter is an object of its own name."""
     train: list[GraspSample] = []
     encounters: list[list[GraspSample]] = []
     samples = labelled(data.collection)
     for name in sorted({sample.object for sample in samples}):
         mine = [sample for sample in samples if sample.object == name]
         half = len(mine) // 2
-        train += mine[:half]
-        starts = range(half, len(mine) - settings.encounter + 1, settings.encounter)
-        for number, start in enumerate(starts):
-            met = mine[start : start + settings.encounter]
+        size = settings.encounter
+        train += [replace(one, object=f"{name}/train{k // size:03d}") for k, one in enumerate(mine[:half])]
+        for number, start in enumerate(range(half, len(mine) - size + 1, size)):
+            met = mine[start : start + size]
             encounters.append([replace(sample, object=f"{name}/{number:03d}") for sample in met])
     if not encounters:
         raise DatasetError(f"{data.collection.name}: too few grasps for an encounter of {settings.encounter}")
@@ -78,8 +78,7 @@ def _run(cell: Cell, settings: LookalikesSettings, data: SimulatedGrasps) -> lis
     if part != _SIGHT:
         settings = settings.replace(touches=(0,))
         encounters = [one for one in encounters if _kind(one[0].object) == part]
-        train = [sample for sample in train if sample.object == part]
-    train = [replace(sample, object=_SIGHT) for sample in train]
+        train = [sample for sample in train if _kind(sample.object) == part]
     fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels_of(train), cell.values["seed"])
     rows = [row for held in encounters for row in touch_rows(fitted, held, mean, settings)]
     return rows if part == _SIGHT else [{**row, "table": TOLD, "touches": None} for row in rows]
