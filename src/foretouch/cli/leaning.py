@@ -40,7 +40,7 @@ def add_leaning_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="PATH",
         help="grasps of the same object that were executed and read (a dataset, a training store, vision2tactile folders): "
-        "each labelled one is taken in first",
+        "each labelled one is taken in first, but for the very grasp that is asked about",
     )
 
 
@@ -66,7 +66,13 @@ class Leaning:
         self._model = model
         self._tare = tare
         self._own = own
-        self._memory = None if own or not touched else self._remember(tare)
+        self._memory = None if own or not touched else self._remember(self.touched, tare)
+
+    def taken_in(self, sample: GraspSample | None) -> Sequence[GraspSample]:
+        """The touches that a prediction for this sample leans on: never its own reading, which it would only repeat."""
+        if sample is None or sample.touch is None:
+            return self.touched
+        return tuple(one for one in self.touched if not _same(one, sample))
 
     def predict(
         self, pipeline: Pipeline, target: FoundObject, grasps: Sequence[Grasp], sample: GraspSample | None
@@ -80,17 +86,19 @@ class Leaning:
         if sample is not None and self.object and sample.object not in (self.object, _UNKNOWN):
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
         tare = _own_tare(sample) if self._own else self._tare
-        if not self.touched:
+        touched = self.taken_in(sample)
+        if not touched:
             return pipeline.predict(target, grasps, tare=tare)
-        return pipeline.predict(target, grasps, memory=self._memory or self._remember(tare))
+        whole = self._memory if len(touched) == len(self.touched) else None
+        return pipeline.predict(target, grasps, memory=whole or self._remember(touched, tare))
 
-    def _remember(self, tare: Touch | None) -> TouchMemory:
-        """All touches, as sensors at this tare would have read them."""
+    def _remember(self, touched: Sequence[GraspSample], tare: Touch | None) -> TouchMemory:
+        """Some touches, as sensors at this tare would have read them."""
         from foretouch.models.touch_memory import TouchMemory
         from foretouch.tactile import offsets, restore
 
         memory = TouchMemory(self._model, tare)
-        for sample in self.touched:
+        for sample in touched:
             touch, then = sample.touch, _own_tare(sample) if self._own else sample.tare
             assert touch is not None  # noqa: S101  only labelled samples come here
             if tare is not None and then is not None:
@@ -165,14 +173,23 @@ def _reading(path: Path, entry: Any) -> Touch:
         raise FileError(path, f"is no reading: it has to hold {', '.join(_FIELDS)} and nothing else")
     values = {}
     for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
-        try:
-            values[name] = np.array(entry[name], np.float64)
-        except (TypeError, ValueError) as err:
-            raise FileError(path, "is not numbers", field=name) from err
+        numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
+        if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+            raise FileError(path, "is not numbers", field=name)
+        values[name] = np.array(entry[name], np.float64)
         if values[name].shape != shape:
             size = f"{ELECTRODES} numbers" if shape else "one number"
             raise FileError(path, f"is not {size}", field=name)
     return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"])
+
+
+def _same(one: GraspSample, other: GraspSample) -> bool:
+    """Whether two samples are one grasp, be it read from different files; ids alone may come back in another session."""
+    import numpy as np
+
+    if one.touch is None or other.touch is None or one.id != other.id:
+        return False
+    return np.array_equal(one.touch.vector(), other.touch.vector())
 
 
 def _own_tare(sample: GraspSample | None) -> Touch:

@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "reason": "; ".join(refused) or reason,
                 "predictions": [prediction_record(one) for one in predictions],
                 "model": model,
-                "touched": len(leaning.touched),
+                "touched": len(leaning.taken_in(item.sample)),
                 "ms": {**ms, "total": sum(ms.values())},
                 "failed": not predictions or bool(refused),
             }
