@@ -61,7 +61,7 @@ def test_build_puts_splits_into_a_store_that_can_be_verified(call: Call, dataset
     (record,) = call("dataset", "build", dataset, "-o", tmp_path / "store", "--seed", 4, "--json").records
     assert record["samples"] == 16
     assert list(record["splits"]) == ["random", "object", "time", "labels"]
-    book = read_split_book(tmp_path / "store")
+    book = read_split_book(tmp_path / "store").parts
     assert {i for part in book["random"] for i in part.test} == {
         f"{name}/{k:06d}" for name, start in (("ball", 1), ("sponge", 9)) for k in range(start, start + 8)
     }

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small made-up collection whose labels follow from what a network sees."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.learning.collection import Collection, load_collection
+from foretouch.learning.split_book import SPLITS_FILE, make_split_book
 from foretouch.models.settings import ModelConfig
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
@@ -43,3 +49,19 @@ def samples() -> list[GraspSample]:
 def small() -> ModelConfig:
     """A network that trains within a second."""
     return SMALL
+
+
+@pytest.fixture(scope="session")
+def store(samples, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "boxes"
+    facts = [SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in samples]
+    with StoreWriter(path, {}) as writer:
+        for sample in samples:
+            writer.write(sample)
+        writer.attach(SPLITS_FILE, make_split_book(facts, 3))
+    return path
+
+
+@pytest.fixture(scope="session")
+def data(store) -> Collection:
+    return load_collection(store)

@@ -12,68 +12,23 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
 from foretouch.config import load_yaml
-from foretouch.dataset.build import SampleFacts
-from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.learning.collection import Collection, load_collection
+from foretouch.learning.collection import Collection
 from foretouch.learning.judging import judge
 from foretouch.learning.metrics import score
-from foretouch.learning.run import BOARD_FOLDER, LOG_FILE, STATE_FILE, RunConfig, train_run
-from foretouch.learning.split_book import SPLITS_FILE, make_split_book
+from foretouch.learning.run import train_run
+from foretouch.learning.run_config import RunConfig
+from foretouch.learning.run_folder import BOARD_FOLDER, LOG_FILE, STATE_FILE
 from foretouch.learning.training_state import read_state, write_state
-
-MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
-BASE = {
-    "name": "tiny",
-    "model": MODEL,
-    "train": {"epochs": 4, "batch_size": 8, "target_scaling": "standardised"},
-    "srgan": {
-        "epochs": 4,
-        "batch_size": 5,
-        "learning_rate": 0.001,
-        "generator": {"widths": [6], "stride": 2, "channels": 3},
-    },
-}
-
-
-def config(**changes) -> RunConfig:
-    return RunConfig.from_mapping({**BASE, **changes})
-
-
-@pytest.fixture(scope="session")
-def store(samples, tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "boxes"
-    facts = [SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in samples]
-    with StoreWriter(path, {}) as writer:
-        for sample in samples:
-            writer.write(sample)
-        writer.attach(SPLITS_FILE, make_split_book(facts, 3))
-    return path
-
-
-@pytest.fixture(scope="session")
-def data(store) -> Collection:
-    return load_collection(store)
-
-
-def stop_after(epoch: int):
-    def say(record) -> None:
-        if record.get("epoch") == epoch:
-            raise KeyboardInterrupt
-
-    return say
-
-
-def quiet(_record) -> None:
-    pass
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
 def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) -> None:
-    chosen = config(method=method, split="labels/T50", validation=0.2)
+    chosen = run_config(method=method, split="labels/T50", validation=0.2)
     whole = train_run(chosen, data, tmp_path / "whole", quiet)
     with pytest.raises(KeyboardInterrupt):
         train_run(chosen, data, tmp_path / "cut", stop_after(1))
@@ -101,7 +56,7 @@ def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
     process.wait(30)
     process.stdout.close()
     assert not (tmp_path / "run" / "tiny.json").exists()
-    chosen = config(train={"epochs": 120, "batch_size": 8})
+    chosen = run_config(train={"epochs": 120, "batch_size": 8})
     cut = train_run(chosen, data, tmp_path / "run", quiet, resume=True)
     whole = train_run(chosen, data, tmp_path / "whole", quiet)
     assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
@@ -109,7 +64,7 @@ def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
 
 def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(data, tmp_path) -> None:
     said: list[dict] = []
-    card_path = train_run(config(split="labels/T30"), data, tmp_path / "run", said.append)
+    card_path = train_run(run_config(split="labels/T30"), data, tmp_path / "run", said.append)
     result, card = said[-1], json.loads(card_path.read_text())
     (part,) = data.parts("labels/T30")
     assert result["samples"] == len(part.test)
@@ -127,7 +82,7 @@ def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(dat
 
 def test_validation_chooses_the_epoch_and_patience_ends(data, tmp_path) -> None:
     said: list[dict] = []
-    chosen = config(validation=0.25, patience=2, train={**BASE["train"], "epochs": 60, "learning_rate": 0.05})
+    chosen = run_config(validation=0.25, patience=2, train={**BASE["train"], "epochs": 60, "learning_rate": 0.05})
     card = train_run(chosen, data, tmp_path / "run", said.append)
     errors = [record["validation"] for record in said[:-1]]
     best = int(np.argmin(errors))
@@ -143,7 +98,7 @@ def test_validation_chooses_the_epoch_and_patience_ends(data, tmp_path) -> None:
 def test_a_loss_that_diverges_leaves_the_last_good_state(data, tmp_path) -> None:
     wild = {**BASE["train"], "epochs": 50, "optimiser": "sgd", "learning_rate": 10.0, "schedule": "constant"}
     with pytest.raises(DatasetError, match=r"not finite (in|after the last batch of) epoch"):
-        train_run(config(train=wild), data, tmp_path / "run", quiet)
+        train_run(run_config(train=wild), data, tmp_path / "run", quiet)
     if (tmp_path / "run" / STATE_FILE).exists():
         tensors, _ = read_state(tmp_path / "run" / STATE_FILE)
         assert all(torch.isfinite(value).all() for value in tensors.values())
@@ -151,25 +106,23 @@ def test_a_loss_that_diverges_leaves_the_last_good_state(data, tmp_path) -> None
 
 
 def test_a_run_becomes_no_other_run(data, tmp_path) -> None:
-    train_run(config(), data, tmp_path / "run", quiet)
+    train_run(run_config(), data, tmp_path / "run", quiet)
     with pytest.raises(FileError, match="holds a run already; --resume"):
-        train_run(config(), data, tmp_path / "run", quiet)
-    with pytest.raises(ConfigError, match=r"model: .* a run resumes as it began"):
-        train_run(config(model={**MODEL, "head_widths": [17]}), data, tmp_path / "run", quiet, resume=True)
+        train_run(run_config(), data, tmp_path / "run", quiet)
 
 
 def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
     out = tmp_path / "run"
     with pytest.raises(DatasetError, match="no sample is unlabelled; choose a split that withholds labels"):
-        train_run(config(method="srgan"), data, out, quiet)
+        train_run(run_config(method="srgan"), data, out, quiet)
     with pytest.raises(DatasetError, match="'time' has 5 parts; choose one: time/block 0"):
-        train_run(config(split="time"), data, out, quiet)
+        train_run(run_config(split="time"), data, out, quiet)
     with pytest.raises(DatasetError, match="'labels/T20' is none of labels/T10, labels/T30"):
-        train_run(config(split="labels/T20"), data, out, quiet)
+        train_run(run_config(split="labels/T20"), data, out, quiet)
     with pytest.raises(DatasetError, match="'day' is none of random, object, time, labels"):
-        train_run(config(split="day"), data, out, quiet)
+        train_run(run_config(split="day"), data, out, quiet)
     with pytest.raises(ConfigError, match="patience: needs validation"):
-        config(patience=3)
+        run_config(patience=3)
     assert not out.exists()
 
 
@@ -194,7 +147,7 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
 
 
 def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_path) -> None:
-    card = train_run(config(), data, tmp_path / "run", quiet)
+    card = train_run(run_config(), data, tmp_path / "run", quiet)
     judged = judge(card, data, data.parts("random"), baselines={})
     assert judged["samples"] == len(data.samples)
     assert judged["same_data"]
@@ -206,7 +159,7 @@ def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_pa
 def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name
-    run = config(method="contact", split=f"object/{part}", contact={"trees": 5})
+    run = run_config(method="contact", split=f"object/{part}", contact={"trees": 5})
     card = train_run(run, data, tmp_path / "run", said.append)
     assert said[-1]["status"] == "done"
     row = said[-1]["scores"]["model"]["PDC_TH"]
@@ -221,7 +174,7 @@ def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path)
 def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
     name = data.samples[0].object
     alone = Collection("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
-    card = train_run(config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
+    card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
     told = json.loads(card.read_text())
     assert told["calibration"] is None
     assert told["limits"][0].startswith("No calibration: ")
@@ -229,7 +182,7 @@ def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_
 
 def test_a_contact_model_has_no_validation() -> None:
     with pytest.raises(ConfigError, match="no epochs to choose from"):
-        config(method="contact", validation=0.2)
+        run_config(method="contact", validation=0.2)
 
 
 @pytest.mark.parametrize(
@@ -253,14 +206,14 @@ def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
 
 def test_a_cloud_without_the_channel_is_named(data, tmp_path) -> None:
     with pytest.raises(DatasetError, match=rf"{data.samples[0].id}: channels: the model needs xyz\+rgb"):
-        train_run(config(model={**MODEL, "channels": "xyz+rgb"}), data, tmp_path / "run", quiet)
+        train_run(run_config(model={**MODEL, "channels": "xyz+rgb"}), data, tmp_path / "run", quiet)
 
 
 def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
     pytest.importorskip("tensorboard", reason="an extra")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    train_run(config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
+    train_run(run_config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
     logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
     shown = EventAccumulator(str(tmp_path / "run" / BOARD_FOLDER))
     shown.Reload()
@@ -275,7 +228,7 @@ def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
 def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
-        train_run(config(tensorboard=True), data, tmp_path / "run", quiet)
+        train_run(run_config(tensorboard=True), data, tmp_path / "run", quiet)
 
 
 TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone"]
@@ -292,7 +245,7 @@ def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
     done = subprocess.run([*TWO, *words], capture_output=True, env=env, text=True, check=False, timeout=100)
     assert done.returncode == 0, done.stderr[-2000:]
     said: list[dict] = []
-    train_run(config(**changes), data, tmp_path / "one", said.append)
+    train_run(run_config(**changes), data, tmp_path / "one", said.append)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line.get("epoch") for line in lines] == [0, 1, None]  # the first process alone speaks
     for one, two in zip(said[:-1], lines[:-1], strict=True):

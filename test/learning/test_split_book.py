@@ -22,7 +22,7 @@ def facts(objects: int = 6, each: int = 20, unlabelled: int = 7) -> list[SampleF
 @pytest.fixture
 def book(tmp_path: Path) -> dict[str, list[SplitPart]]:
     (tmp_path / SPLITS_FILE).write_text(make_split_book(facts(), 3))
-    return read_split_book(tmp_path)
+    return read_split_book(tmp_path).parts
 
 
 def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
@@ -92,7 +92,7 @@ def test_the_seed_decides() -> None:
 def test_what_cannot_be_split_is_told() -> None:
     book = json.loads(make_split_book(facts(objects=1, each=6, unlabelled=0)))
     assert book["splits"].keys() == {"random", "time", "labels"}
-    assert book["omitted"] == {"object": "folds: 1 is fewer than 2"}
+    assert book["omitted"] == {"object": "folds: all samples are of o0; to keep groups apart takes 2"}
     assert set(json.loads(make_split_book([]))["omitted"]) == {"random", "object", "time", "labels"}
 
 

@@ -60,7 +60,7 @@ def test_grouped_folds_keep_objects_whole() -> None:
         (lambda: random_folds(4, 5, np.random.default_rng(0)), "4 samples are fewer than 5 folds"),
         (lambda: random_folds(4, 1, np.random.default_rng(0)), "folds: 1 is fewer than 2"),
         (lambda: time_folds(OBJECTS, list(range(18)), 6), "5 samples of b are fewer than 6 folds"),
-        (lambda: group_folds(["a"] * 4), "1 is fewer than 2"),
+        (lambda: group_folds(["a"] * 4), "folds: all samples are of a; to keep groups apart takes 2"),
         (lambda: group_folds(OBJECTS, 2), "needs an rng"),
     ],
 )

@@ -126,6 +126,9 @@ def _show(records: list[dict[str, Any]]) -> None:
     title = "touch models; skill by split: 0 is the training mean, 1 is perfect; coverage of objects left out"
     print_table(title, columns, rows)
     for record in records:
+        if record["status"] != "ok":
+            print(record["reason"])  # which names the file
+            continue
         for line in _lines(record):
             print(f"{record['name']}: {line}")
 
@@ -139,9 +142,7 @@ def _coverages(calibration: Mapping[str, Any] | None) -> str:
 
 
 def _lines(record: Mapping[str, Any]) -> list[str]:
-    """What the table has no room for."""
-    if record["status"] != "ok":
-        return [record["reason"]]
+    """What the table has no room for: summary, promise of the intervals and limits of a sound model."""
     lines = [str(record["card"].get("summary", ""))]
     calibration = record["calibration"]
     if calibration is not None:

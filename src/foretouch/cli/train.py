@@ -21,7 +21,7 @@ from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
-    from foretouch.learning.run import RunConfig
+    from foretouch.learning.run_config import RunConfig
 
 __all__ = ["add_arguments", "run"]
 
@@ -73,7 +73,7 @@ def print_now(record: Mapping[str, Any]) -> None:
 
 def _config(arguments: argparse.Namespace) -> RunConfig:
     mapping = load_yaml(arguments.config) | parse_overrides(arguments.overrides)
-    from foretouch.learning.run import RunConfig
+    from foretouch.learning.run_config import RunConfig
 
     return RunConfig.from_mapping(mapping, arguments.config)
 
@@ -86,16 +86,20 @@ def _progress() -> Iterator[tuple[Callable[[Mapping[str, Any]], None], dict[str,
 
     last: dict[str, Any] = {}
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("epoch", total=None)
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task("epoch", total=None)
 
-        def say(record: Mapping[str, Any]) -> None:
-            last.clear()
-            last.update(record)
-            if "losses" in record:
-                bar.update(task, total=record["epochs"], completed=record["epoch"] + 1, description=_words(record))
+    def say(record: Mapping[str, Any]) -> None:
+        last.clear()
+        last.update(record)
+        if "losses" in record:
+            bar.start()  # not before: a contact model has no epochs, and an error stands alone
+            bar.update(task, total=record["epochs"], completed=record["epoch"] + 1, description=_words(record))
 
+    try:
         yield say, last
+    finally:
+        bar.stop()
 
 
 def _words(record: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ class Collection:
         sha256: Over the samples in order: that of the training store they make.
         splits: The parts of each kind.
         aliases: Other hashes by which cards may name the same samples.
+        omitted: Why these samples have no such split, by kind.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Collection:
     sha256: str
     splits: dict[str, list[SplitPart]]
     aliases: tuple[str, ...] = ()
+    omitted: dict[str, str] = field(default_factory=dict)
 
     def parts(self, split: str) -> list[SplitPart]:
         """The parts of a split.
@@ -49,9 +51,11 @@ class Collection:
             split: `KIND`, such as "time", or `KIND/PART`, such as "labels/T50".
 
         Raises:
-            DatasetError: If these samples have no such split; tells those that they have.
+            DatasetError: If these samples have no such split; tells why, or those that they have.
         """
         kind, _, name = split.partition("/")
+        if kind in self.omitted:
+            raise DatasetError(f"{self.name}: split: {kind!r} cannot be made of these samples: {self.omitted[kind]}")
         if kind not in self.splits:
             raise DatasetError(f"{self.name}: split: {kind!r} is none of {', '.join(self.splits) or 'none'}")
         parts = [part for part in self.splits[kind] if name in ("", part.name)]
@@ -93,9 +97,9 @@ def load_collection(path: str | Path) -> Collection:
     for sample in samples:
         content.update(sample_digest(sample))
     if (path / SPLITS_FILE).is_file():
-        splits = read_split_book(path)
+        book = read_split_book(path)
     else:
         facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
-        splits = parse_split_book(make_split_book(facts))
+        book = parse_split_book(make_split_book(facts))
     aliases = (folder_sha256(path),) if opened.kind == "vision2tactile" else ()
-    return Collection(path.name, samples, content.hexdigest(), splits, aliases)
+    return Collection(path.name, samples, content.hexdigest(), book.parts, aliases, book.omitted)

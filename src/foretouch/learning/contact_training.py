@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.learning.splits import Fold, group_folds
 from foretouch.models.contact_estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact_features import OBJECT_FEATURES, ContactScene
@@ -55,9 +55,15 @@ def describe_samples(samples: Sequence[GraspSample]) -> Float64:
     """(S, len(FEATURES)) float64: each sample's own grasp on its own cloud.
 
     Raises:
-        CloudError: If a cloud cannot be used.
+        DatasetError: If a cloud cannot be used; named by id.
     """
-    return np.concatenate([ContactScene(sample.cloud.xyz).describe([sample.grasp]) for sample in samples])
+    rows = []
+    for sample in samples:
+        try:
+            rows.append(ContactScene(sample.cloud.xyz).describe([sample.grasp]))
+        except CloudError as err:
+            raise DatasetError(f"{sample.id}: {err}") from err
+    return np.concatenate(rows)
 
 
 def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cross-validation of a model and of the baselines on the same folds."""
+"""Cross-validation: a kind of model and the baselines, all trained anew on each fold; `judging` takes a model as it is."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["MODEL", "Evaluation", "HoldOut", "evaluate"]
 
-MODEL = "model"
+MODEL: Final = "model"
+"""Beside the names of the baselines: the model itself."""
+
 HoldOut = Callable[[Fold], Float64]
 """Fits to the training side of a fold and gives (T, 50) predictions of its test side [counts]."""
 

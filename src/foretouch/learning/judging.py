@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trained model and the baselines on the same samples of a split.
+"""A trained model and the baselines on the same samples of a split; `evaluation` trains anew on each fold instead.
 
 The baselines are fitted to the training side of each part. The model is taken as it is: where it was trained on
 these very samples, its figures say how well it remembers; `same_data` tells so where hash and card agree.
@@ -17,6 +17,7 @@ import numpy as np
 from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.collection import Collection
+from foretouch.learning.evaluation import MODEL
 from foretouch.learning.metrics import Score, score
 from foretouch.learning.split_book import SplitPart
 from foretouch.learning.train import predict_set
@@ -28,9 +29,7 @@ from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = ["MODEL", "judge"]
-
-MODEL = "model"
+__all__ = ["judge"]
 
 
 def judge(

@@ -27,6 +27,7 @@ __all__ = [
     "FOLDS",
     "RATIOS",
     "SPLITS_FILE",
+    "SplitBook",
     "SplitPart",
     "label_ratios",
     "make_split_book",
@@ -88,6 +89,19 @@ class SplitPart:
             seen.update(side)
 
 
+@dataclass(frozen=True)
+class SplitBook:
+    """What `splits.json` holds.
+
+    Attributes:
+        parts: By kind of split, in the order of the file.
+        omitted: By kind that the samples are too few for, the reason.
+    """
+
+    parts: dict[str, list[SplitPart]]
+    omitted: dict[str, str]
+
+
 def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
     """P2's label ratios.
 
@@ -144,8 +158,8 @@ def make_split_book(samples: Sequence[_Facts], seed: int = 0) -> str:
     return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
 
 
-def read_split_book(path: str | Path) -> dict[str, list[SplitPart]]:
-    """The splits of a store, by kind.
+def read_split_book(path: str | Path) -> SplitBook:
+    """The splits of a store.
 
     Args:
         path: The store, or its `splits.json`.
@@ -162,8 +176,8 @@ def read_split_book(path: str | Path) -> dict[str, list[SplitPart]]:
     return parse_split_book(text, file)
 
 
-def parse_split_book(text: str, file: str | Path = SPLITS_FILE) -> dict[str, list[SplitPart]]:
-    """The splits in the text of a `splits.json`, by kind.
+def parse_split_book(text: str, file: str | Path = SPLITS_FILE) -> SplitBook:
+    """The splits in the text of a `splits.json`.
 
     Args:
         text: Of `make_split_book`.
@@ -177,6 +191,7 @@ def parse_split_book(text: str, file: str | Path = SPLITS_FILE) -> dict[str, lis
         if book["schema_version"] != _VERSION:
             raise FileError(file, f"{book['schema_version']} is not {_VERSION}", field="schema_version")
         kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in book["splits"].items()}
+        omitted = {str(kind): str(reason) for kind, reason in book.get("omitted", {}).items()}
     except (ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
     for parts in kinds.values():
@@ -185,7 +200,7 @@ def parse_split_book(text: str, file: str | Path = SPLITS_FILE) -> dict[str, lis
                 part.require_disjoint()
             except DatasetError as err:
                 raise FileError(file, str(err)) from err
-    return kinds
+    return SplitBook(kinds, omitted)
 
 
 def _random(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:

@@ -109,10 +109,12 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
         rng: Shuffles the groups; needed with `folds`.
 
     Raises:
-        DatasetError: If there are fewer groups than folds, or fewer than two folds.
+        DatasetError: If there is one group only, fewer groups than folds, or fewer than two folds.
     """
     members = _by_group(groups)
     names = sorted(members)
+    if len(names) == 1:
+        raise DatasetError(f"folds: all samples are of {names[0]}; to keep groups apart takes 2")
     _check(len(names), len(names) if folds is None else folds, "groups")
     if folds is None:
         parts = [[name] for name in names]

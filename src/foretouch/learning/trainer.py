@@ -93,18 +93,20 @@ class Trainer(ABC):
         """Go on from a snapshot as if nothing had been in between.
 
         Raises:
-            ModelError: If it is of another architecture.
+            ModelError: If it is of another architecture or damaged; names the first tensor that does not fit.
         """
         try:
             for name, module in self.modules.items():
-                module.load_state_dict(_under(name, tensors))
+                own = _under(name, tensors)
+                _require_shapes(name, module.state_dict(), own)
+                module.load_state_dict(own)
             for name, stepper in self.steppers.items():
                 stepper.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
         except (RuntimeError, KeyError, TypeError, ValueError) as err:
-            raise ModelError(f"state of training: is of another architecture: {' '.join(str(err).split())}") from err
+            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
 
     def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
         """Stop before a step that would spoil the weights.
@@ -177,6 +179,16 @@ def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Ite
     shuffled = rng.permutation(index)
     for start in range(0, len(shuffled) - size + 1, size):
         yield shuffled[start : start + size]
+
+
+def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
+    """Check that a module's tensors are all there and fit; torch's own message lists every one that does not."""
+    for key, value in wanted.items():
+        if key not in found:
+            raise ModelError(f"{name}/{key}: is missing, so it is of another architecture")
+        if found[key].shape != value.shape:
+            shapes = f"{tuple(found[key].shape)} is not {tuple(value.shape)}"
+            raise ModelError(f"{name}/{key}: {shapes}, so it is of another architecture")
 
 
 def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
