@@ -147,6 +147,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
         else:
             _draw_until(ended, graph, title)
     except KeyboardInterrupt:
+        graph.stop_source()  # or answers would still come after the counts
         return True
     if replay is None or not replay.ended.is_set():
         graph.stop_source()
