@@ -99,7 +99,8 @@ def _progress() -> Iterator[tuple[Callable[[Mapping[str, Any]], None], dict[str,
     try:
         yield say, last
     finally:
-        bar.stop()
+        if bar.live.is_started:
+            bar.stop()
 
 
 def _words(record: Mapping[str, Any]) -> str:
