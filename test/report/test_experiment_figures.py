@@ -60,3 +60,21 @@ def test_published_errors_stand_beside_ours(axes) -> None:
 def test_someone_s_own_experiment_has_no_figure(tmp_path) -> None:
     assert draw_figures("counting", [{"number": 1}], tmp_path) == []
     assert {"cross_validation", "time_blocked", "cross_type", "unseen_object"} <= set(FIGURES)
+
+
+def test_a_course_out_of_the_panel_is_told_at_its_edge(axes) -> None:
+    rows = [
+        {"object": "cup", "touches": touches, "skill": skill, "skill_low": None, "skill_high": None}
+        for touches, skill in ((0, -3.0), (1, -2.0), (3, 0.2))
+    ]
+    draw_course(axes, rows, "object", ["cup"], -0.5)
+    assert [line for line in lines(axes) if len(line[0]) == 1] == [([0.0], [-0.5]), ([1.0], [-0.5])]
+    assert axes.get_ylim() == (-0.5, 1.0)
+
+
+def test_markers_at_one_table_stand_beside_each_other(axes) -> None:
+    rows = [{"predictor": name, "table": "within", "rmse": 40.0} for name in ("mean", "trees", "contact")]
+    draw_errors(axes, rows, ["within"])
+    places = [places[0] for places, _ in lines(axes)]
+    assert places == sorted(set(places))
+    assert sum(places) == pytest.approx(0.0)

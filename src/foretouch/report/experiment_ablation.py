@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["draw", "draw_differences"]
 
-Rows = Sequence[Mapping[str, Any]]
-
-_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _REFERENCES: Final = ("full", "nothing")
 _LEAST: Final = -0.3
 """What lies below is drawn at this edge, as an arrow with its number."""
@@ -25,23 +23,23 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     """`ablation.png`: tables below each other, modalities side by side."""
     tables = list(dict.fromkeys(row["table"] for row in rows))
     sizes = [len({row["predictor"] for row in rows if row["table"] == table}) - 1 for table in tables]
-    figure = Figure(figsize=(15.0, 0.6 + sum(0.9 + 0.22 * size for size in sizes)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(15.0, 0.6 + sum(0.9 + 0.22 * size for size in sizes))
     ratios = [3.0 + size for size in sizes]
-    grid = figure.subplots(len(tables), len(_MODALITIES), squeeze=False, height_ratios=ratios, sharey="row")
+    grid = figure.subplots(
+        len(tables), len(MODALITIES), squeeze=False, height_ratios=ratios, sharex="row", sharey="row"
+    )
     for line, table in zip(grid, tables, strict=True):
         mine = [row for row in rows if row["table"] == table]
         reference = next(name for name in _REFERENCES if any(row["predictor"] == name for row in mine))
         who = list(dict.fromkeys(row["predictor"] for row in mine if row["predictor"] != reference))
-        for axes, modality in zip(line, _MODALITIES, strict=True):
+        for axes, modality in zip(line, MODALITIES, strict=True):
             shown = [row for row in mine if row["modality"] == modality and row["predictor"] != reference]
             draw_differences(axes, shown, who, f"vs_{reference}")
             axes.set_title(f"{table}: {modality}", fontsize=8)
         line[0].set_xlabel(f"skill less that of `{reference}`", fontsize=8)
-        line[0].invert_yaxis()
-    path = folder / "ablation.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+        line[0].set_ylim(len(who) - 0.5, -0.5)
+    figure.suptitle("green: better, red: worse, grey: a tie; 95 % interval by bootstrap over objects", fontsize=9)
+    return [save(figure, folder / "ablation.png")]
 
 
 def draw_differences(axes: Axes, rows: Rows, who: Sequence[str], column: str) -> None:

@@ -3,35 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["draw", "draw_ceiling"]
-
-Rows = Sequence[Mapping[str, Any]]
-
-_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 
 def draw(rows: Rows, folder: Path) -> list[Path]:
     """`ceiling.png`: modalities side by side."""
     names = list(dict.fromkeys(row["name"] for row in rows))
-    figure = Figure(figsize=(13.0, 1.2 + 0.35 * len(names)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(_MODALITIES), sharey=True, sharex=True)
-    for axes, modality in zip(panels, _MODALITIES, strict=True):
+    figure = new_figure(13.0, 1.2 + 0.35 * len(names))
+    panels = figure.subplots(1, len(MODALITIES), sharey=True, sharex=True)
+    for axes, modality in zip(panels, MODALITIES, strict=True):
         draw_ceiling(axes, [row for row in rows if row["modality"] == modality], names)
         axes.set_title(modality)
         axes.set_xlabel("skill (0: training mean)")
     panels[0].invert_yaxis()
-    path = folder / "ceiling.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+    return [save(figure, folder / "ceiling.png")]
 
 
 def draw_ceiling(axes: Axes, rows: Rows, names: Sequence[str]) -> None:

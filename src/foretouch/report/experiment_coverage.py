@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["draw", "draw_coverage", "draw_widths"]
 
-Rows = Sequence[Mapping[str, Any]]
-
-_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _AIM: Final = 0.9
 _SOUGHT: Final = (0.85, 0.95)
 
@@ -23,12 +20,11 @@ _SOUGHT: Final = (0.85, 0.95)
 def draw(rows: Rows, folder: Path) -> list[Path]:
     """`coverage.png`: a line of panels for each ground, with a tare and without: modalities, then their widths."""
     grounds = list(dict.fromkeys((row["ground"], row["tare"]) for row in rows))
-    figure = Figure(figsize=(16.0, 0.6 + 2.5 * len(grounds)), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(grounds), len(_MODALITIES) + 1, squeeze=False)
+    figure = new_figure(16.0, 0.6 + 2.5 * len(grounds))
+    grid = figure.subplots(len(grounds), len(MODALITIES) + 1, squeeze=False)
     for line, (ground, tare) in zip(grid, grounds, strict=True):
         mine = [row for row in rows if (row["ground"], row["tare"]) == (ground, tare)]
-        for axes, modality in zip(line, _MODALITIES, strict=False):
+        for axes, modality in zip(line, MODALITIES, strict=False):
             draw_coverage(axes, [row for row in mine if row["modality"] == modality])
             axes.set_title(modality, fontsize=10)
         line[0].set_ylabel(f"{ground}{', tare' if tare else ''}\ncoverage")
@@ -37,9 +33,7 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     for axes in grid[-1]:
         axes.set_xlabel("touches")
     grid[0, -1].legend(fontsize=7, loc="lower left")
-    path = folder / "coverage.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+    return [save(figure, folder / "coverage.png")]
 
 
 def draw_coverage(axes: Axes, rows: Rows) -> None:
@@ -66,7 +60,7 @@ def draw_coverage(axes: Axes, rows: Rows) -> None:
 def draw_widths(axes: Axes, rows: Rows) -> None:
     """Of all objects together, a line for each modality."""
     counts = sorted({row["touches"] for row in rows})
-    for number, modality in enumerate(_MODALITIES):
+    for number, modality in enumerate(MODALITIES):
         mine = sorted((row for row in rows if row["modality"] == modality), key=lambda row: row["touches"])
         places = [counts.index(row["touches"]) for row in mine]
         axes.plot(places, [row["width"] for row in mine], marker="o", color=f"C{number}", label=modality, markersize=4)

@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["LEAST_SKILL", "draw", "draw_skills"]
 
-Rows = Sequence[Mapping[str, Any]]
-
 LEAST_SKILL: Final = -1.5
 """What lies below is drawn at this edge, as an arrow with its number."""
-
-_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 
 def draw(rows: Rows, folder: Path) -> list[Path]:
@@ -28,19 +25,16 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     tables = list(dict.fromkeys(row["table"] for row in shown))
     who = list(dict.fromkeys(row["predictor"] for row in shown))
     height = 1.0 + len(tables) * (0.7 + 0.3 * len(who))
-    figure = Figure(figsize=(12.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(tables), len(_MODALITIES), squeeze=False, sharey=True, sharex=True)
+    figure = new_figure(12.0, height)
+    grid = figure.subplots(len(tables), len(MODALITIES), squeeze=False, sharey=True, sharex=True)
     for line, table in zip(grid, tables, strict=True):
-        for axes, modality in zip(line, _MODALITIES, strict=True):
+        for axes, modality in zip(line, MODALITIES, strict=True):
             draw_skills(axes, [r for r in shown if r["table"] == table and r["modality"] == modality], who)
             axes.set_title(f"{table}: {modality}", fontsize=10)
-    grid[0, 0].invert_yaxis()
+    grid[0, 0].set_ylim(len(who) - 0.5, -0.5)
     for axes in grid[-1]:
         axes.set_xlabel("skill (0: training mean)")
-    path = folder / "skill.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+    return [save(figure, folder / "skill.png")]
 
 
 def draw_skills(axes: Axes, rows: Rows, who: Sequence[str]) -> None:

@@ -7,19 +7,16 @@ competition with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from foretouch.learning.experiments.label_ratio_table import P2_LOWEST, tally
+from foretouch.report.panels import Rows, new_figure, save
 
 __all__ = ["draw", "draw_changes", "draw_errors"]
-
-Rows = Sequence[Mapping[str, Any]]
 
 _MODELS: Final = (("pointnet", "P", "#8d99ae"), ("srgan", "S", "#00798c"))
 _BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees on geometry", "#edae49"))
@@ -31,8 +28,7 @@ _LEAST_SPAN: Final = 5.0  # of a change [%] that the axis shows at least
 def draw(rows: Rows, folder: Path) -> list[Path]:
     """`figure.png`: modalities side by side."""
     names = list(dict.fromkeys(row["modality"] for row in rows))
-    figure = Figure(figsize=(3.6 * len(names) + 0.6, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(3.6 * len(names) + 0.6, 7.2)
     above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
     for top, bottom, name in zip(above, below, names, strict=True):
         mine = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
@@ -43,9 +39,7 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     below[0].set_ylabel("change of the RMSE by the SR-GAN [%]\n95 % interval")
     figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=5)
     figure.suptitle("; ".join(tally(rows)), fontsize=10)
-    path = folder / "figure.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+    return [save(figure, folder / "figure.png")]
 
 
 def draw_errors(axes: Axes, rows: Rows) -> None:
