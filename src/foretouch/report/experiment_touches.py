@@ -38,8 +38,8 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
         axes.set_xlabel("touches of the new object")
     above[0].set_ylabel("skill, all objects, 95 % interval")
     below[0].set_ylabel(f"skill, {chosen}, each object")
-    for place, axes in (("upper", above[0]), ("lower", below[0])):
-        figure.legend(*axes.get_legend_handles_labels(), loc=f"outside right {place}", fontsize=8)
+    figure.legend(*above[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+    figure.legend(*below[0].get_legend_handles_labels(), loc="outside right lower", fontsize=8)
     return [save(figure, folder / "touches.png")]
 
 
