@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.samples import only_finite, open_samples
@@ -17,11 +16,10 @@ from foretouch.dataset.store import sample_digest
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
 from foretouch.learning.split_book import SPLITS_FILE, SplitPart, make_split_book, parse_split_book, read_split_book
+from foretouch.learning.splits import Indices
 from foretouch.types import GraspSample
 
 __all__ = ["Collection", "load_collection"]
-
-Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,10 @@ from foretouch.learning.division import Division, divide
 from foretouch.learning.run_card import add_scores, run_facts
 from foretouch.learning.run_config import RunConfig
 from foretouch.learning.run_folder import BOARD_FOLDER, RunFolder
+from foretouch.learning.splits import Indices
 from foretouch.learning.srgan import SrganTrainer
 from foretouch.learning.train import SupervisedTrainer, predict_set
-from foretouch.learning.trainer import Indices, Trainer
+from foretouch.learning.trainer import Trainer
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.checkpoint import save_network
 from foretouch.models.familiarity import Familiarity

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +23,15 @@ import numpy.typing as npt
 from foretouch.errors import DatasetError
 from foretouch.types import GraspSample
 
-__all__ = ["SPLITS", "Fold", "group_folds", "make_folds", "random_folds", "time_folds"]
+__all__ = ["SPLITS", "Fold", "Indices", "group_folds", "make_folds", "random_folds", "time_folds"]
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""
 
 _FOLDS: Final = 5
 
-Indices = npt.NDArray[np.intp]
+Indices: TypeAlias = npt.NDArray[np.intp]
+"""(S,) places of samples."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,9 +43,10 @@ from foretouch.learning.losses import (
 )
 from foretouch.learning.place import Place, PlaceConfig
 from foretouch.learning.ranks import ONE_RANK
+from foretouch.learning.splits import Indices
 from foretouch.learning.stepper import OPTIMISERS, SCHEDULES, Stepper, StepRule
 from foretouch.learning.train import set_target_scaling
-from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
+from foretouch.learning.trainer import Trainer, shuffled_batches
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.generator import CloudGenerator, GeneratorConfig, draw_noise
 from foretouch.models.normalisation import Inputs, calibrate, freeze, statistics_kept

@@ -20,15 +20,15 @@ from foretouch.errors import DatasetError
 from foretouch.learning.augment import turn, viewing_axis_rotations
 from foretouch.learning.losses import labeled_loss
 from foretouch.learning.place import Place, PlaceConfig
-from foretouch.learning.stepper import Stepper, StepRule
-from foretouch.learning.trainer import Indices, Trainer, shuffled_batches
+from foretouch.learning.splits import Indices
+from foretouch.learning.stepper import OPTIMISERS, SCHEDULES, Stepper, StepRule
+from foretouch.learning.trainer import Trainer, shuffled_batches
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.regressor import TouchNet
-from foretouch.models.settings import ModelConfig
 from foretouch.tactile.modalities import columns, modality_size
 from foretouch.types import Float64
 
-__all__ = ["SupervisedTrainer", "TrainConfig", "predict_set", "set_target_scaling", "train_network", "training_loss"]
+__all__ = ["SupervisedTrainer", "TrainConfig", "predict_set", "set_target_scaling", "train_network"]
 
 Report = Callable[[int, float], None]
 
@@ -41,10 +41,10 @@ class TrainConfig(PlaceConfig):
 
     epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
     batch_size: int = setting(32, "Samples of one step", minimum=2, maximum=4096)
-    optimiser: str = setting("adamw", "Rule of the steps", choices=("adamw", "adam", "sgd"))
+    optimiser: str = setting("adamw", "Rule of the steps", choices=OPTIMISERS)
     learning_rate: float = setting(1e-3, "Largest step", minimum=1e-7, maximum=10.0)
     weight_decay: float = setting(1e-2, "Pull of the weights to zero", minimum=0.0, maximum=10.0)
-    schedule: str = setting("cosine", "Course of the learning rate", choices=("cosine", "constant"))
+    schedule: str = setting("cosine", "Course of the learning rate", choices=SCHEDULES)
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
     target_scaling: str = setting(
         "standardised",
@@ -154,20 +154,6 @@ def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
     else:
         mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)
     net.set_scaling(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
-
-
-def training_loss(scaled: Tensor, target: Tensor, config: ModelConfig, kind: str) -> Tensor:
-    """Mean over the modalities of their mean squared error, or of its root (P1; P2, eq. 2).
-
-    Each modality counts alike, so that 24 electrodes do not drown one pressure.
-
-    Args:
-        scaled: (B, M) predictions.
-        target: (B, M) labels on the same scale.
-        config: Tells the modalities of the outputs.
-        kind: `mse` or `rmse`.
-    """
-    return labeled_loss(scaled, target, [modality_size(name) for name in config.outputs], kind)
 
 
 @torch.inference_mode()

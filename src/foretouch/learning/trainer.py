@@ -9,19 +9,17 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.place import Place
+from foretouch.learning.splits import Indices
 from foretouch.learning.stepper import Stepper
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.regressor import TouchNet
 
-__all__ = ["Indices", "Trainer", "shuffled_batches"]
-
-Indices = npt.NDArray[np.intp]
+__all__ = ["Trainer", "shuffled_batches"]
 
 _TORCH_RNG = "torch_rng"
 _CUDA_RNG = "cuda_rng"

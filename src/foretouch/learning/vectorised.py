@@ -19,9 +19,9 @@ from torch.func import functional_call, stack_module_state
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.losses import labeled_loss
+from foretouch.learning.splits import Indices
 from foretouch.learning.stepper import Stepper, StepRule
 from foretouch.learning.train import SupervisedTrainer, TrainConfig
-from foretouch.learning.trainer import Indices
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.pointnet import Layer
 from foretouch.models.regressor import TouchNet

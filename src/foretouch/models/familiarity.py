@@ -3,7 +3,9 @@
 
 Five lengths describe a grasp on a cloud. A prediction is `unfamiliar` when one of them leaves the span
 seen in training by more than a tenth of that span. The rule finds the absurd (a house instead of a can, metres
-mistaken for millimetres, a grasp beside the object); an object of another make and of usual size passes it.
+mistaken for millimetres, a grasp beside the object); an object of another make and of usual size passes it. Whether
+the object is one of those trained on is the question of `novelty`, which looks at the cloud alone, and not at the grasp. Networks
+ask both; a contact model asks the second alone.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 
 The distance of a cloud's sizes from the nearest clouds of training, against what is usual within the
 training objects. On the public recordings it tells nine in ten grasps on an object that was left out, at one false alarm in
-twenty; objects that look alike in size and shape pass, and no camera can tell them.
+twenty; objects that look alike in size and shape pass, and no camera can tell them. (`familiarity` asks of a network
+whether cloud and grasp are absurd.)
 """
 
 from __future__ import annotations

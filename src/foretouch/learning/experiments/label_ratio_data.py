@@ -20,7 +20,7 @@ from foretouch.config import setting
 from foretouch.errors import CloudError, DatasetError
 from foretouch.learning.collection import Collection
 from foretouch.learning.experiments.simulated_data import SimulatedGrasps, SimulatedSettings, load_simulated
-from foretouch.learning.trainer import Indices
+from foretouch.learning.splits import Indices
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.models.settings import ModelConfig
