@@ -102,8 +102,8 @@ DESCRIPTIONS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _plain,
 }
-"""By name, (S, F) rows; the first columns are those of the object, which familiarity is told by. `geometry_features` are what the
-trees of the baselines are given, beside the object's columns."""
+"""By name, (S, F) rows; the first columns are those of the object, which familiarity is told by. `geometry_features` are
+what the trees of the baselines are given, beside the object's columns."""
 
 
 @dataclass(frozen=True, eq=False)

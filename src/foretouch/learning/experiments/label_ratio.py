@@ -3,9 +3,10 @@
 
 Of 3200 training samples 10, 30, 50, 70 or 90 % lose their labels (T10...T90). The SR-GAN learns from all of them and from
 fake clouds, the PointNet from those with labels; both are judged on the same 800 test samples, in several runs, each
-modality by a network of its own. Beside them stand the mean of the labels that were kept and trees that learned from these
-on the geometry of the grasps, for a gain over a network that trees outdo is worth knowing as such. `label_ratio_training` tells how both are trained, `label_ratio_table` how they are
-compared, and `label_ratio_tuning` how the trials that stand in the presets were chosen.
+modality by a network of its own. Beside them stand the mean of the labels that were kept and trees that learned from
+these on the geometry of the grasps, for a gain over a network that trees outdo is worth knowing as such.
+`label_ratio_training` tells how both are trained, `label_ratio_table` how they are compared, and `label_ratio_tuning` how
+the trials that stand in the presets were chosen.
 """
 
 from __future__ import annotations

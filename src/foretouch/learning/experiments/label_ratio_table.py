@@ -3,15 +3,16 @@
 
 With e_mri the squared error of model m in run r on test sample i, the RMSE of a run is the root of its mean over i, and
 
-    change = 100 (mean_r RMSE_srgan,r - mean_r RMSE_pointnet,r) / mean_r RMSE_pointnet,r     [%, below 0 where the SR-GAN errs less]   (1)
+    change = 100 (mean_r RMSE_srgan,r - mean_r RMSE_pointnet,r) / mean_r RMSE_pointnet,r     [%]   (1)
 
-Both models have the same test samples and, run by run, the same seed, so their errors are compared in pairs. Two things
-are left to chance. Which grasps are tested: they are drawn again with replacement, within each object, for P2's
-four objects are all there are; the same draw for both models and all runs. And the runs: with d_r the difference of a run and s its
-deviation over R runs, s / √R times a draw from Student's t with R - 1 degrees of freedom is added, since to draw
-again out of three or five runs would make them seem more alike than they are (the variance of such draws is
-short by (R - 1) / R, and their tails are those of a normal). The interval is that between the 2.5 and 97.5 percentiles
-of the sum, over the mean RMSE of the PointNet. It speaks of these objects, this split and these settings.
+It is below 0 where the SR-GAN errs less. Both models have the same test samples and, run by run, the same seed, so
+their errors are compared in pairs. Two things are left to chance. Which grasps are tested: they are drawn again with
+replacement, within each object, for P2's four objects are all there are; the same draw for both models and all runs.
+And the runs: with d_r the difference of a run and s its deviation over R runs, s / √R times a draw from Student's t
+with R - 1 degrees of freedom is added, since to draw again out of three or five runs would make them seem more alike
+than they are (the variance of such draws is short by (R - 1) / R, and their tails are those of a normal). The
+interval is that between the 2.5 and 97.5 percentiles of the sum, over the mean RMSE of the PointNet. It speaks of
+these objects, this split and these settings.
 """
 
 from __future__ import annotations

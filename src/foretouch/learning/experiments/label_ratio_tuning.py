@@ -3,8 +3,8 @@
 
 At a ratio, a quarter of the samples *that kept their labels* is held back, each network is trained on the other
 three quarters as in `label_ratio`, and the trial with the lowest error on what was held back is chosen: one for each
-model, ratio and kind of modality, pressures or electrodes (`quick` looks at one modality of each kind). Neither a test sample nor a label that the ratio withholds has a say. T90's choice
-serves T70 too, T50's the ratios with more labels.
+model, ratio and kind of modality, pressures or electrodes (`quick` looks at one modality of each kind). Neither a test
+sample nor a label that the ratio withholds has a say. T90's choice serves T70 too, T50's the ratios with more labels.
 """
 
 from __future__ import annotations
