@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from foretouch.learning.run_config import RunConfig
+from foretouch.learning.run_config import IDLE, RunConfig
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {
@@ -23,8 +23,10 @@ BASE: dict[str, Any] = {
 
 
 def run_config(**changes: Any) -> RunConfig:
-    """`BASE` with some groups replaced."""
-    return RunConfig.from_mapping({**BASE, **changes})
+    """`BASE` with some groups replaced, without those that the method does not look at."""
+    given = {**BASE, **changes}
+    idle = IDLE[given.get("method", "supervised")]
+    return RunConfig.from_mapping({key: value for key, value in given.items() if key not in idle})
 
 
 def quiet(_record: Mapping[str, Any]) -> None:

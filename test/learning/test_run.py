@@ -45,7 +45,7 @@ def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) 
 @pytest.mark.slow
 def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
     file = tmp_path / "tiny.yaml"
-    file.write_text(yaml.safe_dump({**BASE, "train": {"epochs": 120, "batch_size": 8}}))
+    file.write_text(yaml.safe_dump(run_config(train={"epochs": 120, "batch_size": 8}).to_mapping()))
     words = [sys.executable, "-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "--resume"]
     words += ["-o", str(tmp_path / "run")]
     env = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -239,7 +239,7 @@ def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
     """Started as a user starts them; gradients are compared in test_ranks."""
     changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
     file = tmp_path / "tiny.yaml"
-    file.write_text(yaml.safe_dump({**BASE, **changes}))
+    file.write_text(yaml.safe_dump(run_config(**changes).to_mapping()))
     words = ["-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "-o", str(tmp_path / "two")]
     env = {**os.environ, "OMP_NUM_THREADS": "1"}
     done = subprocess.run([*TWO, *words], capture_output=True, env=env, text=True, check=False, timeout=100)

@@ -15,6 +15,7 @@ from safetensors.torch import load_file
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.collection import Collection, load_collection
 from foretouch.learning.run import train_run
+from foretouch.learning.run_config import RunConfig
 from foretouch.learning.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder
 from foretouch.learning.training_state import read_state
 from foretouch.models.registry import load_model
@@ -29,6 +30,21 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def with_first(data: Collection, sample: GraspSample) -> Collection:
     return replace(data, samples=(sample, *data.samples[1:]))
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"method": "contact", "train": {"epochs": 3}}, "train.epochs: has no effect on method 'contact'"),
+        ({"method": "contact", "model": MODEL}, "model.n_points: has no effect on method 'contact'"),
+        ({"method": "srgan", "train": {"batch_size": 3}}, "train.batch_size: has no effect on method 'srgan'"),
+        ({"contact": {"trees": 3}}, "contact.trees: has no effect on method 'supervised'"),
+    ],
+)
+def test_settings_of_another_method_are_refused(given: dict, field: str) -> None:
+    with pytest.raises(ConfigError, match=f"RunConfig.{field}"):
+        RunConfig.from_mapping(given)
+    RunConfig.from_mapping({"method": given.get("method", "supervised")})
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
@@ -12,7 +13,14 @@ from foretouch.learning.srgan import SrganConfig
 from foretouch.learning.train import TrainConfig
 from foretouch.models.settings import ModelConfig
 
-__all__ = ["RunConfig"]
+__all__ = ["IDLE", "RunConfig"]
+
+IDLE: Final = {
+    "supervised": ("srgan", "contact"),
+    "srgan": ("train", "contact"),
+    "contact": ("model", "train", "srgan"),
+}
+"""By method, the settings that it does not look at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +28,8 @@ class RunConfig(Settings):
     """A model to train, and on what.
 
     Raises:
-        ConfigError: If a setting is out of its bounds, patience is given without validation, or validation for a contact model.
+        ConfigError: If a setting is out of its bounds or of a method that is not used, patience is given without validation, or
+            validation for a contact model.
     """
 
     name: str = setting("touchnet", "Name of the model and of its files")
@@ -47,6 +56,12 @@ class RunConfig(Settings):
             raise ConfigError("RunConfig.patience: needs validation above 0, for nothing else may stop a training")
         if self.method == "contact" and self.validation > 0.0:
             raise ConfigError("RunConfig.validation: a contact model has no epochs to choose from; leave it at 0")
+        for name in IDLE[self.method]:
+            given: Settings = getattr(self, name)
+            default = type(given)().to_mapping()
+            changed = [key for key, value in given.to_mapping().items() if value != default[key]]
+            if changed:
+                raise ConfigError(f"RunConfig.{name}.{changed[0]}: has no effect on method {self.method!r}")
 
     @property
     def seed(self) -> int:
