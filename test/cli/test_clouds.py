@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 
 from foretouch.cloud.files import read_cloud
+from foretouch.models.registry import find_card
 from foretouch.pipeline import ASSUMED_TABLE, Pipeline
 
 Call = Callable[..., Any]
@@ -94,8 +97,12 @@ def test_predict_gives_50_values_within_their_bounds(call: Call, files: Path) ->
     assert len(record["model"]["sha256"]) == 64
 
 
-def test_bounds_are_null_without_calibration(call: Call, files: Path) -> None:
-    (record,) = call("predict", files / "object.pcd", "--json", "--model", "touchnet-v1").records
+def test_bounds_are_null_without_calibration(call: Call, files: Path, tmp_path: Path) -> None:
+    shipped = find_card("touchnet-v1")
+    shutil.copy(shipped.with_suffix(".safetensors"), tmp_path)
+    bare = tmp_path / shipped.name
+    bare.write_text(json.dumps({**json.loads(shipped.read_text()), "calibration": None}))
+    (record,) = call("predict", files / "object.pcd", "--json", "--model", bare).records
     (one,) = record["predictions"]
     assert np.isfinite(fifty(one, "value")).all()
     assert all(one[name][key] is None for name in ("PDC_TH", "E_MF") for key in ("lower", "upper"))

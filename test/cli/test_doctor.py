@@ -32,7 +32,8 @@ def test_another_version_is_a_mismatch_with_the_line_that_mends_it(monkeypatch: 
 
 def test_an_absent_package_is_missing_unless_only_the_camera_needs_it() -> None:
     assert doctor._pin("no-such-package", "1", None).state == "missing"
-    assert doctor._pin("no-such-package", "1", "camera").state == "optional"
+    for extra in ("camera", "sweep", "tensorboard"):
+        assert doctor._pin("no-such-package", "1", extra).state == "optional"
 
 
 def test_a_crash_of_a_library_does_not_end_the_doctor() -> None:
