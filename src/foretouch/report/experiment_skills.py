@@ -44,7 +44,9 @@ def draw_skills(axes: Axes, rows: Rows, who: Sequence[str]) -> None:
         colour = f"C{place % 10}"
         if row["skill"] < LEAST_SKILL:
             axes.plot(LEAST_SKILL, place, marker="<", color=colour, clip_on=False)
-            axes.annotate(f" {row['skill']:.1f}", (LEAST_SKILL, place), va="center", fontsize=8)
+            axes.annotate(
+                f"{row['skill']:.1f}", (LEAST_SKILL, place), (6, 0), textcoords="offset points", va="center", fontsize=8
+            )
             continue
         axes.plot(row["skill"], place, marker="o", color=colour)
         if row["skill_low"] is not None:
