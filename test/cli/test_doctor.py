@@ -30,8 +30,9 @@ def test_another_version_is_a_mismatch_with_the_line_that_mends_it(monkeypatch: 
     assert "0.1" in found.found
 
 
-def test_an_absent_package_is_missing_unless_only_the_camera_needs_it() -> None:
-    assert doctor._pin("no-such-package", "1", None).state == "missing"
+def test_an_absent_package_is_missing_unless_only_an_extra_needs_it() -> None:
+    for needed in (None, "ros"):
+        assert doctor._pin("no-such-package", "1", needed).state == "missing"
     for extra in ("camera", "sweep", "tensorboard"):
         assert doctor._pin("no-such-package", "1", extra).state == "optional"
 

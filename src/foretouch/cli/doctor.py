@@ -102,7 +102,7 @@ def _pin(name: str, wanted: str, extra: str | None) -> Finding:
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        state: State = "optional" if extra in {"camera", "sweep", "tensorboard"} else "missing"
+        state: State = "missing" if extra in {None, "ros"} else "optional"
         return Finding(name, state, "absent", f"pip install {name}=={wanted}")
     if found.split("+")[0] != wanted:
         return Finding(name, "mismatch", f"{found}, tested with {wanted}", f"pip install {name}=={wanted}")

@@ -22,7 +22,15 @@ from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P2_RANGES, TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = ["ContactConfig", "describe_samples", "fit_contact", "object_folds", "rest_level", "resting_labels"]
+__all__ = [
+    "ContactConfig",
+    "describe_objects",
+    "describe_samples",
+    "fit_contact",
+    "object_folds",
+    "rest_level",
+    "resting_labels",
+]
 
 _FEWEST_SAMPLES: Final = 5
 _MOST_FOLDS: Final = 10
@@ -57,13 +65,23 @@ def describe_samples(samples: Sequence[GraspSample]) -> Float64:
     Raises:
         DatasetError: If a cloud cannot be used; named by id.
     """
-    rows = []
-    for sample in samples:
-        try:
-            rows.append(ContactScene(sample.cloud.xyz).describe([sample.grasp]))
-        except CloudError as err:
-            raise DatasetError(f"{sample.id}: {err}") from err
-    return np.concatenate(rows)
+    return np.concatenate([_scene(sample).describe([sample.grasp]) for sample in samples])
+
+
+def describe_objects(samples: Sequence[GraspSample]) -> Float64:
+    """(S, len(OBJECT_FEATURES)) float64: each sample's cloud, whatever its grasp.
+
+    Raises:
+        DatasetError: If a cloud cannot be used; named by id.
+    """
+    return np.array([_scene(sample).object_features for sample in samples])
+
+
+def _scene(sample: GraspSample) -> ContactScene:
+    try:
+        return ContactScene(sample.cloud.xyz)
+    except CloudError as err:
+        raise DatasetError(f"{sample.id}: {err}") from err
 
 
 def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:

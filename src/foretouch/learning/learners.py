@@ -11,13 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.learning.contact_training import ContactConfig, describe_samples, fit_contact
+from foretouch.learning.contact_training import ContactConfig, describe_objects, describe_samples, fit_contact
 from foretouch.learning.splits import Fold
 from foretouch.learning.train import TrainConfig, predict_set, train_network
 from foretouch.learning.training_set import TrainingSet
 from foretouch.models.contact_checkpoint import save_contact
 from foretouch.models.contact_estimator import ContactEstimator
-from foretouch.models.contact_features import ContactScene
 from foretouch.models.fallback import Fallback
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.settings import ModelConfig
@@ -70,7 +69,7 @@ class NetworkLearner:
         """
         if model.outputs != MODALITIES:
             raise DatasetError(f"outputs: {list(model.outputs)} are not all modalities, {', '.join(MODALITIES)}")
-        objects = np.array([ContactScene(sample.cloud.xyz).object_features for sample in samples])
+        objects = describe_objects(samples)
         return cls(TrainingSet.build(samples, model), config, objects)
 
     @property

@@ -23,7 +23,7 @@ from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES, Contact
 from foretouch.models.estimator import Estimate
 from foretouch.models.forest import Forest
 from foretouch.models.kernel_regression import KernelRegression
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import FAMILIAR, Novelty
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P2_RANGES, TactileRanges
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
@@ -69,7 +69,7 @@ class ContactEstimator:
         familiarity = np.array([self.novelty.familiarity(row[: len(OBJECT_FEATURES)]) for row in rows])
         weight = familiarity[:, None]
         scaled = weight * self._trees(rows) + (1.0 - weight) * self.kernel.predict(rows)
-        return scaled * self.deviation + self.mean, familiarity >= 0.5
+        return scaled * self.deviation + self.mean, familiarity >= FAMILIAR
 
     def _trees(self, rows: Float64) -> Float64:
         scaled = self.forests[TOGETHER].predict(rows)

@@ -13,6 +13,7 @@ seen in training these slopes carry over; sizes and places tell which of the kno
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -82,7 +83,6 @@ class ContactScene:
             raise CloudError(f"cloud: {len(self._points)} finite points are fewer than {_MINIMUM_POINTS}")
         if not np.ptp(self._points, axis=0).any():
             raise CloudError(f"cloud: all {len(self._points)} finite points are in one place")
-        self._tree = cKDTree(self._points)
         self._centre = self._points.mean(axis=0)
         self._centred = self._points - self._centre
         spreads, axes = _principal(self._centred)
@@ -99,6 +99,11 @@ class ContactScene:
                 np.quantile(distance, (0.25, 0.5, 0.75)),
             ]
         )
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        """Of all points; who asks for the object's features alone needs none."""
+        return cKDTree(self._points)
 
     def describe(self, grasps: Sequence[Grasp]) -> Float64:
         """(K, len(FEATURES)) float64: one row a grasp; finite for any grasp."""

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import FAMILIAR, Novelty
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = ["Fallback"]
@@ -50,7 +50,7 @@ class Fallback:
         """
         familiarity = np.array([self.novelty.familiarity(row) for row in objects])
         weight = familiarity[:, None]
-        known = np.broadcast_to(familiarity >= 0.5, len(counts))
+        known = np.broadcast_to(familiarity >= FAMILIAR, len(counts))
         return weight * counts + (1.0 - weight) * self.mean, known
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:

@@ -22,7 +22,10 @@ from foretouch.models.contact_features import OBJECT_FEATURES, SHAPE_FEATURES
 from foretouch.models.kernel_regression import standardisation
 from foretouch.types import Float32, Float64
 
-__all__ = ["Novelty"]
+__all__ = ["FAMILIAR", "Novelty"]
+
+FAMILIAR: Final = 0.5
+"""The least familiarity of an object that counts as familiar."""
 
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
 _NEAREST: Final = 3
@@ -56,7 +59,7 @@ class Novelty:
         return cls(centre, scale, known, np.array([low, max(high, low + 1e-9)]))
 
     def familiarity(self, object_features: Float64) -> float:
-        """1 for a cloud like those of training, 0 for one that is not; an object counts as unfamiliar below 0.5."""
+        """1 for a cloud like those of training, 0 for one that is not; see `FAMILIAR`."""
         sizes = (object_features[_COLUMNS] - self.centre) / self.scale
         distance = np.partition(np.abs(self.known - sizes).sum(axis=1), _NEAREST - 1)[:_NEAREST].mean()
         low, high = self.span

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from foretouch.report.panels import new_figure
 from foretouch.report.touch_figure import FINGER_COLOURS, draw_electrodes, draw_front
 from foretouch.types import GraspSample
 
@@ -32,8 +31,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
         The path.
     """
     rows = max(1, -(-len(samples) // _COLUMNS))
-    figure = Figure(figsize=(7.2 * _COLUMNS, _ROW_INCHES * rows + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(7.2 * _COLUMNS, _ROW_INCHES * rows + 0.4)
     figure.suptitle(title)
     grid = figure.subplots(rows, 3 * _COLUMNS, squeeze=False, width_ratios=[1.1, 0.8, 0.8] * _COLUMNS)
     for axes in grid.flat:

@@ -9,7 +9,7 @@ from typing import Final
 
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.report.panels import Rows, new_figure, save, tell_below
 from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["draw", "draw_differences"]
@@ -49,8 +49,7 @@ def draw_differences(axes: Axes, rows: Rows, who: Sequence[str], column: str) ->
         place, value = who.index(row["predictor"]), row[column]
         colour = colours.get(row[f"{column}_verdict"], "grey")
         if value < _LEAST:
-            axes.plot(_LEAST, place, marker="<", color=colour, clip_on=False)
-            axes.annotate(f"  {value:.2f}", (_LEAST, place), va="center", fontsize=7)
+            tell_below(axes, _LEAST, place, f"{value:.2f}", colour)
             continue
         axes.plot(value, place, marker="o", color=colour, markersize=4)
         if row[f"{column}_low"] is not None:

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
+
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["draw", "draw_curve"]
 
-Rows = Sequence[Mapping[str, Any]]
-
-_MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _LEAST: Final = -0.6
 _SIDESTEP: Final = 0.04  # of a size, so that intervals do not hide each other
 
@@ -25,11 +23,10 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
     """`curve.png`: grounds below each other, modalities side by side."""
     grounds = list(dict.fromkeys(row["ground"] for row in rows))
     who = list(dict.fromkeys(row["predictor"] for row in rows))
-    figure = Figure(figsize=(14.0, 0.6 + 3.0 * len(grounds)), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(grounds), len(_MODALITIES), squeeze=False, sharey="row")
+    figure = new_figure(14.0, 0.6 + 3.0 * len(grounds))
+    grid = figure.subplots(len(grounds), len(MODALITIES), squeeze=False, sharey="row")
     for line, ground in zip(grid, grounds, strict=True):
-        for axes, modality in zip(line, _MODALITIES, strict=True):
+        for axes, modality in zip(line, MODALITIES, strict=True):
             key = (ground, modality, "all")
             mine = [row for row in rows if (row["ground"], row["modality"], row["object"]) == key]
             draw_curve(axes, mine, who)
@@ -37,9 +34,7 @@ def draw(rows: Rows, folder: Path) -> list[Path]:
             axes.set_xlabel(_unit(mine[0]))
         line[0].set_ylabel("skill, 95 % interval")
     grid[0, -1].legend(fontsize=8)
-    path = folder / "curve.png"
-    figure.savefig(path, dpi=120)
-    return [path]
+    return [save(figure, folder / "curve.png")]
 
 
 def _unit(row: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import Final
 
 from matplotlib.axes import Axes
 
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.report.panels import Rows, new_figure, save, tell_below
 from foretouch.tactile.modalities import MODALITIES
 
 __all__ = ["LEAST_SKILL", "draw", "draw_skills"]
@@ -43,10 +43,7 @@ def draw_skills(axes: Axes, rows: Rows, who: Sequence[str]) -> None:
         place = who.index(row["predictor"])
         colour = f"C{place % 10}"
         if row["skill"] < LEAST_SKILL:
-            axes.plot(LEAST_SKILL, place, marker="<", color=colour, clip_on=False)
-            axes.annotate(
-                f"{row['skill']:.1f}", (LEAST_SKILL, place), (6, 0), textcoords="offset points", va="center", fontsize=8
-            )
+            tell_below(axes, LEAST_SKILL, place, f"{row['skill']:.1f}", colour)
             continue
         axes.plot(row["skill"], place, marker="o", color=colour)
         if row["skill_low"] is not None:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from foretouch.pipeline import FoundObject
+from foretouch.report.panels import new_figure, save
 from foretouch.tactile.layout import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
 
@@ -47,8 +46,7 @@ def save_touch_picture(
     """
     rows = {name: touch for name, touch in (("predicted", prediction.value), ("read", read)) if touch is not None}
     beside = len(rows) < 2  # scene and object side by side, else one above the other
-    figure = Figure(figsize=(13, 4.6) if beside else (11.5, 8.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.0, 4.6) if beside else new_figure(11.5, 8.6)
     figure.suptitle(title)
     widths = [1.35, 1.1, 0.8, 0.8] if beside else [1.2, 0.8, 0.8]
     grid = figure.add_gridspec(max(1, len(rows)), len(widths), width_ratios=widths)
@@ -61,8 +59,7 @@ def save_touch_picture(
         figure.suptitle("\n".join(filter(None, (title, f"not predicted: {prediction.reason}"))))
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    return path
+    return save(figure, path)
 
 
 def _half_width(prediction: TouchPrediction, name: str) -> float | None:

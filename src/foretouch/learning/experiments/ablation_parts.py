@@ -18,6 +18,7 @@ from foretouch.learning.splits import Fold, Indices
 from foretouch.learning.training_set import labels_of
 from foretouch.models.contact_estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
+from foretouch.models.novelty import FAMILIAR
 from foretouch.models.trust import Regime, Trust
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
@@ -149,7 +150,7 @@ def assemble(
         held_out = model.held_out() if calibrated and name == FULL else {}
         for variant, blend in BLENDS.items() if name == FULL else [(name, BLENDS[FULL])]:
             trust = model.trust(blend, held_out) if held_out else None
-            counts, known = blend(said), said.familiarity >= 0.5
+            counts, known = blend(said), said.familiarity >= FAMILIAR
             result[variant] = Assembled(counts, known, labels_of(test), model.shifts(test), trust)
     whole = result[FULL]
     if whole.trust is not None:

@@ -93,8 +93,7 @@ def _fallen_back(
     predicted: Float64, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample]
 ) -> Float64:
     """As the shipped network's predictions fade on objects unlike those of training."""
-    from foretouch.models.contact_features import ContactScene
+    from foretouch.learning.contact_training import describe_objects
     from foretouch.models.fallback import Fallback
 
-    known, asked = (np.array([ContactScene(one.cloud.xyz).object_features for one in side]) for side in (train, test))
-    return Fallback.fit(known, labels).fade(predicted, asked)[0]
+    return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
