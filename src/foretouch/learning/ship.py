@@ -210,13 +210,11 @@ def _limits(
     if not rest_recorded:
         limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
     limits.append(promise(calibration))
+    limits.append("Skills are averages; whether one is above another by more than chance is told in docs/results.")
     for split in SPLITS:
         ours = _mean(skill[split])
         best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
-        verdict = "beats" if ours > value else "does not beat"
-        limits.append(
-            f"Split {split}: mean skill {ours:.2f}, which {verdict} the best baseline, {best}, with {value:.2f}."
-        )
+        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
         if ours <= 0.0:
             limits.append(f"Split {split}: no better than the training mean; do not trust it there.")
     return limits
