@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 from experiment_samples import make_samples
 
-from foretouch.learning.contact_training import ContactConfig, describe_samples, fit_contact
-from foretouch.models.contact_estimator import ContactEstimator
-from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES
+from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
 
 FEW_TREES = ContactConfig(trees=4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from foretouch.learning.collection import Collection
+from foretouch.learning.data.collection import Collection
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")

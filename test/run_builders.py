@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from foretouch.learning.run_config import IDLE, RunConfig
+from foretouch.learning.training.run_config import IDLE, RunConfig
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {

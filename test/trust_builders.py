@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
-from foretouch.models.contact_checkpoint import add_trust, save_contact
-from foretouch.models.contact_estimator import ContactEstimator
-from foretouch.models.contact_features import FEATURES, OBJECT_FEATURES
-from foretouch.models.forest import Forest
-from foretouch.models.kernel_regression import KernelRegression, standardisation
+from foretouch.models.calibration import REGIMES, Calibration, CalibrationGroup
+from foretouch.models.contact.checkpoint import add_calibration, save_contact
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
+from foretouch.models.contact.forest import Forest
+from foretouch.models.contact.kernel_regression import KernelRegression, standardisation
 from foretouch.models.novelty import Novelty
-from foretouch.models.trust import REGIMES, Regime, Trust
 from foretouch.tactile.modalities import MODALITIES, columns
 
 FACTS = {
@@ -24,7 +24,7 @@ FACTS = {
 REST = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0)])
 
 
-def make_trust(seed: int = 0) -> Trust:
+def make_calibration(seed: int = 0) -> Calibration:
     """A trust whose four regimes all differ, and in which every value says something of every other."""
     rng = np.random.default_rng(seed)
     regimes = {}
@@ -33,24 +33,26 @@ def make_trust(seed: int = 0) -> Trust:
         between = 40.0 * k * (factors @ factors.T + np.eye(50))
         within = rng.uniform(300.0, 900.0, 50)
         half_width = rng.uniform(50.0, 90.0, 50) * k
-        regimes[name] = Regime(between, within, rng.uniform(0.2, 1.0, 50), np.diag(between) + within, half_width)
-    return Trust(REST, regimes)
+        regimes[name] = CalibrationGroup(
+            between, within, rng.uniform(0.2, 1.0, 50), np.diag(between) + within, half_width
+        )
+    return Calibration(REST, regimes)
 
 
 def save_network_with_trust(folder: Path) -> str:
     """A network with random weights and a calibration; path of its card."""
     import torch
 
-    from foretouch.models.checkpoint import save_network
-    from foretouch.models.regressor import TouchNet
-    from foretouch.models.settings import ModelConfig
+    from foretouch.models.network.checkpoint import save_network
+    from foretouch.models.network.config import ModelConfig
+    from foretouch.models.network.regressor import TouchNet
 
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
     net = TouchNet(config)
     net.set_scaling(torch.from_numpy(REST).float(), torch.linspace(20, 300, config.output_size))
     card = save_network(folder, "leaning", net.eval(), {})
-    add_trust(card, make_trust(), FACTS)
+    add_calibration(card, make_calibration(), FACTS)
     return str(card)
 
 
@@ -70,5 +72,5 @@ def save_contact_with_trust(folder: Path) -> str:
     novelty = Novelty.fit(rows[:, : len(OBJECT_FEATURES)])
     estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0))
     card = save_contact(folder, "contact", estimator, {"summary": "fitted to nothing"})
-    add_trust(card, make_trust(), FACTS)
+    add_calibration(card, make_calibration(), FACTS)
     return str(card)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from foretouch.cloud.voxel import voxel_grid
+from foretouch.cloud.geometry.voxel import voxel_grid
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.candidates import Spots, contact_radius, grasp_slab

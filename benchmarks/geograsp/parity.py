@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.files import read_cloud
-from foretouch.cloud.outliers import inlier_mask
+from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.candidates import grasp_slab

@@ -18,9 +18,9 @@ import baseline
 import numpy as np
 import parity
 
-from foretouch.cloud.files import read_cloud
-from foretouch.cloud.outliers import inlier_mask
-from foretouch.cloud.pixel_window import PixelGrid
+from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pixel_window import PixelGrid
+from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.types import Cloud
 

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from foretouch.ros.environment import prepare_environment
+from foretouch.ros.runtime.environment import prepare_environment
 
 prepare_environment()
 
@@ -24,12 +24,15 @@ from foretouch.models import load_model  # noqa: E402
 from foretouch.models.touch_memory import TouchMemory  # noqa: E402
 from foretouch.models.touch_model import TouchModel  # noqa: E402
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject  # noqa: E402
-from foretouch.ros.clouds import objects_from_msg, objects_to_msg  # noqa: E402
-from foretouch.ros.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
-from foretouch.ros.feeling import Feeling  # noqa: E402
-from foretouch.ros.tactile_adapters import AdapterConfig, make_adapter  # noqa: E402
-from foretouch.ros.tactile_messages import biotac_all_to_msg  # noqa: E402
-from foretouch.ros.touch_predictor_config import TouchPredictorConfig  # noqa: E402
+from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
+from foretouch.ros.messages.tactile import (  # noqa: E402
+    AdapterConfig,
+    biotac_all_to_msg,
+    make_adapter,
+)
+from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
+from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
 from foretouch.tactile import offsets, restore  # noqa: E402
 from foretouch.types import Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
@@ -52,7 +55,7 @@ print(time.perf_counter() - began)
 class Hand:
     """Sends readings straight into the callback, and times it."""
 
-    def __init__(self, feeling: Feeling, clock: list[int]) -> None:
+    def __init__(self, feeling: OnlineAdapter, clock: list[int]) -> None:
         self.feeling, self.clock = feeling, clock
         self.times: list[float] = []
         self.buffer = TouchBuffer()
@@ -117,7 +120,7 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model has a part in it, of what leaning adds to that [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    feeling = Feeling(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
+    feeling = OnlineAdapter(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
     hand = Hand(feeling, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -156,7 +159,7 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
     }
 
 
-def require_equal(core: Sequence[TouchPrediction], mine: Sequence[TouchPrediction], feeling: Feeling) -> None:
+def require_equal(core: Sequence[TouchPrediction], mine: Sequence[TouchPrediction], feeling: OnlineAdapter) -> None:
     """End the program where the predictor's answer is not what the model says with the same touches."""
     if core[0].value is None or mine[0].value is None or feeling.touches() != TOUCHES:
         raise SystemExit(f"refused, or {feeling.touches()} of {TOUCHES} touches taken in: {feeling.notes()}")

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from foretouch.learning.splits import SPLITS
-from foretouch.models.folding import fold
-from foretouch.models.network_estimator import Member, NetworkEstimator
-from foretouch.models.pointnet import Layer
+from foretouch.learning.data.folds import SPLITS
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.folding import fold
+from foretouch.models.network.pointnet import Layer
+from foretouch.models.network.regressor import TouchNet
 from foretouch.models.registry import available_models, load_model
-from foretouch.models.regressor import TouchNet
-from foretouch.models.settings import ModelConfig
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES
 from foretouch.types import Cloud, Grasp

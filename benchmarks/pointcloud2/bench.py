@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from foretouch.cloud.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
 from foretouch.types import Cloud
 
 HEIGHT, WIDTH = 480, 848

@@ -49,7 +49,7 @@ def send(seconds: float, raw_hz: float, ready: Any) -> None:
 
 def _node(name: str) -> Any:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    from foretouch.ros.environment import prepare_environment
+    from foretouch.ros.runtime.environment import prepare_environment
 
     prepare_environment()
     import rclpy
@@ -63,9 +63,9 @@ def _senders(node: Any, *, raw: bool) -> dict[str, Any]:
     from sensor_msgs.msg import PointCloud2
 
     from foretouch.pipeline import ASSUMED_TABLE, FoundObject
-    from foretouch.ros.clouds import cloud_to_msg, objects_to_msg
-    from foretouch.ros.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
-    from foretouch.ros.tactile_messages import biotac_all_to_msg
+    from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
+    from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
+    from foretouch.ros.messages.tactile import biotac_all_to_msg
     from foretouch.types import Cloud, Grasp
     from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -122,7 +122,7 @@ def record(folder: Path, seconds: float, raw_hz: float, ready: Any) -> dict[str,
     """The recorder in this process, as `foretouch record` runs it."""
     os.environ |= {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     from foretouch.ros.graph import Graph
-    from foretouch.ros.recorder_node import RecorderNode
+    from foretouch.ros.nodes.recorder import RecorderNode
 
     parameters = {"points": raw_hz > 0, "writing.min_free_mb": 2000.0}
     with Graph({"recorder": parameters}) as graph:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation import SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud

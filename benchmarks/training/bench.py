@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from plain import plain_composition
 
-from foretouch.learning.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.train import SupervisedTrainer, TrainConfig
-from foretouch.learning.trainer import Trainer
-from foretouch.learning.training_set import TrainingSet
-from foretouch.models.settings import ModelConfig
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
+from foretouch.learning.training.trainer import Trainer
+from foretouch.models.network.config import ModelConfig
 from foretouch.types import TOUCH_SIZE
 
 FULL = ModelConfig(channels="xyz+normals", outputs=("PDC_TH",))

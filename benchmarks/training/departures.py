@@ -14,15 +14,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from foretouch.learning import losses
-from foretouch.learning.collection import Collection, load_collection
-from foretouch.learning.losses import SrganLossConfig
-from foretouch.learning.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.train import SupervisedTrainer, TrainConfig, predict_set
-from foretouch.learning.trainer import Trainer
-from foretouch.learning.training_set import TrainingSet
-from foretouch.models.generator import GeneratorConfig
-from foretouch.models.settings import ModelConfig
+from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training import losses
+from foretouch.learning.training.losses import SrganLossConfig
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.learning.training.trainer import Trainer
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.generator import GeneratorConfig
 from foretouch.tactile.modalities import columns
 
 SLIM = ModelConfig(

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-from foretouch.models import pointnet
-from foretouch.models.pointnet import Layer
+from foretouch.models.network import pointnet
+from foretouch.models.network.pointnet import Layer
 
 __all__ = ["plain_composition"]
 

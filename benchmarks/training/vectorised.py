@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from bench import SLIM, made_data
 
-from foretouch.learning.train import TrainConfig, train_network
-from foretouch.learning.vectorised import train_many
-from foretouch.models.settings import ModelConfig
+from foretouch.learning.training.supervised import TrainConfig, train_network
+from foretouch.learning.training.vectorised import train_many
+from foretouch.models.network.config import ModelConfig
 
 SHAPES: dict[str, ModelConfig] = {
     "128 points, 32-64-128": SLIM,

@@ -36,7 +36,7 @@ def environment(options: argparse.Namespace) -> None:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     if options.default_profile:
         os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = ""
-    from foretouch.ros.environment import prepare_environment
+    from foretouch.ros.runtime.environment import prepare_environment
 
     prepare_environment()
 
@@ -192,7 +192,7 @@ def report(bench: Bench, sent: dict[int, float]) -> None:
 def main() -> int:
     options = arguments()
     environment(options)
-    from foretouch.ros.clouds import cloud_to_msg
+    from foretouch.ros.messages.clouds import cloud_to_msg
 
     processes = start(options)
     try:

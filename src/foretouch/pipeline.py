@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation import Segmentation, SegmentationConfig, TargetConfig, choose_targets, segment
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, TargetConfig, choose_targets, segment
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_memory import TouchMemory
 from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
-__all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "Sight"]
+__all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "SegmentedScene"]
 
 ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 """The table of a cloud that holds an object and nothing else: seen from straight above, as in the public recordings."""
@@ -59,7 +59,7 @@ class FoundObject:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class SegmentedScene:
     """What was seen in a scene.
 
     Attributes:
@@ -98,7 +98,7 @@ class PipelineResult:
 
     status: str
     reason: str
-    sight: Sight | None
+    sight: SegmentedScene | None
     felt: tuple[Felt, ...]
     ms: dict[str, float]
 
@@ -121,7 +121,7 @@ class Pipeline:
             self._model = load_model(self.config.model)
         return self._model
 
-    def see(self, cloud: Cloud) -> Sight:
+    def see(self, cloud: Cloud) -> SegmentedScene:
         """The table and the target objects of a scene.
 
         Args:
@@ -129,13 +129,13 @@ class Pipeline:
         """
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:
-            return Sight(found.status, found.reason, found, ())
+            return SegmentedScene(found.status, found.reason, found, ())
         chosen, reason = choose_targets(found.objects, self.config.target)
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
         targets = tuple(
             FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape) for one in chosen
         )
-        return Sight("ok" if targets else "no_target", "" if targets else reason, found, targets)
+        return SegmentedScene("ok" if targets else "no_target", "" if targets else reason, found, targets)
 
     def plan(self, target: FoundObject, *, slide_m: float = 0.0, rng: np.random.Generator | None = None) -> GraspPlan:
         """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
@@ -200,7 +200,9 @@ class Pipeline:
         """
         return self._run_targets((FoundObject("1", cloud, plane),), None, {})
 
-    def _run_targets(self, targets: Sequence[FoundObject], sight: Sight | None, ms: dict[str, float]) -> PipelineResult:
+    def _run_targets(
+        self, targets: Sequence[FoundObject], sight: SegmentedScene | None, ms: dict[str, float]
+    ) -> PipelineResult:
         felt = []
         ms = {**ms, "grasp": 0.0, "touch": 0.0}
         for target in targets:

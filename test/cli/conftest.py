@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from foretouch.cli.main import main
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foretouch.cloud.files import read_cloud
+from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import find_card
 from foretouch.pipeline import ASSUMED_TABLE, Pipeline
 

@@ -9,7 +9,7 @@ import pytest
 from recording_builders import IDENTITY, MESSAGE, QUICK, TACTILE, TACTILE_TYPE, record, write_dataset
 
 from foretouch.dataset.recording import RecordingWriter
-from foretouch.learning.split_book import read_split_book
+from foretouch.learning.data.splits import read_splits
 
 Call = Callable[..., Any]
 
@@ -61,7 +61,7 @@ def test_build_puts_splits_into_a_store_that_can_be_verified(call: Call, dataset
     (record,) = call("dataset", "build", dataset, "-o", tmp_path / "store", "--seed", 4, "--json").records
     assert record["samples"] == 16
     assert list(record["splits"]) == ["random", "object", "time", "labels"]
-    book = read_split_book(tmp_path / "store").parts
+    book = read_splits(tmp_path / "store").parts
     assert {i for part in book["random"] for i in part.test} == {
         f"{name}/{k:06d}" for name, start in (("ball", 1), ("sponge", 9)) for k in range(start, start + 8)
     }

@@ -87,8 +87,8 @@ def test_list_names_all(call) -> None:
 
 @pytest.mark.parametrize("name", ["cross_validation", "time_blocked", "cross_type", "unseen_object"])
 def test_figures_and_tables_follow_from_the_committed_csv_alone(call, tmp_path, name: str) -> None:
-    from foretouch.learning.experiments import find_experiment
-    from foretouch.learning.experiments.manifest import read_results
+    from foretouch.experiments import find_experiment
+    from foretouch.experiments.framework.manifest import read_results
 
     source = Path(__file__).parents[2] / "docs/results" / name
     (tmp_path / "results.csv").write_bytes((source / "results.csv").read_bytes())

@@ -12,8 +12,8 @@ from rich.console import Console
 from std_msgs.msg import Header
 
 from foretouch.cli.live import live_panel
-from foretouch.ros.conversions import grasp_to_msg, prediction_to_msg
-from foretouch.ros.monitor_node import NodeView, View
+from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg
+from foretouch.ros.nodes.monitor import NodeView, View
 from foretouch.types import Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import TouchPredictionArray
 

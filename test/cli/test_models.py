@@ -13,7 +13,7 @@ from trust_builders import save_contact_with_trust, save_network_with_trust
 
 from foretouch.cli.models import model_files
 from foretouch.models import available_models
-from foretouch.models.checkpoint import save_ensemble
+from foretouch.models.network.checkpoint import save_ensemble
 from foretouch.models.registry import find_card
 
 Call = Callable[..., Any]

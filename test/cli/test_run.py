@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
 
-from foretouch.cloud.files import read_cloud
+from foretouch.cloud.io.files import read_cloud
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.build import build_store
 from foretouch.dataset.exporting import FORMATS, ExportFormat, export_samples

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source, readable
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE

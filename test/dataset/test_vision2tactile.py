@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.vision2tactile import folder_sha256, read_folder, read_sample, sample_folders
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud

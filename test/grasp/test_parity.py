@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.cloud.files import read_cloud
-from foretouch.cloud.outliers import inlier_mask
-from foretouch.cloud.pixel_window import PixelGrid
+from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pixel_window import PixelGrid
+from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.types import Cloud
 

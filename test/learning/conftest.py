@@ -9,9 +9,9 @@ import torch
 
 from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.store_writer import StoreWriter
-from foretouch.learning.collection import Collection, load_collection
-from foretouch.learning.split_book import SPLITS_FILE, make_split_book
-from foretouch.models.settings import ModelConfig
+from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data.splits import SPLITS_FILE, make_splits
+from foretouch.models.network.config import ModelConfig
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 torch.set_num_threads(1)  # networks this small only lose time to more
@@ -58,7 +58,7 @@ def store(samples, tmp_path_factory) -> Path:
     with StoreWriter(path, {}) as writer:
         for sample in samples:
             writer.write(sample)
-        writer.attach(SPLITS_FILE, make_split_book(facts, 3))
+        writer.attach(SPLITS_FILE, make_splits(facts, 3))
     return path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from foretouch.errors import FileError
-from foretouch.models.atomic_file import replace_files
+from foretouch.models.files import replace_files
 
 
 def test_only_the_files_are_left_in_folders_that_are_made(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from contact_model_builders import cylinder
 from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError
-from foretouch.models.contact_features import ContactScene
+from foretouch.models.contact.features import ContactScene
 from foretouch.models.novelty import Novelty
 
 HERE = np.array([0.0, 0.0, 1.2])

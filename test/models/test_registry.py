@@ -13,8 +13,8 @@ from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 
 from foretouch.errors import ModelError
-from foretouch.models.checkpoint import save_ensemble, save_network
-from foretouch.models.contact_checkpoint import save_contact
+from foretouch.models.contact.checkpoint import save_contact
+from foretouch.models.network.checkpoint import save_ensemble, save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
 from foretouch.tactile.modalities import MODALITIES
 

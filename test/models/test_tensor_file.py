@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError
-from foretouch.models.card import file_sha256
-from foretouch.models.tensor_file import packed, read_tensors
+from foretouch.models.files import file_sha256, packed, read_tensors
 
 TENSORS = {
     "matrix": np.arange(12.0).reshape(3, 4).T,  # not contiguous

@@ -8,7 +8,7 @@ import pytest
 from contact_model_builders import labels_of, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
-from trust_builders import REST, make_trust
+from trust_builders import REST, make_calibration
 
 from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.models.touch_memory import TouchMemory
@@ -21,7 +21,7 @@ SAMPLES = make_samples(2, 6)
 
 @pytest.fixture
 def model() -> TouchModel:
-    return TouchModel(small_estimator(), CARD, make_trust())
+    return TouchModel(small_estimator(), CARD, make_calibration())
 
 
 def take_in(memory: TouchMemory, samples) -> None:

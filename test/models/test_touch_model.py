@@ -10,13 +10,13 @@ import torch
 from contact_model_builders import scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
-from trust_builders import REST, make_trust
+from trust_builders import REST, make_calibration
 
 from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.models.familiarity import Familiarity, describe
-from foretouch.models.folding import FoldedNetwork, fold
-from foretouch.models.network_estimator import Member, NetworkEstimator
-from foretouch.models.preparation import prepare_cloud, prepare_grasps
+from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.folding import FoldedNetwork, fold
+from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.touch_memory import TouchMemory
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES, columns
@@ -38,7 +38,7 @@ TARE = Touch.from_vector(REST + SHIFT)
 @pytest.fixture
 def leaning() -> TouchModel:
     """The contact model with a calibration."""
-    return TouchModel(small_estimator(), CARD, make_trust())
+    return TouchModel(small_estimator(), CARD, make_calibration())
 
 
 def remember(model: TouchModel, count: int, tare: Touch | None = None) -> TouchMemory:
@@ -261,7 +261,7 @@ def test_what_contradicts_itself_is_refused(leaning) -> None:
     sample = SAMPLES[0]
     with pytest.raises(ModelError, match="tare: the memory has its own"):
         leaning.predict(sample.cloud, [sample.grasp], tare=TARE, memory=TouchMemory(leaning))
-    other = TouchModel(small_estimator(), {"name": "other", "sha256": "1" * 64}, make_trust())
+    other = TouchModel(small_estimator(), {"name": "other", "sha256": "1" * 64}, make_calibration())
     with pytest.raises(ModelError, match="toy: memory: is of other"):
         leaning.predict(sample.cloud, [sample.grasp], memory=remember(other, 1))
     for tare in (np.zeros(50), np.full(50, np.nan)):

@@ -15,7 +15,7 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.learning.experiments import Cell, Experiment, Row, Table
+from foretouch.experiments import Cell, Experiment, Row, Table
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: pip install foretou
 pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built: pip install ./foretouch_msgs")
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-from foretouch.ros.environment import prepare_environment
+from foretouch.ros.runtime.environment import prepare_environment
 
 prepare_environment()
 
@@ -126,9 +126,9 @@ def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A small network with random weights: what it predicts is wrong, how it travels is the same."""
     import torch
 
-    from foretouch.models.checkpoint import save_network
-    from foretouch.models.regressor import TouchNet
-    from foretouch.models.settings import ModelConfig
+    from foretouch.models.network.checkpoint import save_network
+    from foretouch.models.network.config import ModelConfig
+    from foretouch.models.network.regressor import TouchNet
 
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))

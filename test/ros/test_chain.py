@@ -9,10 +9,10 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.clouds import cloud_to_msg
-from foretouch.ros.conversions import grasp_from_msg, plane_from_msg, stamp_ns
 from foretouch.ros.executables import PERCEPTION
-from foretouch.ros.statistics import Snapshot
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.messages.conversions import grasp_from_msg, plane_from_msg, stamp_ns
+from foretouch.ros.runtime.diagnostics import Snapshot
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 

@@ -18,16 +18,16 @@ import torch
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, read_bag
 from foretouch.dataset.bag_writer import BagWriter, serialize_cloud, write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
-from foretouch.models.checkpoint import save_network
-from foretouch.models.regressor import TouchNet
-from foretouch.models.settings import ModelConfig
+from foretouch.models.network.checkpoint import save_network
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.regressor import TouchNet
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
-from foretouch.ros.conversions import stamp_ns
-from foretouch.ros.replay_node import ReplayNode
+from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.ros.nodes.replay import ReplayNode
 from foretouch.simulation.recording import SceneRecordingConfig, record_scenes, scene_clouds
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Status, TouchPredictionArray

@@ -9,8 +9,8 @@ import sys
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.clouds import cloud_to_msg
-from foretouch.ros.conversions import stamp_ns
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.messages.conversions import stamp_ns
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -61,7 +61,7 @@ def test_the_recorder_is_given_what_was_said_and_no_more():
 
 
 def test_the_launch_file_of_the_recorder_names_parameters_that_it_has():
-    from foretouch.ros.recorder_config import RecorderConfig
+    from foretouch.ros.recorder.config import RecorderConfig
 
     module, _ = describe("recorder")
     known = {*RecorderConfig().to_mapping(), *(f"tactile.{name}" for name in RecorderConfig().tactile.to_mapping())}

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.ros.clouds import cloud_to_msg
 from foretouch.ros.executables import PERCEPTION
+from foretouch.ros.messages.clouds import cloud_to_msg
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -16,8 +16,8 @@ from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, scene
 
 from foretouch.errors import ConfigError
-from foretouch.ros.camera_node import CameraNodeConfig
-from foretouch.ros.clouds import cloud_from_msg
+from foretouch.ros.messages.clouds import cloud_from_msg
+from foretouch.ros.nodes.camera import CameraNodeConfig
 from foretouch.simulation.frames import FrameMaker
 from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.show import ShowConfig

@@ -2,7 +2,7 @@
 import numpy as np
 from sim_builders import CAN, EVERY_CAMERA_FAULT, run, scene
 
-from foretouch.cloud.segmentation import SegmentationConfig, segment
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.simulation.depth_scene import FIRST_OBJECT
 from foretouch.simulation.frames import FrameMaker
 

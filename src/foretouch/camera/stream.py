@@ -13,8 +13,8 @@ import numpy as np
 from foretouch.camera.config import RealSenseConfig
 from foretouch.camera.deproject import Deprojector
 from foretouch.camera.filters import FilterChain
+from foretouch.camera.frame_queue import FrameQueue
 from foretouch.camera.library import realsense
-from foretouch.camera.mailbox import Mailbox
 from foretouch.camera.pairing import ColourBuffer, FramesetMaker
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
@@ -62,8 +62,8 @@ class FrameStream:
         self._lens: tuple[str, Deprojector] | None = None
         lossless = bool(device.is_playback()) and not config.real_time
         # Of a live camera only the newest is kept: a late reader skips frames, and their numbers tell.
-        self._depth_box: Mailbox[Any] = Mailbox(1, lossless=lossless)
-        self._colour_box: Mailbox[Any] = Mailbox(_COLOUR_FRAMES, lossless=lossless)
+        self._depth_box: FrameQueue[Any] = FrameQueue(1, lossless=lossless)
+        self._colour_box: FrameQueue[Any] = FrameQueue(_COLOUR_FRAMES, lossless=lossless)
         self._open: list[Any] = []
         try:
             self._period_ms = self._start(rs, exact=not device.is_playback())
@@ -190,7 +190,7 @@ def lens_of(intrinsics: Any) -> Deprojector:
     return Deprojector.of_lens(matrix, i.width, i.height, model, tuple(i.coeffs))
 
 
-def _keep_in(box: Mailbox[Any]) -> Callable[[Any], None]:
+def _keep_in(box: FrameQueue[Any]) -> Callable[[Any], None]:
     """A callback for the library's thread."""
 
     def receive(frame: Any) -> None:

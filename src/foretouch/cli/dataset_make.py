@@ -77,12 +77,12 @@ def edit(arguments: argparse.Namespace) -> int:
 def build(arguments: argparse.Namespace) -> int:
     """A training store, splits included."""
     from foretouch.dataset.build import build_store
-    from foretouch.learning.split_book import SPLITS_FILE, make_split_book
+    from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 
     book: dict[str, str] = {}
 
     def attach(samples: Sequence[Any]) -> Mapping[str, str]:
-        book[SPLITS_FILE] = make_split_book(samples, arguments.seed)
+        book[SPLITS_FILE] = make_splits(samples, arguments.seed)
         return book
 
     with progress("building", as_json=arguments.json) as advance:

@@ -122,7 +122,7 @@ def _imports() -> Iterator[Finding]:
 
 def _ros() -> Iterator[Finding]:
     distro = os.environ.get("ROS_DISTRO", "PyPI wheels")
-    environment = "from foretouch.ros.environment import prepare_environment; prepare_environment()"
+    environment = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
     yield _tried(f"rclpy loads ({distro})", f"{environment}; import rclpy", "pip install 'foretouch[ros]'")
     yield _tried(
         "foretouch_msgs loads",

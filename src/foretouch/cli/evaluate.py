@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0 however bad the model is."""
-    from foretouch.learning.collection import load_collection
-    from foretouch.learning.judging import judge
+    from foretouch.learning.data.collection import load_collection
+    from foretouch.learning.evaluation.evaluate_model import judge
 
     data = load_collection(arguments.dataset)
     result = judge(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
@@ -54,7 +54,7 @@ def show_scores(result: Mapping[str, Any], split: str) -> None:
     """A table: a row for the model and each baseline, one modality after the other.
 
     Args:
-        result: Of `foretouch.learning.judging.judge`.
+        result: Of `foretouch.learning.evaluation.evaluate_model.judge`.
         split: Named in the title.
     """
     scores = result["scores"]

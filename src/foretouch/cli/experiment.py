@@ -16,8 +16,8 @@ from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError, ForetouchError
 
 if TYPE_CHECKING:
-    from foretouch.learning.experiments import Experiment
-    from foretouch.learning.experiments.work import Outcome
+    from foretouch.experiments import Experiment
+    from foretouch.experiments.framework.executors import Outcome
 
 __all__ = ["add_arguments", "run"]
 
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cell failed; the others are done then."""
-    from foretouch.learning.experiments import EXPERIMENTS, find_experiment
+    from foretouch.experiments import EXPERIMENTS, find_experiment
 
     if arguments.name == "list":
         return _list([find_experiment(name) for name in EXPERIMENTS], arguments.json)
@@ -66,7 +66,7 @@ def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
 
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.learning.experiments.manifest import RESULTS_FILE, SUMMARY_FILE, read_results, require_experiment
+    from foretouch.experiments.framework.manifest import RESULTS_FILE, SUMMARY_FILE, read_results, require_experiment
 
     require_experiment(arguments.out, experiment.name)
     rows = read_results(arguments.out / RESULTS_FILE)
@@ -82,9 +82,9 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
 
 def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path) -> list[str]:
     """Write tables and figures of the results; names of the figures."""
-    from foretouch.learning.experiments.manifest import SUMMARY_FILE
-    from foretouch.learning.experiments.tables import markdown
-    from foretouch.report.experiment_figures import draw_figures
+    from foretouch.experiments.framework.figures import draw_figures
+    from foretouch.experiments.framework.manifest import SUMMARY_FILE
+    from foretouch.experiments.framework.tables import markdown
 
     if not rows:
         return []
@@ -93,7 +93,7 @@ def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], ou
 
 
 def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.learning.experiments import run_sweep
+    from foretouch.experiments import run_sweep
 
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
     with _progress(arguments.json) as tell:

@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from foretouch.ros.executed import Felt
-    from foretouch.ros.monitor_node import NodeView, View
+    from foretouch.ros.nodes.monitor import NodeView, View
+    from foretouch.ros.touch.executed import Felt
     from foretouch_msgs.msg import Interval, TouchPrediction
 
 __all__ = ["live_panel"]
@@ -70,7 +70,7 @@ def _touches(nodes: dict[str, NodeView]) -> int:
 
 
 def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
-    from foretouch.ros.conversions import interval_text, reference_text
+    from foretouch.ros.messages.conversions import interval_text, reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
     table = Table(
@@ -101,7 +101,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
 
 
 def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
-    from foretouch.ros.conversions import interval_text
+    from foretouch.ros.messages.conversions import interval_text
 
     table = Table(title="last grasp executed (counts)", title_justify="left", expand=True, box=SIMPLE_HEAD)
     for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):

@@ -60,7 +60,7 @@ def model_files(card_path: Path) -> list[Path]:
 def _record(name: str) -> dict[str, Any]:
     """What is told of one model; loading it compares every file with the hash that its card names."""
     from foretouch.models import load_model
-    from foretouch.models.card import file_sha256
+    from foretouch.models.files import file_sha256
     from foretouch.models.registry import find_card
 
     try:

@@ -16,7 +16,7 @@ from foretouch.cli.output import print_json, warn
 from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
-    from foretouch.ros.recorder_node import RecorderNode
+    from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch_msgs.msg import RecorderStatus
 
 __all__ = ["add_arguments", "run", "status_record"]
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if the recording did not begin, or ended by itself."""
     from foretouch.ros.graph import Graph
-    from foretouch.ros.recorder_node import RecorderNode
+    from foretouch.ros.nodes.recorder import RecorderNode
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the file is closed in order
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
@@ -142,7 +142,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
 
 def status_record(status: RecorderStatus) -> dict[str, Any]:
     """The status as `--json` tells it."""
-    from foretouch.ros.conversions import stamp_ns
+    from foretouch.ros.messages.conversions import stamp_ns
 
     errors = {"last": status.pairing_error, "max": status.pairing_error_max}
     return {

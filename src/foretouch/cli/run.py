@@ -15,7 +15,7 @@ from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
-    from foretouch.ros.replay_node import ReplayNode
+    from foretouch.ros.nodes.replay import ReplayNode
 
 __all__ = ["add_arguments", "replay_fault", "replay_parameters", "run"]
 
@@ -201,7 +201,7 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
 
 def _draw(graph: Graph, path: str) -> None:
     from foretouch.report.touch_figure import save_touch_picture
-    from foretouch.ros.conversions import prediction_from_msg, reference_text
+    from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
     found = graph.monitor.last_drawable()
     if found is None:
@@ -230,8 +230,8 @@ def _refusals(graph: Graph) -> list[str]:
 
 def _print_answer(message: Any) -> None:
     from foretouch.cli.predict import prediction_record
-    from foretouch.ros.conversions import prediction_from_msg, stamp_ns
-    from foretouch.ros.status import status_name
+    from foretouch.ros.messages.conversions import prediction_from_msg, stamp_ns
+    from foretouch.ros.messages.status import status_name
 
     print_json(
         {

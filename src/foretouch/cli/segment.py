@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     def answer(item: SourceItem) -> Iterator[dict[str, Any]]:
         import numpy as np
 
-        from foretouch.cloud.segmentation import segment
+        from foretouch.cloud.segmentation.segment import segment
 
         found = segment(item.cloud, config)
         if arguments.labels_out:

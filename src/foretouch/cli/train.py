@@ -21,7 +21,7 @@ from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
-    from foretouch.learning.run_config import RunConfig
+    from foretouch.learning.training.run_config import RunConfig
 
 __all__ = ["add_arguments", "run"]
 
@@ -42,15 +42,15 @@ def run(arguments: argparse.Namespace) -> int:
     config = _config(arguments)  # before the samples are read, for it is faster to be found wrong
     if config.data is None:
         raise ConfigError(f"{arguments.config}: data: is empty; give data=PATH")
-    from foretouch.learning.ranks import process_group
+    from foretouch.learning.training.device import process_group
 
     with process_group(config.device) as ranks:
         return _train(arguments, config, config.data, quiet=ranks.own > 0)
 
 
 def _train(arguments: argparse.Namespace, config: RunConfig, source: str, *, quiet: bool) -> int:
-    from foretouch.learning.collection import load_collection
-    from foretouch.learning.run import train_run
+    from foretouch.learning.data.collection import load_collection
+    from foretouch.learning.training.run import train_run
 
     data = load_collection(source)
     if arguments.json or quiet:
@@ -73,7 +73,7 @@ def print_now(record: Mapping[str, Any]) -> None:
 
 def _config(arguments: argparse.Namespace) -> RunConfig:
     mapping = load_yaml(arguments.config) | parse_overrides(arguments.overrides)
-    from foretouch.learning.run_config import RunConfig
+    from foretouch.learning.training.run_config import RunConfig
 
     return RunConfig.from_mapping(mapping, arguments.config)
 

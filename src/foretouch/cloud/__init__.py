@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds: files, messages, segmentation, filters, sampling, and the frame that models see them in."""
 
-from foretouch.cloud.crop import CropConfig, crop_box, crop_range
-from foretouch.cloud.files import read_cloud, write_cloud
-from foretouch.cloud.frame import UnitSphereFrame
-from foretouch.cloud.objects import ObjectSegment
-from foretouch.cloud.plane import PlaneConfig, fit_plane
-from foretouch.cloud.pointcloud2 import PointCloud2Layout, PointField, decode, encode
-from foretouch.cloud.sampling import sample_indices
-from foretouch.cloud.segmentation import Segmentation, SegmentationConfig, segment
-from foretouch.cloud.targets import TargetConfig, choose_targets
+from foretouch.cloud.geometry.sampling import sample_indices
+from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.cloud.io.files import read_cloud, write_cloud
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.segmentation.crop import CropConfig, crop_box, crop_range
+from foretouch.cloud.segmentation.objects import ObjectSegment
+from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.cloud.segmentation.targets import TargetConfig, choose_targets
 
 __all__ = [
     "CropConfig",

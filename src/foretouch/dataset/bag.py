@@ -2,7 +2,7 @@
 """Recordings of ROS, read without ROS: rosbag2 directories (MCAP, SQLite), bare files, ROS 1 bags.
 
 The containers and message definitions are handled by `rosbags`; the clouds in them by
-`foretouch.cloud.pointcloud2`. `Recording` gives the messages as they were recorded, for the
+`foretouch.cloud.io.pointcloud2`. `Recording` gives the messages as they were recorded, for the
 replay, and the clouds in them, for everybody else. Writing is in `foretouch.dataset.bag_writer`.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.cloud.pointcloud2 import PointCloud2Layout, PointField, decode
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 

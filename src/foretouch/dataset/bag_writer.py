@@ -22,7 +22,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from foretouch.cloud.pointcloud2 import encode
+from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, Protocol, get_args
 
 import numpy as np
 
-from foretouch.cloud.files import write_cloud
+from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, check_id, encode_sample
 from foretouch.dataset.recording.record import SampleRecord
 from foretouch.dataset.samples import SampleSet, only_finite, open_samples
@@ -143,7 +143,7 @@ def _to_archives(samples: SampleSet, out: Path, result: ExportResult, progress: 
 
 
 def _arrays(record: SampleRecord) -> dict[str, Any]:
-    """The arrays of one archive; clouds are named as `foretouch.cloud.files` reads them."""
+    """The arrays of one archive; clouds are named as `foretouch.cloud.io.files` reads them."""
     sample = record.sample
     extra = dict(sorted(sample.extra.items()))
     arrays: dict[str, Any] = {

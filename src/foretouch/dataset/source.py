@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from foretouch.cloud.files import CLOUD_SUFFIXES, read_cloud
+from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.vision2tactile import is_sample_folder, read_sample, sample_folders
 from foretouch.errors import FileError, ForetouchError

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.cloud.files import read_cloud
+from foretouch.cloud.io.files import read_cloud
 from foretouch.errors import CloudError, DatasetError, FileError, GraspError
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig

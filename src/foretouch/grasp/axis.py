@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.cloud.outliers import inlier_mask
-from foretouch.cloud.voxel import VoxelGrid, voxel_grid
+from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.voxel import VoxelGrid, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.points import usable_points

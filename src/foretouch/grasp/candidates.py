@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.normals import normals_and_curvature
-from foretouch.cloud.voxel import voxel_grid
+from foretouch.cloud.geometry.normals import normals_and_curvature
+from foretouch.cloud.geometry.voxel import voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Float32, Float64

@@ -16,8 +16,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.normals import count_without_normal
-from foretouch.cloud.outliers import inlier_mask
+from foretouch.cloud.geometry.normals import count_without_normal
+from foretouch.cloud.geometry.outliers import inlier_mask
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.candidates import Slab, Spots, candidate_spots, contact_radius, grasp_slab

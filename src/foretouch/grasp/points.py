@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.pixel_window import PixelGrid
+from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.types import Cloud, Float32
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks that predict touch, their checkpoints, and prediction; importing this does not import torch."""
 
+from foretouch.models.network.config import ModelConfig
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
-from foretouch.models.settings import ModelConfig
 from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "ModelConfig", "TouchModel", "available_models", "load_model"]

@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch.errors import ModelError
-from foretouch.models.atomic_file import replace_files
+from foretouch.models.files import replace_files
 
 __all__ = [
     "CARD_FORMAT",
     "CARD_VERSION",
     "card_text",
     "combined_sha256",
-    "file_sha256",
     "new_card",
     "read_card",
     "write_text",
@@ -78,12 +77,6 @@ def read_card(path: str | Path) -> dict[str, Any]:
         raise ModelError(f"{path}: kind: {kind!r} is none of {', '.join(_OF_KIND)}")
     _check_fields(path, card, {**_COMMON, **_OF_KIND[kind]})
     return card
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def combined_sha256(hashes: Sequence[str]) -> str:

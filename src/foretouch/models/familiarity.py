@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import ModelError
-from foretouch.models.preparation import PreparedCloud
+from foretouch.models.network.preparation import PreparedCloud
 from foretouch.types import Float64, Grasp
 
 __all__ = ["LENGTHS", "Familiarity", "describe"]

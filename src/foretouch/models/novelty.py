@@ -18,8 +18,8 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
-from foretouch.models.contact_features import OBJECT_FEATURES, SHAPE_FEATURES
-from foretouch.models.kernel_regression import standardisation
+from foretouch.models.contact.features import OBJECT_FEATURES, SHAPE_FEATURES
+from foretouch.models.contact.kernel_regression import standardisation
 from foretouch.types import Float32, Float64
 
 __all__ = ["FAMILIAR", "Novelty"]

@@ -9,10 +9,9 @@ from typing import Any, Final
 
 from foretouch.errors import ModelError
 from foretouch.models.card import combined_sha256, read_card
-from foretouch.models.contact_checkpoint import load_contact, load_trust
-from foretouch.models.fallback import Fallback
+from foretouch.models.contact.checkpoint import load_calibration, load_contact
 from foretouch.models.familiarity import Familiarity
-from foretouch.models.network_estimator import Member, NetworkEstimator
+from foretouch.models.network.estimator import Fallback, Member, NetworkEstimator
 from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
@@ -40,7 +39,7 @@ def load_model(name_or_path: str | Path = "default") -> TouchModel:
     card = read_card(path)
     if card["kind"] == "ensemble":
         return _load_ensemble(path, card)
-    trust, fallback = load_trust(path, card)
+    trust, fallback = load_calibration(path, card)
     if card["kind"] == "contact":
         return TouchModel(load_contact(path, card), card, trust)
     return TouchModel(_networks(card["name"], [_member(path)[0]], fallback), card, trust)
@@ -62,8 +61,8 @@ def _networks(name: str, members: list[Member], fallback: Fallback | None = None
 
 
 def _member(path: Path) -> tuple[Member, str]:
-    from foretouch.models.checkpoint import load_network
-    from foretouch.models.folding import fold
+    from foretouch.models.network.checkpoint import load_network
+    from foretouch.models.network.folding import fold
 
     net, card = load_network(path)
     try:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from foretouch.errors import ModelError, TactileError
+from foretouch.models.calibration import Calibration
 from foretouch.models.estimator import Estimate, Estimator
 from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.trust import Trust
 from foretouch.tactile.validity import check_touch
 from foretouch.types import Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
@@ -37,7 +37,7 @@ class TouchModel:
         ranges: Beyond which a value is told to be out of range.
     """
 
-    def __init__(self, estimator: Estimator, card: Mapping[str, Any], trust: Trust | None = None) -> None:
+    def __init__(self, estimator: Estimator, card: Mapping[str, Any], trust: Calibration | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)

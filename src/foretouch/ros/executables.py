@@ -17,10 +17,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
-from foretouch.ros.environment import prepare_environment
+from foretouch.ros.runtime.environment import prepare_environment
 
 if TYPE_CHECKING:
-    from foretouch.ros.node_base import ForetouchNode
+    from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 __all__ = [
     "PERCEPTION",
@@ -38,13 +38,13 @@ __all__ = [
 ]
 
 _CLASSES = {
-    "camera": ("foretouch.ros.camera_node", "CameraNode"),
-    "segmentation": ("foretouch.ros.segmentation_node", "SegmentationNode"),
-    "grasp": ("foretouch.ros.grasp_node", "GraspNode"),
-    "touch_predictor": ("foretouch.ros.touch_predictor_node", "TouchPredictorNode"),
-    "replay": ("foretouch.ros.replay_node", "ReplayNode"),
-    "hand": ("foretouch.ros.hand_node", "HandNode"),
-    "recorder": ("foretouch.ros.recorder_node", "RecorderNode"),
+    "camera": ("foretouch.ros.nodes.camera", "CameraNode"),
+    "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNode"),
+    "grasp": ("foretouch.ros.nodes.grasp", "GraspNode"),
+    "touch_predictor": ("foretouch.ros.nodes.touch_predictor", "TouchPredictorNode"),
+    "replay": ("foretouch.ros.nodes.replay", "ReplayNode"),
+    "hand": ("foretouch.ros.nodes.hand", "HandNode"),
+    "recorder": ("foretouch.ros.nodes.recorder", "RecorderNode"),
 }
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 _POLL_S = 0.2  # between looks at whether the nodes have ended

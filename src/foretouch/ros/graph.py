@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.ros.environment import prepare_environment
 from foretouch.ros.executables import make_nodes
+from foretouch.ros.runtime.environment import prepare_environment
 
 if TYPE_CHECKING:
-    from foretouch.ros.hand_node import HandNode
-    from foretouch.ros.monitor_node import MonitorNode
-    from foretouch.ros.node_base import ForetouchNode
-    from foretouch.ros.replay_node import ReplayNode
+    from foretouch.ros.nodes.hand import HandNode
+    from foretouch.ros.nodes.monitor import MonitorNode
+    from foretouch.ros.nodes.replay import ReplayNode
+    from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
 __all__ = ["Graph"]
 
@@ -66,7 +66,7 @@ class Graph:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
-        from foretouch.ros.monitor_node import MonitorNode
+        from foretouch.ros.nodes.monitor import MonitorNode
 
         rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
         self._executor = SingleThreadedExecutor()
@@ -92,7 +92,7 @@ class Graph:
     @property
     def replay(self) -> ReplayNode | None:
         """The replay, where it is one of the nodes."""
-        from foretouch.ros.replay_node import ReplayNode
+        from foretouch.ros.nodes.replay import ReplayNode
 
         node = self.nodes.get("replay")
         return node if isinstance(node, ReplayNode) else None
@@ -111,7 +111,7 @@ class Graph:
     @property
     def hand(self) -> HandNode | None:
         """The simulated hand, where it is one of the nodes."""
-        from foretouch.ros.hand_node import HandNode
+        from foretouch.ros.nodes.hand import HandNode
 
         node = self.nodes.get("hand")
         return node if isinstance(node, HandNode) else None

@@ -18,7 +18,7 @@ from foretouch.dataset.exporting import export_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
 from foretouch.dataset.recording.messages import decode_sample, encode_sample
-from foretouch.dataset.recording.places import sample_places
+from foretouch.dataset.recording.offset_index import sample_places
 from foretouch.dataset.recording.scan import mapped, records
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError, ForetouchError

@@ -10,7 +10,7 @@ import pytest
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
-from foretouch.dataset.recording.places import sample_places
+from foretouch.dataset.recording.offset_index import sample_places
 from foretouch.dataset.recording.repair import repair_file
 from foretouch.dataset.recording.scan import mapped
 from foretouch.dataset.recording.verify import verify_file

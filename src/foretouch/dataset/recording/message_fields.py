@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
 from foretouch.dataset.recording.record import TouchSeries
 from foretouch.errors import DatasetError
 from foretouch.grasp.pose import quaternion_xyzw

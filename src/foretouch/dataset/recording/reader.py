@@ -17,7 +17,7 @@ from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.messages import ACCOUNTS, SAMPLE_TYPE, StoredSample, decode_sample
-from foretouch.dataset.recording.places import Place, sample_places
+from foretouch.dataset.recording.offset_index import Place, sample_places
 from foretouch.dataset.recording.scan import RawRecord, declaration, mapped, records
 from foretouch.errors import DatasetError, FileError
 

@@ -20,7 +20,7 @@ from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files, sync_folder
 from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
 from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
-from foretouch.dataset.recording.rescue import Declarations, is_readable, samples_in, walk
+from foretouch.dataset.recording.recovery import Declarations, is_readable, samples_in, walk
 from foretouch.dataset.recording.scan import Chunk, Damage, RawMessage, RawRecord, mapped, messages_of, next_chunk
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from foretouch.dataset.recording.folder import session_files
-from foretouch.dataset.recording.places import sample_ids
+from foretouch.dataset.recording.offset_index import sample_ids
 from foretouch.dataset.recording.record import SampleRecord, check_name
 from foretouch.errors import DatasetError
 

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds in files: `.pcd`, `.ply`, `.npz` and `.npy`, by their ending.
+
+Nothing is read that could run code: NumPy files are opened without pickle.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.io.pcd import read_pcd, write_pcd
+from foretouch.cloud.io.ply import read_ply, write_ply
+from foretouch.errors import CloudError, FileError
+from foretouch.types import Cloud
+
+__all__ = ["CLOUD_SUFFIXES", "read_cloud", "write_cloud"]
+
+
+def read_cloud(path: str | Path) -> Cloud:
+    """Read a cloud.
+
+    Args:
+        path: `.pcd` (ascii, binary, binary_compressed), `.ply`, `.npz` (`xyz`, and optionally `rgb`, `frame_id`,
+            `stamp_ns`) or `.npy`. Coordinates are float32 or float64 [m].
+
+    Returns:
+        Organised where the file says so; NaN is kept.
+
+    Raises:
+        FileError: Names the file, the field and the rule; also for a file that cannot be read or is cut off.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise FileError(path, f"the ending is none of {', '.join(CLOUD_SUFFIXES)}")
+    try:
+        cloud: Cloud = reader(path)
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except CloudError as err:
+        raise FileError(path, str(err)) from err
+    return cloud
+
+
+def write_cloud(path: str | Path, cloud: Cloud) -> None:
+    """Write a cloud; an existing file is replaced.
+
+    Args:
+        path: Ends in `.pcd` or `.ply` (binary), `.npz` (keeps frame and stamp too) or `.npy` (xyz only).
+        cloud: Organised ones are read back organised.
+
+    Raises:
+        FileError: If the ending is another, or the file cannot be written.
+    """
+    path = Path(path)
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise FileError(path, f"the ending is none of {', '.join(CLOUD_SUFFIXES)}")
+    try:
+        writer(path, cloud)
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+
+
+def _read_npz(path: Path) -> Cloud:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise FileError(path, "is no .npz archive")
+            if "xyz" not in archive:
+                raise FileError(path, f"is missing; there are: {', '.join(archive.files) or 'none'}", field="xyz")
+            wanted = ("xyz", "rgb", "frame_id", "stamp_ns")
+            arrays = {name: archive[name] for name in wanted if name in archive}
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as err:
+        raise FileError(path, f"is damaged or holds objects: {' '.join(str(err).split())}") from err
+    frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
+    if frame_id.shape or frame_id.dtype.kind != "U":
+        raise FileError(path, "is not one text", field="frame_id")
+    if stamp.shape or stamp.dtype.kind not in "iu":
+        raise FileError(path, "is not one whole number", field="stamp_ns")
+    return Cloud(_coordinates(path, arrays["xyz"]), arrays.get("rgb"), str(frame_id), int(stamp))
+
+
+def _read_npy(path: Path) -> Cloud:
+    try:
+        loaded = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, zipfile.BadZipFile) as err:
+        raise FileError(path, f"is damaged or holds objects: {' '.join(str(err).split())}") from err
+    if not isinstance(loaded, np.ndarray):
+        raise FileError(path, "is no .npy array")
+    return Cloud(_coordinates(path, loaded))
+
+
+def _coordinates(path: Path, xyz: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    if xyz.dtype.kind != "f":
+        raise FileError(path, f"dtype {xyz.dtype} is no floating number", field="xyz")
+    with np.errstate(over="ignore"):
+        return xyz.astype(np.float32)
+
+
+def _write_npz(path: Path, cloud: Cloud) -> None:
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "xyz": cloud.xyz,
+        "frame_id": np.array(cloud.frame_id),
+        "stamp_ns": np.array(cloud.stamp_ns, np.int64),
+    }
+    if cloud.rgb is not None:
+        arrays["rgb"] = cloud.rgb
+    with path.open("wb") as file:  # given a name, NumPy would add its own ending to .NPZ
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _write_npy(path: Path, cloud: Cloud) -> None:
+    with path.open("wb") as file:
+        np.save(file, cloud.xyz, allow_pickle=False)
+
+
+_READERS = {".pcd": read_pcd, ".ply": read_ply, ".npz": _read_npz, ".npy": _read_npy}
+_WRITERS = {".pcd": write_pcd, ".ply": write_ply, ".npz": _write_npz, ".npy": _write_npy}
+CLOUD_SUFFIXES = tuple(_READERS)  # what read_cloud knows

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that Open3D decodes. It warns where a file is damaged; here that is an error.
+
+PCD files (version 0.7 of the Point Cloud Library), organised or not.
+
+ASCII and binary data are read here: real recordings are many and small, Open3D takes half a second to
+import, drops the image order, and only warns where a file is cut off. Compressed data (LZF) is left to
+Open3D, with the header held against what it returns. VIEWPOINT is ignored: clouds are in their own frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import FileError
+from foretouch.libusb import ensure_libusb
+from foretouch.types import Cloud, UInt8
+
+__all__ = ["read_pcd", "read_with_open3d", "write_pcd"]
+
+
+def read_with_open3d(path: Path, points: int, shape: tuple[int, ...]) -> Cloud:
+    """Read a cloud and hold it against its header.
+
+    Args:
+        path: A file that Open3D knows by its ending.
+        points: How many the header promises.
+        shape: (N,) or (H, W), of the same number.
+
+    Returns:
+        The cloud; NaN is kept.
+
+    Raises:
+        FileError: If Open3D cannot read it, or finds another number of points.
+        MissingDependencyError: If libusb, which Open3D needs, is absent.
+    """
+    if points == 0:
+        return Cloud(np.empty((0, 3), np.float32))
+    ensure_libusb()
+    import open3d
+
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        try:
+            read = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
+        except RuntimeError as err:
+            raise FileError(path, f"Open3D: {' '.join(str(err).split())}") from err
+    xyz = np.asarray(read.points).astype(np.float32)
+    if len(xyz) != points:
+        raise FileError(path, f"holds {len(xyz)} points that can be read, the header promises {points}")
+    rgb = None
+    if read.has_colors():
+        rgb = np.rint(np.asarray(read.colors) * 255.0).astype(np.uint8).reshape(*shape, 3)
+    return Cloud(xyz.reshape(*shape, 3), rgb)
+
+
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_HEADER_LIMIT = 65536  # bytes within which DATA must stand
+_REQUIRED = ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the text says before the data.
+
+    Attributes:
+        dtype: Of one point, unaligned, little-endian.
+        width: Points a row.
+        height: Rows.
+        data: "ascii", "binary" or "binary_compressed".
+        size: Of the header [bytes].
+    """
+
+    dtype: np.dtype[Any]
+    width: int
+    height: int
+    data: str
+    size: int
+
+    @property
+    def points(self) -> int:
+        return self.width * self.height
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.height, self.width) if self.height > 1 else (self.width,)
+
+
+def read_pcd(path: Path) -> Cloud:
+    """Read a PCD file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        (H, W, 3) where HEIGHT is above 1, else (N, 3), with colours of a field `rgb` or `rgba`; NaN is kept.
+
+    Raises:
+        FileError: If the header is incomplete, contradicts itself or the data, or there is no x, y, z.
+        OSError: If the file cannot be read.
+    """
+    content = path.read_bytes()
+    header = _parse_header(path, content)
+    body = content[header.size :]
+    if header.data == "binary_compressed":
+        _check_compressed(path, header, body)
+        return read_with_open3d(path, header.points, header.shape)
+    if header.data == "binary":
+        expected = header.points * header.dtype.itemsize
+        if len(body) < expected:
+            raise FileError(
+                path,
+                f"{len(body)} bytes are fewer than {header.points} points of {header.dtype.itemsize} = {expected}",
+                field="DATA",
+            )
+        records = np.frombuffer(body, header.dtype, header.points)  # PCL pads its files to whole pages
+    else:
+        records = _ascii_records(path, header, body)
+    xyz = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=-1)
+    rgb = _colours(path, records)
+    return Cloud(xyz.reshape(*header.shape, 3), None if rgb is None else rgb.reshape(*header.shape, 3))
+
+
+def write_pcd(path: Path, cloud: Cloud) -> None:
+    """Write a binary PCD file: x, y, z as float32, and rgb packed into a fourth."""
+    height, width = cloud.xyz.shape[:2] if cloud.organised else (1, cloud.size)
+    names = ["x", "y", "z"] if cloud.rgb is None else ["x", "y", "z", "rgb"]
+    columns = np.empty((cloud.size, len(names)), "<f4")
+    columns[:, :3] = cloud.xyz.reshape(-1, 3)
+    if cloud.rgb is not None:
+        r, g, b = cloud.rgb.reshape(-1, 3).astype(np.uint32).T
+        columns.view("<u4")[:, 3] = (r << 16) | (g << 8) | b
+    count = len(names)
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        f"FIELDS {' '.join(names)}\nSIZE{' 4' * count}\nTYPE{' F' * count}\nCOUNT{' 1' * count}\n"
+        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {cloud.size}\nDATA binary\n"
+    )
+    path.write_bytes(header.encode("ascii") + columns.tobytes())
+
+
+def _parse_header(path: Path, content: bytes) -> _Header:
+    entries: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in entries:
+        end = content.find(b"\n", start, _HEADER_LIMIT)
+        if end < 0:
+            raise FileError(path, "no line DATA: not a PCD file, or cut off", field="header")
+        words = content[start:end].decode("ascii", errors="replace").split()
+        start = end + 1
+        if words and not words[0].startswith("#"):
+            entries[words[0].upper()] = words[1:]
+    for name in _REQUIRED:
+        if not entries.get(name):
+            raise FileError(path, "is missing in the header", field=name)
+    width, height = (_whole(path, entries, name) for name in ("WIDTH", "HEIGHT"))
+    points = _whole(path, entries, "POINTS") if "POINTS" in entries else width * height
+    if points != width * height:
+        raise FileError(path, f"{points} is not WIDTH {width} x HEIGHT {height}", field="POINTS")
+    data = entries["DATA"][0].lower()
+    if data not in ("ascii", "binary", "binary_compressed"):
+        raise FileError(path, f"{data} is none of ascii, binary, binary_compressed", field="DATA")
+    return _Header(_dtype(path, entries), width, height, data, start)
+
+
+def _whole(path: Path, entries: dict[str, list[str]], name: str) -> int:
+    text = " ".join(entries[name])
+    if not text.isdecimal():
+        raise FileError(path, f"{text!r} is not a whole number", field=name)
+    return int(text)
+
+
+def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
+    fields = entries["FIELDS"]
+    counts = entries.get("COUNT", ["1"] * len(fields))
+    for name, values in (("SIZE", entries["SIZE"]), ("TYPE", entries["TYPE"]), ("COUNT", counts)):
+        if len(values) != len(fields):
+            raise FileError(path, f"{len(values)} entries for {len(fields)} FIELDS", field=name)
+    parts: list[tuple[str, str, tuple[int, ...]]] = []
+    for i, (field, size, kind, count) in enumerate(zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True)):
+        if kind not in _KINDS or not size.isdecimal() or int(size) not in _SIZES[kind]:
+            raise FileError(path, f"TYPE {kind} of SIZE {size} is no number", field=field)
+        if not count.isdecimal() or int(count) < 1:
+            raise FileError(path, f"COUNT {count} is not a positive number", field=field)
+        name = f"_{i}" if field == "_" else field  # padding may stand several times
+        parts.append((name, f"<{_KINDS[kind]}{size}", (int(count),) if int(count) > 1 else ()))
+    names = [name for name, _, _ in parts]
+    if len(set(names)) != len(names):
+        raise FileError(path, f"{' '.join(fields)}: a name stands twice", field="FIELDS")
+    for axis in "xyz":
+        part = next((part for part in parts if part[0] == axis), None)
+        if part is None:
+            raise FileError(path, f"{axis} is missing; there are: {' '.join(fields)}", field="FIELDS")
+        if part[1][1] != "f" or part[2]:
+            raise FileError(path, "is not one floating number", field=axis)
+    return np.dtype(parts)
+
+
+def _ascii_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
+    columns = sum(int(np.prod(header.dtype[name].shape)) for name in header.dtype.names or ())
+    words = body.split()
+    if len(words) != header.points * columns:
+        raise FileError(
+            path,
+            f"{len(words)} numbers are not {header.points} points of {columns} = {header.points * columns}",
+            field="DATA",
+        )
+    try:
+        table = np.array(words, np.float64).reshape(header.points, columns)
+    except ValueError as err:
+        raise FileError(path, f"not a number: {err}", field="DATA") from err
+    records = np.zeros(header.points, header.dtype)
+    column = 0
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name in header.dtype.names or ():
+            wide = int(np.prod(header.dtype[name].shape))
+            records[name] = table[:, column : column + wide].reshape(records[name].shape)
+            column += wide
+    return records
+
+
+def _check_compressed(path: Path, header: _Header, body: bytes) -> None:
+    """Compressed data starts with its own size and that of what it unpacks to."""
+    if header.points == 0:
+        return
+    if len(body) < 8:
+        raise FileError(path, "is cut off before the sizes of the compressed data", field="DATA")
+    packed, unpacked = (int(n) for n in np.frombuffer(body[:8], "<u4"))
+    if len(body) - 8 < packed:
+        raise FileError(path, f"{len(body) - 8} bytes are fewer than the {packed} of compressed data", field="DATA")
+    expected = header.points * header.dtype.itemsize
+    if unpacked != expected:
+        raise FileError(path, f"unpacks to {unpacked} bytes, not to {header.points} points = {expected}", field="DATA")
+
+
+def _colours(path: Path, records: npt.NDArray[Any]) -> UInt8 | None:
+    """(N, 3) from four packed bytes: blue lowest, then green and red."""
+    name = next((name for name in ("rgb", "rgba") if name in (records.dtype.names or ())), None)
+    if name is None:
+        return None
+    if records.dtype[name].itemsize != 4 or records.dtype[name].shape:
+        raise FileError(path, "is not one number of 4 bytes", field=name)
+    packed = np.ascontiguousarray(records[name])
+    return packed.view(np.uint8).reshape(-1, 4)[:, 2::-1].copy()

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the two models of `label_ratio` are trained, and the settings that were tried for each: the tuning budget as code.
+
+One trainer trains both. The PointNet is the SR-GAN whose unsupervised weights are zero: the same network from the same
+first weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size, the
+same optimiser and number of updates. What is left is what the unlabelled and fake clouds do.
+
+Departures from P2, alike for both, each an option that the settings tell:
+
+- An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
+  P2's 30 epochs over whatever has labels would give T10 nine times the updates of T90.
+- AdamW with a cosine instead of Adam at a constant 0.01, labels standardised instead of scaled by their ranges, the
+  radius of the cloud and the width of the grasp as further inputs: P2's recipe fails to optimise a PointNet on touch.
+- Neither model stops early: nothing held back is looked at in training, and the last weights are judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from foretouch.errors import ConfigError
+from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.label_ratio.data import Sides
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.losses import labeled_loss
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import predict_set
+from foretouch.learning.training.trainer import shuffled_batches
+from foretouch.models.network.batch_norm import freeze
+from foretouch.tactile.modalities import columns, modality_size
+from foretouch.types import Float64
+
+__all__ = [
+    "MODELS",
+    "POINTNET",
+    "SRGAN",
+    "TRIALS",
+    "PointnetTrainer",
+    "configured",
+    "error_row",
+    "kind_of",
+    "train_and_predict",
+]
+
+POINTNET: Final = "pointnet"
+SRGAN: Final = "srgan"
+MODELS: Final = (POINTNET, SRGAN)
+
+_SUPERVISED: Final = {"reading": "as_printed", "weight_unlabeled": 0.0, "weight_fake": 0.0, "gradient_penalty": 0.0}
+
+
+def _srgan(matching: float, contrast: float, penalty: float, rate: float = 3e-3, decay: float = 0.0) -> dict[str, Any]:
+    loss = {"weight_unlabeled": matching, "weight_fake": contrast, "gradient_penalty": penalty}
+    return {"learning_rate": rate, "weight_decay": decay, "loss": {"reading": "srgan", **loss}}
+
+
+TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
+    POINTNET: {
+        "rate 0.001": {"learning_rate": 1e-3},
+        "rate 0.001, decay 0.3": {"learning_rate": 1e-3, "weight_decay": 0.3},
+        "rate 0.003": {"learning_rate": 3e-3},
+        "rate 0.003, decay 0.3": {"learning_rate": 3e-3, "weight_decay": 0.3},
+        "rate 0.0003, decay 0.3": {"learning_rate": 3e-4, "weight_decay": 0.3},
+        "rate 0.001, decay 1": {"learning_rate": 1e-3, "weight_decay": 1.0},
+    },
+    SRGAN: {
+        "0.03/0.1/0.03": _srgan(0.03, 0.1, 0.03),
+        "0.3/1/0.1": _srgan(0.3, 1.0, 0.1),
+        "0.3/1/0.3": _srgan(0.3, 1.0, 0.3),
+        "0.3/1/1": _srgan(0.3, 1.0, 1.0),
+        "0.3/1/1, decay 0.3": _srgan(0.3, 1.0, 1.0, decay=0.3),
+        "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
+    },
+}
+"""By model, what each trial changes. Trials of the SR-GAN are named by w_U / w_F / λ of the reading `srgan`; their rate is
+0.003 where they tell none."""
+
+
+def kind_of(modality: str) -> str:
+    """`pressure` or `electrodes`: modalities of a kind share their trial."""
+    return "pressure" if modality_size(modality) == 1 else "electrodes"
+
+
+def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
+    """How one network is trained.
+
+    Args:
+        base: What both models and all trials share.
+        model: Out of `MODELS`.
+        trial: Out of `TRIALS[model]`.
+        labelled: Samples that have labels.
+        updates: Wanted; the nearest number of whole epochs is taken, at least one. None for the epochs of `base`.
+        seed: Of weights, order, points and noise.
+
+    Raises:
+        ConfigError: If there is no such model or trial.
+    """
+    if trial not in TRIALS.get(model, {}):
+        raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(TRIALS.get(model, MODELS))}")
+    config = base.updated(TRIALS[model][trial], trial)
+    if model == POINTNET:
+        config = config.updated({"loss": _SUPERVISED})
+    epochs = config.epochs
+    if updates is not None:
+        epochs = max(1, round(updates / max(1, labelled // config.batch_size)))
+    return config.replace(epochs=epochs, seed=seed)
+
+
+class PointnetTrainer(SrganTrainer):
+    """The SR-GAN's trainer without what unlabelled and fake clouds do.
+
+    With `_SUPERVISED` it takes the very steps of `SrganTrainer` on the same batches; it only leaves out what is then
+    multiplied by zero, and the generator, at a quarter of the time.
+    """
+
+    def _epoch(self) -> Iterator[Mapping[str, float]]:
+        freeze(self.net)
+        for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
+            scaled = self.net(self._points(batch), self._grasps(batch))
+            error = scaled - self.net.to_scaled(self._labels[batch])
+            loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self._sizes)
+            self.require_finite({"labeled": loss}, number, batch, error)
+            self.steppers["net"].step(loss)
+            yield {"labeled": float(loss.detach())}
+
+
+def train_and_predict(data: TrainingSet, who: Sides, model: str, config: SrganConfig) -> tuple[Float64, int]:
+    """Train a network and let it predict.
+
+    Returns:
+        (J, M) predictions [counts] of the judged samples, and how many updates the network took.
+
+    Raises:
+        DatasetError: If a side has fewer samples than a batch, or a loss stops being finite.
+    """
+    kind = PointnetTrainer if model == POINTNET else SrganTrainer
+    trainer = kind(data, who.train, who.unlabelled, config)
+    while trainer.epoch < trainer.epochs:
+        trainer.run_epoch()
+    updates = trainer.epochs * (len(who.train) // config.batch_size)
+    return predict_set(trainer.net.eval(), data, who.judged), updates
+
+
+def error_row(data: TrainingSet, who: Sides, predicted: Float64, objects: Sequence[str]) -> Row:
+    """What a cell brings home: for each judged sample, squared errors of the network and of the training mean.
+
+    Args:
+        data: The samples.
+        who: Who was trained on and judged.
+        predicted: (J, M) [counts].
+        objects: (J,) of the judged samples.
+
+    Returns:
+        By object, in order of the samples, both means over the modality's values [counts²].
+    """
+    place = columns(data.config.outputs)
+    actual = data.labels[np.ix_(who.judged, place)]
+    mean = data.labels[np.ix_(who.train, place)].mean(axis=0)
+    squared, reference = (((guess - actual) ** 2).mean(axis=1) for guess in (predicted, mean))
+    names = np.array(objects)
+    return {
+        "labelled": len(who.train),
+        "objects": {
+            str(name): {
+                "squared": squared[names == name].round(3).tolist(),
+                "reference": reference[names == name].round(3).tolist(),
+            }
+            for name in np.unique(names)
+        },
+    }

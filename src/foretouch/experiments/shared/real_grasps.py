@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the experiments on real grasps share: settings, the squared errors that cells bring home, and the table of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError, DatasetError
+from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
+from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
+from foretouch.types import Float64, GraspSample
+
+__all__ = [
+    "EVERYTHING",
+    "FREE",
+    "PRESETS",
+    "RealGraspSettings",
+    "error_rows",
+    "labelled",
+    "load",
+    "score_table",
+    "seeded_predictors",
+]
+
+EVERYTHING: Final = "all"
+"""In the column `object`: all of them together."""
+
+_DECIMALS: Final = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealGraspSettings(Settings):
+    """Of every experiment on real grasps."""
+
+    predictors: tuple[str, ...] = setting(
+        tuple(name for name in PREDICTORS if name not in NETWORKS), "Who is compared", choices=tuple(PREDICTORS)
+    )
+    seeds: tuple[int, ...] = setting((0, 1, 2, 3, 4), "Of folds and predictors; errors are pooled over them", minimum=0)
+    network_seeds: int = setting(1, "How many of the seeds the slow networks get", minimum=1)
+    effort: float = setting(
+        1.0, "Share of trees and epochs; below 1 only to try things out", minimum=0.001, maximum=1.0
+    )
+    references: tuple[str, ...] = setting(
+        ("geometry_trees",), "Whom the others are compared with", choices=tuple(PREDICTORS)
+    )
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("predictors", "seeds"):
+            values = getattr(self, name)
+            if not values or len(set(values)) != len(values):
+                raise ConfigError(f"{type(self).__name__}.{name}: {list(values)} must hold at least one, each once")
+
+
+PRESETS: Final[dict[str, dict[str, Any]]] = {
+    "full": {"predictors": list(PREDICTORS)},  # hours
+    "quick": {},  # all but the papers' networks: minutes
+    "smoke": {"seeds": [0], "effort": 0.1},
+}
+
+FREE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
+"""A cell depends on none of these; its own predictor and seed are among its values."""
+
+
+def load(settings: Settings, path: Path) -> Collection:
+    """The samples at a path (see `load_collection`)."""
+    del settings
+    return load_collection(path)
+
+
+def labelled(data: Collection) -> list[GraspSample]:
+    """The samples that have a touch, in order."""
+    return [sample for sample in data.samples if sample.touch is not None]
+
+
+def seeded_predictors(settings: RealGraspSettings) -> list[tuple[int, str]]:
+    """(seed, predictor) of all that is to be run: the networks with the first `network_seeds` seeds only."""
+    return [
+        (seed, name)
+        for number, seed in enumerate(settings.seeds)
+        for name in settings.predictors
+        if name not in NETWORKS or number < settings.network_seeds
+    ]
+
+
+def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float64, mean: Float64) -> list[Row]:
+    """One row an object with what `ObjectErrors` adds up.
+
+    Args:
+        tested: (S,) the test samples.
+        predicted: (S, 50) [counts].
+        labels: (S, 50) [counts].
+        mean: (50,) of the labels that the predictor was trained on [counts].
+
+    Raises:
+        DatasetError: If a prediction is not finite or missing.
+    """
+    if predicted.shape != labels.shape or not np.isfinite(predicted).all():
+        raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
+    names = np.array([sample.object for sample in tested])
+    squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
+    return [
+        {
+            "object": str(name),
+            "count": int((names == name).sum()),
+            "squared": squared[names == name].sum(axis=0).tolist(),
+            "reference": reference[names == name].sum(axis=0).tolist(),
+        }
+        for name in np.unique(names)
+    ]
+
+
+def score_table(settings: RealGraspSettings, rows: Sequence[Row]) -> list[Row]:
+    """The rows of `results.csv`, a modality each, of every table, predictor and object.
+
+    Args:
+        settings: Tells the bootstrap and the references.
+        rows: Of `error_rows`, with `table`, `part`, `predictor` and `seed`. A predictor that lacks a part
+            of a table, because a cell failed, is left out of that table.
+    """
+    result: list[Row] = []
+    for table in dict.fromkeys(row["table"] for row in rows):
+        mine = [row for row in rows if row["table"] == table]
+        complete = _complete(mine)
+        for name in (name for name in settings.predictors if name in complete):
+            result += _predictor_rows(settings, table, name, complete)
+    return result
+
+
+def _complete(rows: Sequence[Row]) -> dict[str, dict[int, list[Row]]]:
+    """Rows by predictor and seed, of those that have every part of the table."""
+    parts: dict[int, set[str]] = {}
+    grouped: dict[str, dict[int, list[Row]]] = {}
+    for row in rows:
+        parts.setdefault(row["seed"], set()).add(row["part"])
+        grouped.setdefault(row["predictor"], {}).setdefault(row["seed"], []).append(row)
+    return {
+        name: seeds
+        for name, seeds in grouped.items()
+        if all({row["part"] for row in own} == parts[seed] for seed, own in seeds.items())
+    }
+
+
+def _predictor_rows(
+    settings: RealGraspSettings, table: str, name: str, all_rows: dict[str, dict[int, list[Row]]]
+) -> list[Row]:
+    seeds = list(all_rows[name])
+    errors = _errors(all_rows[name], seeds)
+    versus = {}
+    for other in settings.references:
+        common = [seed for seed in seeds if seed in all_rows.get(other, {})]
+        if other != name and common:
+            pair = (_errors(all_rows[name], common), _errors(all_rows[other], common))
+            versus[other] = compare(*pair, settings.bootstrap)
+    head = {"table": table, "predictor": name, "seeds": len(seeds)}
+    result = _rows({**head, "object": EVERYTHING}, errors, settings, versus)
+    for one in errors.objects if len(errors.objects) > 1 else ():
+        result += _rows({**head, "object": one}, errors.only(one), settings, {})
+    return result
+
+
+def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
+    return ObjectErrors.total(
+        [
+            (row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"]))
+            for seed in seeds
+            for row in rows[seed]
+        ]
+    )
+
+
+def _rows(
+    head: Row, errors: ObjectErrors, settings: RealGraspSettings, versus: dict[str, dict[str, Estimate]]
+) -> list[Row]:
+    own, rmse, mean_rmse = skills(errors, settings.bootstrap), errors.rmse(), errors.reference_rmse()
+    head = {**head, "objects": len(errors.objects), "samples": round(float(errors.counts.sum()) / head["seeds"])}
+    result = []
+    for modality in (*MODALITIES, MEAN):
+        row = {**head, "modality": modality} | _rmse_columns(modality, rmse, mean_rmse)
+        row |= {f"skill{end}": _rounded(value) for end, value in _ends(own[modality])}
+        for other in settings.references:
+            difference = versus[other][modality] if other in versus else None
+            row |= {f"vs_{other}{end}": _rounded(value) for end, value in _ends(difference)}
+            row[f"vs_{other}_verdict"] = difference.verdict if difference else None
+        result.append(row)
+    return result
+
+
+def _rmse_columns(modality: str, rmse: dict[str, float], mean_rmse: dict[str, float]) -> dict[str, Any]:
+    if modality == MEAN:  # of counts of different sensors there is no mean
+        return dict.fromkeys(("rmse", "rmse_of_mean", "nrmse_p1", "nrmse_p2"))
+    value = rmse[modality]
+    result: dict[str, Any] = {"rmse": round(value, 3), "rmse_of_mean": round(mean_rmse[modality], 3)}
+    for name, ranges in (("nrmse_p1", P1_RANGES), ("nrmse_p2", P2_RANGES)):
+        low, high = ranges.of(modality)
+        result[name] = _rounded(value / (high - low))
+    return result
+
+
+def _ends(estimate: Estimate | None) -> list[tuple[str, float | None]]:
+    if estimate is None:
+        return [("", None), ("_low", None), ("_high", None)]
+    return [("", estimate.value), ("_low", estimate.low), ("_high", estimate.high)]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, _DECIMALS)

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All splits of a dataset in one file, by the ids of the samples: part of the data, made once, seeded.
+
+    random   five folds of shuffled samples
+    object   five folds of whole objects, or leave-one-out where there are fewer
+    time     five blocks of each object's recording
+    labels   P2's ratios: the same test samples, 200 of each object, and of the rest 10, 30, 50, 70 or 90 %
+             without their labels (T10...T90); an object with fewer than 1000 samples gives a fifth of them to the test
+
+Unlabelled samples are in no fold; they are listed with the unlabelled part of each ratio.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from foretouch.errors import DatasetError, FileError
+from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
+
+__all__ = [
+    "FOLDS",
+    "RATIOS",
+    "SPLITS_FILE",
+    "DatasetSplits",
+    "SplitPart",
+    "label_ratios",
+    "make_splits",
+    "parse_splits",
+    "read_splits",
+]
+
+SPLITS_FILE: Final = "splits.json"
+FOLDS: Final = 5
+RATIOS: Final = (10, 30, 50, 70, 90)
+_TEST_PER_OBJECT: Final = 200  # of P2's 1000
+_TEST_SHARE: Final = 0.2
+_VERSION: Final = 1
+
+
+class _Facts(Protocol):
+    """What is needed of a sample."""
+
+    @property
+    def id(self) -> str: ...
+
+    @property
+    def object(self) -> str: ...
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+    @property
+    def labelled(self) -> bool: ...
+
+
+@dataclass(frozen=True)
+class SplitPart:
+    """One division of the samples, by id.
+
+    Attributes:
+        name: Such as "random 0" or "T30".
+        train: To learn from, with labels.
+        test: To be judged on.
+        unlabelled: To learn from without labels.
+    """
+
+    name: str
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+    unlabelled: tuple[str, ...] = ()
+
+    def require_disjoint(self) -> None:
+        """Check that no id stands on two sides.
+
+        Raises:
+            DatasetError: Names the split and an id.
+        """
+        seen: set[str] = set()
+        for side in (self.train, self.test, self.unlabelled):
+            both = seen.intersection(side)
+            if both or len(set(side)) != len(side):
+                raise DatasetError(f"split {self.name}: {min(both or side)} is there twice")
+            seen.update(side)
+
+
+@dataclass(frozen=True)
+class DatasetSplits:
+    """What `splits.json` holds.
+
+    Attributes:
+        parts: By kind of split, in the order of the file.
+        omitted: By kind that the samples are too few for, the reason.
+    """
+
+    parts: dict[str, list[SplitPart]]
+    omitted: dict[str, str]
+
+
+def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:
+    """P2's label ratios.
+
+    Args:
+        groups: (S,) object of each labelled sample.
+        rng: Chooses; what has no label at one ratio has none at the higher ones.
+
+    Returns:
+        The test samples, and for each of T10...T90 those trained on with and without their labels.
+
+    Raises:
+        DatasetError: If an object has fewer than two samples, or fewer than two remain to train on.
+    """
+    names = np.asarray(groups, dtype=str)
+    test: list[int] = []
+    for name in np.unique(names):
+        members = rng.permutation(np.flatnonzero(names == name))
+        if len(members) < 2:
+            raise DatasetError(f"labels: {name} has {len(members)} sample, too few to test on one")
+        count = max(1, min(_TEST_PER_OBJECT, round(_TEST_SHARE * len(members))))
+        test.extend(members[:count])
+    rest = rng.permutation(np.setdiff1d(np.arange(len(names)), test))
+    if len(rest) < 2:
+        raise DatasetError(f"labels: {len(rest)} samples remain to train on")
+    parts = {}
+    for ratio in RATIOS:
+        cut = round(len(rest) * ratio / 100)
+        parts[f"T{ratio}"] = (np.sort(rest[cut:]), np.sort(rest[:cut]))
+    return np.sort(np.asarray(test, np.intp)), parts
+
+
+def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
+    """All splits as the text of `splits.json`.
+
+    Args:
+        samples: In the order of the store.
+        seed: Of every choice; the same samples and seed give the same text.
+
+    Returns:
+        JSON. A split that these samples are too few for is missing, and its reason stands under `omitted`.
+    """
+    splits: dict[str, list[dict[str, Any]]] = {}
+    omitted: dict[str, str] = {}
+    for number, (kind, make) in enumerate(_MAKERS.items()):
+        try:
+            parts = list(make(samples, np.random.default_rng([seed, number])))
+        except DatasetError as err:
+            omitted[kind] = str(err)
+            continue
+        for part in parts:
+            part.require_disjoint()
+        splits[kind] = [_plain(part) for part in parts]
+    book = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
+    return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
+
+
+def read_splits(path: str | Path) -> DatasetSplits:
+    """The splits of a store.
+
+    Args:
+        path: The store, or its `splits.json`.
+
+    Raises:
+        FileError: If there is none, it is damaged or of another version, or an id stands on two sides.
+    """
+    path = Path(path)
+    file = path / SPLITS_FILE if path.is_dir() else path
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as err:
+        raise FileError(file, err.strerror or str(err)) from err
+    return parse_splits(text, file)
+
+
+def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
+    """The splits in the text of a `splits.json`.
+
+    Args:
+        text: Of `make_splits`.
+        file: Named in errors.
+
+    Raises:
+        FileError: As of `read_splits`.
+    """
+    try:
+        book = json.loads(text)
+        if book["schema_version"] != _VERSION:
+            raise FileError(file, f"{book['schema_version']} is not {_VERSION}", field="schema_version")
+        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in book["splits"].items()}
+        omitted = {str(kind): str(reason) for kind, reason in book.get("omitted", {}).items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as err:
+        raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
+    for parts in kinds.values():
+        for part in parts:
+            try:
+                part.require_disjoint()
+            except DatasetError as err:
+                raise FileError(file, str(err)) from err
+    return DatasetSplits(kinds, omitted)
+
+
+def _random(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+    labelled = _labelled(samples)
+    return _named(labelled, random_folds(len(labelled), FOLDS, rng))
+
+
+def _object(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+    labelled = _labelled(samples)
+    groups = [sample.object for sample in labelled]
+    few = len(set(groups)) < FOLDS
+    return _named(labelled, group_folds(groups) if few else group_folds(groups, FOLDS, rng))
+
+
+def _time(samples: Sequence[_Facts], _rng: np.random.Generator) -> Iterator[SplitPart]:
+    labelled = _labelled(samples)
+    groups, stamps = [sample.object for sample in labelled], [sample.stamp_ns for sample in labelled]
+    return _named(labelled, time_folds(groups, stamps, FOLDS))
+
+
+def _labels(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+    labelled = _labelled(samples)
+    never = tuple(sample.id for sample in samples if not sample.labelled)
+    test, parts = label_ratios([sample.object for sample in labelled], rng)
+    for name, (train, without) in parts.items():
+        yield SplitPart(name, _ids(labelled, train), _ids(labelled, test), _ids(labelled, without) + never)
+
+
+_MAKERS: Final = {"random": _random, "object": _object, "time": _time, "labels": _labels}
+
+
+def _labelled(samples: Sequence[_Facts]) -> list[_Facts]:
+    labelled = [sample for sample in samples if sample.labelled]
+    if not labelled:
+        raise DatasetError("no sample is labelled")
+    return labelled
+
+
+def _named(samples: Sequence[_Facts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
+    for fold in folds:
+        yield SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test))
+
+
+def _ids(samples: Sequence[_Facts], index: Indices) -> tuple[str, ...]:
+    return tuple(samples[int(k)].id for k in index)
+
+
+def _plain(part: SplitPart) -> dict[str, Any]:
+    sides = {"train": list(part.train), "test": list(part.test)}
+    return {"name": part.name, **sides, **({"unlabelled": list(part.unlabelled)} if part.unlabelled else {})}
+
+
+def _part(entry: Any) -> SplitPart:
+    sides = [tuple(map(str, entry.get(side, []))) for side in ("train", "test", "unlabelled")]
+    return SplitPart(str(entry["name"]), *sides)

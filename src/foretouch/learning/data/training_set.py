@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Labelled samples, prepared once and sampled anew for every batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.geometry.sampling import sample_indices
+from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.errors import CloudError, DatasetError, ModelError
+from foretouch.models.familiarity import describe
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
+from foretouch.tactile.validity import check_touch
+from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
+
+__all__ = ["TrainingSet", "duplicate_labels", "labels_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """What a network trains on.
+
+    Attributes:
+        clouds: Of S samples, each (N_i, C) float32 in the unit sphere: all points, not yet sampled.
+        grasps: (S, G) float32, as fed to the head.
+        labels: (S, 50) float64 [counts]; NaN for an unlabelled sample.
+        lengths: (S, 5) float64 [m], for the familiarity of the card.
+        config: Of the network that it was prepared for.
+        ids: (S,) of the samples.
+    """
+
+    clouds: tuple[Float32, ...]
+    grasps: Float32
+    labels: Float64
+    lengths: Float64
+    config: ModelConfig
+    ids: tuple[str, ...]
+
+    @classmethod
+    def build(cls, samples: Sequence[GraspSample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:
+        """Prepare samples.
+
+        Args:
+            samples: In the order that indices mean.
+            config: Of the network.
+            unlabelled: Whether samples without a label may be among them.
+
+        Raises:
+            DatasetError: If there is none, or a label is absent or no reading of a working sensor, or a cloud is
+                unusable or lacks a channel of the network; named by id.
+        """
+        if not samples:
+            raise DatasetError("training set: no sample")
+        clouds, grasps, labels, lengths = [], [], [], []
+        for sample in samples:
+            missing = unlabelled and sample.touch is None
+            labels.append(np.full(TOUCH_SIZE, np.nan) if missing else _label(sample))
+            try:
+                points, grasp, spans = _prepared(sample, config)
+            except (CloudError, ModelError) as err:
+                raise DatasetError(f"{sample.id}: {err}") from err
+            clouds.append(points)
+            grasps.append(grasp)
+            lengths.append(spans)
+        ids = tuple(sample.id for sample in samples)
+        return cls(tuple(clouds), np.array(grasps), np.array(labels), np.array(lengths), config, ids)
+
+    def __len__(self) -> int:
+        return len(self.clouds)
+
+    def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
+        """(B, n, C) float32: other points of the chosen clouds each time.
+
+        Args:
+            index: (B,) samples.
+            rng: Chooses the points.
+            n_points: By default those of the configuration.
+        """
+        count = self.config.n_points if n_points is None else n_points
+        chosen = [self.clouds[i] for i in index]
+        return np.stack([c[sample_indices(c[:, :3], count, method=self.config.sampler, rng=rng)] for c in chosen])
+
+
+def labels_of(samples: Sequence[GraspSample]) -> Float64:
+    """(S, 50) float64 labels [counts].
+
+    Raises:
+        DatasetError: If a label is absent or no reading of a working sensor; named by id.
+    """
+    return np.array([_label(sample) for sample in samples])
+
+
+def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
+    """Pairs of ids whose 50 labels are all equal: noise makes that next to impossible, so one is wrong."""
+    seen: dict[bytes, str] = {}
+    pairs = []
+    for sample in samples:
+        key = _label(sample).tobytes()
+        if key in seen:
+            pairs.append((seen[key], sample.id))
+        seen.setdefault(key, sample.id)
+    return pairs
+
+
+def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
+    """Of one sample: all its points, its grasp, and its lengths."""
+    usable = finite_points(sample.cloud, config)
+    frame = UnitSphereFrame.fit(usable.xyz)
+    points = sample_channels(usable, np.arange(usable.size), frame, config)
+    # On the points that prediction will choose, for the gap to the nearest depends on their number.
+    lengths = describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
+    return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
+
+
+def _label(sample: GraspSample) -> Float64:
+    if sample.touch is None:
+        raise DatasetError(f"{sample.id}: touch: is not labelled")
+    check = check_touch(sample.touch)
+    if not check.valid:
+        raise DatasetError(f"{sample.id}: touch: {check.faults[0]}")
+    return sample.touch.vector()

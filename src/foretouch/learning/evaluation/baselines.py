@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plain numbers that describe an object and a grasp: what the trees are given instead of a cloud.
+
+What a model has to beat: predictors that see no cloud, or only simple numbers of it.
+
+With few objects, each recorded on days of its own, object, time and drift go together: a model may seem to
+feel shapes while it only recognises the session. The object mean and the trees on object and time show how far
+that alone goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.types import Float64, GraspSample
+
+__all__ = [
+    "BASELINES",
+    "FEATURE_NAMES",
+    "TREES",
+    "Baseline",
+    "geometry_features",
+    "geometry_trees",
+    "object_mean",
+    "object_time_trees",
+    "training_mean",
+]
+
+
+_CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
+_CONTACT_NAMES: Final = ("count", "spread_1", "spread_2", "spread_3", "gap", "dx", "dy", "dz")
+
+FEATURE_NAMES: Final = (
+    *("x", "y", "z"),
+    *("extent_x", "extent_y", "extent_z"),
+    *("spread_1", "spread_2", "spread_3"),
+    *("radius", "log_points"),
+    *("g1_x", "g1_y", "g1_z", "g2_x", "g2_y", "g2_z"),
+    *("width", "offset"),
+    *(f"r{i}{j}" for i in range(3) for j in range(3)),
+    *(f"{contact}_{name}" for contact in ("g1", "g2") for name in _CONTACT_NAMES),
+)
+
+
+def geometry_features(sample: GraspSample) -> Float64:
+    """(len(FEATURE_NAMES),) float64: lengths in metres, camera frame; contacts relative to the centroid.
+
+    Where no point is near a contact its spreads and offset are 0 and its count says so.
+    """
+    cloud = sample.cloud.take(np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_))
+    xyz = cloud.xyz.astype(np.float64)
+    centroid = xyz.mean(axis=0)
+    centred = xyz - centroid
+    grasp = sample.grasp
+    radius = float(np.linalg.norm(centred, axis=1).max())
+    return np.concatenate(
+        [
+            centroid,
+            np.ptp(xyz, axis=0),
+            _spreads(centred),
+            [radius, np.log(len(xyz))],
+            grasp.g1 - centroid,
+            grasp.g2 - centroid,
+            [grasp.width_m, float(np.linalg.norm(grasp.midpoint - centroid))],
+            grasp.rotation.reshape(-1),
+            _contact(xyz, grasp.g1),
+            _contact(xyz, grasp.g2),
+        ]
+    )
+
+
+def _contact(xyz: Float64, contact: Float64) -> Float64:
+    offset = xyz - contact
+    distance = np.linalg.norm(offset, axis=1)
+    near = offset[distance < _CONTACT_RADIUS_M]
+    if len(near) == 0:
+        return np.array([0.0, 0.0, 0.0, 0.0, distance.min(), 0.0, 0.0, 0.0])
+    mean = near.mean(axis=0)
+    return np.concatenate([[len(near) / len(xyz)], _spreads(near - mean), [distance.min()], mean])
+
+
+def _spreads(centred: Float64) -> Float64:
+    """(3,) standard deviations along the principal axes [m], ascending."""
+    values = np.linalg.eigvalsh(centred.T @ centred / len(centred))
+    return np.asarray(np.sqrt(np.maximum(values, 0.0)), np.float64)
+
+
+Features = npt.NDArray[np.float64]
+
+TREES: Final = 300
+"""Of a forest."""
+
+_LEAF: Final = 3
+_FEATURE_SHARE: Final = 0.5
+
+
+class Baseline(Protocol):
+    """Fit on some samples and predict others: train samples, (S, 50) labels, test samples, seed to (T, 50)."""
+
+    def __call__(
+        self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
+    ) -> Float64:
+        """Predictions of the test samples [counts]."""
+        ...
+
+
+def training_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """The mean of all labels for every sample: skill 0 by definition."""
+    del train, seed
+    return np.tile(labels.mean(axis=0), (len(test), 1))
+
+
+def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+    """The mean of the labels of the same object; the training mean where the object is new."""
+    predicted = training_mean(train, labels, test, seed)
+    known = np.array([sample.object for sample in train])
+    for name in np.unique(known):
+        here = [i for i, sample in enumerate(test) if sample.object == name]
+        predicted[here] = labels[known == name].mean(axis=0)
+    return predicted
+
+
+def object_time_trees(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
+    """Extremely randomised trees that see which object it is and when, and nothing else."""
+    names = sorted({sample.object for sample in train})
+    return _forest(_object_time(train, names), labels, _object_time(test, names), seed, trees)
+
+
+def geometry_trees(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
+) -> Float64:
+    """Extremely randomised trees on `geometry_features`."""
+    return _forest(
+        np.array([geometry_features(sample) for sample in train]),
+        labels,
+        np.array([geometry_features(sample) for sample in test]),
+        seed,
+        trees,
+    )
+
+
+BASELINES: Final[dict[str, Baseline]] = {
+    "training_mean": training_mean,
+    "object_mean": object_mean,
+    "object_time_trees": object_time_trees,
+    "geometry_trees": geometry_trees,
+}
+
+
+def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Features:
+    """(S, 1 + objects): time in days, then which object; an object unseen in training has none set."""
+    table = np.zeros((len(samples), 1 + len(names)))
+    for row, sample in zip(table, samples, strict=True):
+        row[0] = sample.stamp_ns / 86_400e9
+        if sample.object in names:
+            row[1 + names.index(sample.object)] = 1.0
+    return table
+
+
+def _forest(train: Features, labels: Float64, test: Features, seed: int, trees: int) -> Float64:
+    from sklearn.ensemble import ExtraTreesRegressor
+
+    forest = ExtraTreesRegressor(
+        n_estimators=trees, min_samples_leaf=_LEAF, max_features=_FEATURE_SHARE, random_state=seed, n_jobs=1
+    )
+    scale = labels.std(axis=0) + 1e-9  # so that no electrode outweighs another in the choice of a split
+    forest.fit(train, labels / scale)
+    return np.asarray(forest.predict(test) * scale, np.float64)

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One network's optimiser and the course of its rate, whose state is tensors and plain data.
+
+What every training has in common: epochs, randomness of its own, and a state from which it goes on bit for bit.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from foretouch.errors import DatasetError, ModelError
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.device import ONE_RANK, DistributedContext, Place
+from foretouch.models.network.regressor import TouchNet
+
+__all__ = ["OPTIMISERS", "SCHEDULES", "StepRule", "Stepper", "Trainer", "shuffled_batches"]
+
+
+OPTIMISERS: Final = ("adamw", "adam", "sgd")
+SCHEDULES: Final = ("cosine", "constant")
+
+_KINDS: Final[dict[str, type[torch.optim.Optimizer]]] = {
+    "adamw": torch.optim.AdamW,
+    "adam": torch.optim.Adam,
+    "sgd": torch.optim.SGD,
+}
+
+
+@dataclass(frozen=True)
+class StepRule:
+    """How weights move.
+
+    Attributes:
+        optimiser: Out of `OPTIMISERS`.
+        learning_rate: Largest step.
+        weight_decay: Pull of the weights to zero.
+        schedule: Out of `SCHEDULES`.
+    """
+
+    optimiser: str
+    learning_rate: float
+    weight_decay: float
+    schedule: str
+
+
+class Stepper:
+    """Moves the weights of one network.
+
+    Args:
+        module: Whose weights.
+        rule: How.
+        steps: That will be taken in all; the cosine schedule ends with them.
+        ranks: Those that share each batch out.
+    """
+
+    def __init__(self, module: nn.Module, rule: StepRule, steps: int, ranks: DistributedContext = ONE_RANK) -> None:
+        # One kernel for all weights: a small network's step takes as long as its number of calls.
+        options: dict[str, Any] = {"lr": rule.learning_rate, "weight_decay": rule.weight_decay, "fused": True}
+        self._weights = list(module.parameters())
+        self._ranks = ranks
+        self._optimiser = _KINDS[rule.optimiser](self._weights, **options)
+        self._schedule: torch.optim.lr_scheduler.LRScheduler
+        if rule.schedule == "cosine":
+            self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, T_max=steps)
+        else:
+            self._schedule = torch.optim.lr_scheduler.ConstantLR(self._optimiser, factor=1.0)
+
+    def step(self, loss: Tensor) -> None:
+        """Differentiate a scalar and take one step."""
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._ranks.average_gradients(self._weights)
+        self._optimiser.step()
+        self._schedule.step()
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name and the rest as plain data; together all that `restore` needs."""
+        state = self._optimiser.state_dict()
+        tensors = {
+            f"{number}.{name}": value for number, values in state["state"].items() for name, value in values.items()
+        }
+        # SGD keeps None where it has no momentum; what is absent is None again after `restore`.
+        tensors = {name: value for name, value in tensors.items() if isinstance(value, Tensor)}
+        return tensors, {"groups": state["param_groups"], "schedule": self._schedule.state_dict()}
+
+    def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
+        """Go on as if nothing had been in between."""
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            number, name = key.split(".", 1)
+            state.setdefault(int(number), {})[name] = value
+        self._optimiser.load_state_dict({"state": state, "param_groups": plain["groups"]})
+        self._schedule.load_state_dict(dict(plain["schedule"]))
+
+
+_TORCH_RNG = "torch_rng"
+_CUDA_RNG = "cuda_rng"
+
+
+class Trainer(ABC):
+    """Trains a network epoch by epoch.
+
+    Weights, order, points and dropout follow the seed alone: torch's global generator is used within an
+    epoch, and is left as it was found.
+
+    Args:
+        data: All samples; it knows the network's configuration.
+        seed: Of everything random.
+        epochs: That will be run in all.
+        place: Where.
+
+    Attributes:
+        net: The network, in training mode or not as the last epoch left it; on the device of the place.
+        epoch: Epochs that are done.
+        rng: Order and points.
+        modules, steppers: All that is trained, by name; `net` is among them.
+    """
+
+    def __init__(self, data: TrainingSet, seed: int, epochs: int, place: Place) -> None:
+        self.data = data
+        self.place = place
+        self.epochs = epochs
+        self.epoch = 0
+        self._randomness: dict[str, Tensor] = {}
+        self.rng = np.random.default_rng(seed)
+        with self._own_randomness():
+            torch.manual_seed(seed)
+            self.net = TouchNet(data.config)
+            extra = self._make_modules()
+        self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
+        for module in self.modules.values():
+            place.settle(module)
+        self.steppers: dict[str, Stepper] = {}
+
+    def run_epoch(self) -> dict[str, float]:
+        """One pass over the training samples.
+
+        Returns:
+            Mean of each loss over the batches.
+
+        Raises:
+            DatasetError: If a loss or a weight stops being finite; names epoch, batch and sample.
+        """
+        with self._own_randomness():
+            batches = list(self._epoch())
+        self._require_finite_weights()
+        self.epoch += 1
+        return self._means(batches)
+
+    def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name and the rest as plain data: all that `restore` needs; the tensors are copies."""
+        tensors = dict(self._randomness)
+        plain: dict[str, Any] = {"epoch": self.epoch, "rng": self.rng.bit_generator.state, "steppers": {}}
+        for name, module in self.modules.items():
+            tensors |= _prefixed(name, module.state_dict())
+        for name, stepper in self.steppers.items():
+            moments, plain["steppers"][name] = stepper.state()
+            tensors |= _prefixed(f"{name}-steps", moments)
+        # To the CPU, so that a run may go on elsewhere; `to` copies there and back alone.
+        return {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}, plain
+
+    def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
+        """Go on from a snapshot as if nothing had been in between.
+
+        Raises:
+            ModelError: If it is of another architecture or damaged; names the first tensor that does not fit.
+        """
+        try:
+            for name, module in self.modules.items():
+                own = _under(name, tensors)
+                _require_shapes(name, module.state_dict(), own)
+                module.load_state_dict(own)
+            for name, stepper in self.steppers.items():
+                stepper.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
+            self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
+            self.rng.bit_generator.state = plain["rng"]
+            self.epoch = int(plain["epoch"])
+        except (RuntimeError, KeyError, TypeError, ValueError) as err:
+            raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
+
+    def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
+        """Stop before a step that would spoil the weights.
+
+        Args:
+            losses: Scalars by name.
+            number: Of the batch.
+            batch: (B,) its samples.
+            rows: (B, ...) what the losses were computed from, by which the sample is found.
+
+        Raises:
+            DatasetError: Names loss, epoch, batch and the first sample that is not finite, or else the most extreme.
+        """
+        bad = [name for name, loss in losses.items() if not bool(torch.isfinite(loss.detach()))]
+        if not bad:
+            return
+        size = torch.stack([row.detach().abs().flatten(1).amax(dim=1) for row in rows]).amax(dim=0)
+        # argmax takes a NaN for the largest of all.
+        sample = self.data.ids[int(batch[int(size.argmax())])]
+        raise DatasetError(
+            f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
+            "lower learning_rate"
+        )
+
+    @abstractmethod
+    def _epoch(self) -> Iterator[Mapping[str, float]]:
+        """Train on each batch of an epoch; the losses of each."""
+
+    def _make_modules(self) -> dict[str, nn.Module]:
+        """Further networks, made after the first from the same seed."""
+        return {}
+
+    @contextmanager
+    def _own_randomness(self) -> Iterator[None]:
+        """Within, torch's generators go on from where they were left here; outside, nobody notices."""
+        cuda = self.place.device if self.place.device.type == "cuda" else None
+        with torch.random.fork_rng(devices=[] if cuda is None else [cuda]):
+            if self._randomness:
+                torch.set_rng_state(self._randomness[_TORCH_RNG])
+            if cuda is not None and _CUDA_RNG in self._randomness:
+                torch.cuda.set_rng_state(self._randomness[_CUDA_RNG], cuda)
+            yield
+            self._randomness = {_TORCH_RNG: torch.get_rng_state()}
+            if cuda is not None:
+                self._randomness[_CUDA_RNG] = torch.cuda.get_rng_state(cuda)
+
+    def _means(self, batches: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """Mean of each loss over batches and processes."""
+        names = list(batches[0])
+        means = torch.tensor(
+            [float(np.mean([batch[name] for batch in batches])) for name in names], dtype=torch.float64
+        )
+        ranks = self.place.ranks
+        if ranks.size > 1:
+            means = ranks.sum(means.to(self.place.device)).cpu() / ranks.size
+        return dict(zip(names, means.tolist(), strict=True))
+
+    def _require_finite_weights(self) -> None:
+        for name, module in self.modules.items():
+            for key, value in module.state_dict().items():
+                if not bool(torch.isfinite(value).all()):
+                    raise DatasetError(
+                        f"training: {name}.{key}: holds a value that is not finite after the last batch of epoch "
+                        f"{self.epoch}; lower learning_rate"
+                    )
+
+
+def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
+    """Whole batches of shuffled samples; the rest of an epoch waits for a later shuffle."""
+    shuffled = rng.permutation(index)
+    for start in range(0, len(shuffled) - size + 1, size):
+        yield shuffled[start : start + size]
+
+
+def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
+    """Check that a module's tensors are all there and fit; torch's own message lists every one that does not."""
+    for key, value in wanted.items():
+        if key not in found:
+            raise ModelError(f"{name}/{key}: is missing, so it is of another architecture")
+        if found[key].shape != value.shape:
+            shapes = f"{tuple(found[key].shape)} is not {tuple(value.shape)}"
+            raise ModelError(f"{name}/{key}: {shapes}, so it is of another architecture")
+
+
+def _prefixed(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {f"{prefix}/{name}": value for name, value in tensors.items()}
+
+
+def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    start = f"{prefix}/"
+    return {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many supervised trainings of one shape at once: other seeds, samples or modalities, one stack of weights.
+
+Each run keeps its own weights, order, points and scaling; a step is one batched product for all of them. The result
+of a run is that of `train_network` alone, but for rounding. On a CPU this pays only where a step is too short for its
+calls (see benchmarks/training); it is meant for GPUs, where small runs one after the other leave most of it idle.
+
+Shapes: R runs, B samples, N points, C channels, G grasp numbers, M outputs.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call, stack_module_state
+
+from foretouch.errors import ConfigError, DatasetError
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.losses import labeled_loss
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
+from foretouch.learning.training.trainer import Stepper, StepRule
+from foretouch.models.network.pointnet import Layer
+from foretouch.models.network.regressor import TouchNet
+
+__all__ = ["train_many"]
+
+
+def train_many(
+    data: Sequence[TrainingSet], indices: Sequence[Indices], configs: Sequence[TrainConfig]
+) -> list[TouchNet]:
+    """Train one network a run.
+
+    Args:
+        data: (R,) samples; their networks differ at most in which modalities of the same size they predict.
+        indices: (R,) samples to train on, of equally many whole batches.
+        configs: (R,) how; equal but for the seed.
+
+    Returns:
+        (R,) networks on the CPU, in evaluation mode.
+
+    Raises:
+        ConfigError: If the runs are not of one shape, or drop out values, which each run would have to draw alone.
+        DatasetError: If a run has fewer samples than one batch, or its loss stops being finite.
+    """
+    runs = [SupervisedTrainer(one, index, config) for one, index, config in zip(data, indices, configs, strict=True)]
+    if not runs:
+        return []
+    _require_one_shape(runs)
+    stack = _Stack(runs)
+    for epoch in range(runs[0].epochs):
+        for number, batches in enumerate(zip(*[run.batches() for run in runs], strict=True)):
+            points, grasps, targets = (torch.stack([batch[k] for batch in batches]) for k in (1, 2, 3))
+            stack.step(points, grasps, targets, f"epoch {epoch}, batch {number}")
+    return stack.networks()
+
+
+class _Stack:
+    """The weights of all runs, each (R, ...), and one optimiser for them.
+
+    Args:
+        runs: Of one shape.
+    """
+
+    def __init__(self, runs: Sequence[SupervisedTrainer]) -> None:
+        self._nets = [run.net.train() for run in runs]
+        weights, self._buffers = stack_module_state(self._nets)
+        self._weights: dict[str, Tensor] = {name: nn.Parameter(value.detach()) for name, value in weights.items()}
+        self._shape = copy.deepcopy(self._nets[0])
+        for layer in self._shape.modules():
+            if isinstance(layer, Layer):
+                layer.moments = False
+        first = runs[0]
+        config = first.config
+        self._kind, self._sizes, self._grasp = config.loss, first.sizes, first.data.config.use_grasp
+        rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
+        steps = config.epochs * first.batch_count
+        # The rules of the steps work value by value, so that those of a stack are those of its networks.
+        self._stepper = Stepper(nn.ParameterList([*self._weights.values()]), rule, steps)
+        self._losses = torch.vmap(self._loss)
+
+    def step(self, points: Tensor, grasps: Tensor, targets: Tensor, where: str) -> None:
+        """One step of every run: (R, B, N, C), (R, B, G) and (R, B, M)."""
+        losses = self._losses(self._weights, self._buffers, points, grasps, targets)
+        finite = torch.isfinite(losses.detach())
+        if not bool(finite.all()):
+            raise DatasetError(
+                f"training: run {int((~finite).int().argmax())}: the loss is not finite in {where}; lower learning_rate"
+            )
+        self._stepper.step(losses.sum())  # each weight is in one summand alone
+
+    def networks(self) -> list[TouchNet]:
+        """The runs' own networks with the weights as they are now."""
+        for place, net in enumerate(self._nets):
+            values = {name: value[place].detach() for name, value in [*self._weights.items(), *self._buffers.items()]}
+            net.load_state_dict(values)
+        return [net.cpu().eval() for net in self._nets]
+
+    def _loss(
+        self,
+        weights: dict[str, Tensor],
+        buffers: dict[str, Tensor],
+        points: Tensor,
+        grasp: Tensor,
+        target: Tensor,
+    ) -> Tensor:
+        inputs = (points, grasp) if self._grasp else (points,)
+        scaled: Tensor = functional_call(self._shape, (weights, buffers), inputs)
+        return labeled_loss(scaled, target, self._sizes, self._kind)
+
+
+def _require_one_shape(runs: Sequence[SupervisedTrainer]) -> None:
+    first = runs[0]
+    for number, run in enumerate(runs):
+        model = run.data.config.replace(outputs=first.data.config.outputs)
+        if run.config.replace(seed=0) != first.config.replace(seed=0):
+            raise ConfigError(f"train_many: run {number}: its TrainConfig differs from run 0 in more than the seed")
+        if model != first.data.config or run.sizes != first.sizes or run.batch_count != first.batch_count:
+            raise ConfigError(f"train_many: run {number}: is of another shape than run 0")
+    if first.data.config.head_dropout > 0.0:
+        raise ConfigError("train_many: ModelConfig.head_dropout: must be 0, for each run draws its own")
+    if first.place.ranks.size > 1:
+        raise ConfigError("train_many: runs in one process alone")

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The maximum over the points after an affine map, whose gradient touches the winning points alone.
+
+The last shared layer of a PointNet takes most of its time, 128 to 1024 values at each of 750 points, and all but one
+value a feature is thrown away. So the winners are searched without a graph, in blocks that stay in the cache, and each
+feature is computed once more at its winner, with a graph. Value and gradient are those of the plain way, but for
+rounding; the gradient costs F products a cloud instead of F N.
+
+Shapes: B clouds, N points, K inputs, F features.
+
+PointNet features: one vector for a cloud, whatever the order of its points.
+
+    points (B, N, C) ─ T-Net ─► (B, N, C) ─ shared layers 64, 128, 1024 ─► (B, N, F) ─ max over N ─► (B, F)
+
+After Qi et al. 2017, the network that P1 and P2 build on. Points stand in rows and the shared layers are
+plain linear maps, which is the same function as the usual 1-D convolutions of kernel 1 and faster on CPUs.
+In evaluation each batch norm is an affine map that `foretouch.models.network.folding` merges into its layer.
+
+Shapes: B clouds, N points, C channels, F features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from foretouch.errors import ModelError
+from foretouch.models.network.batch_norm import Total, batch_affine, synced_norm
+from foretouch.models.network.config import ModelConfig
+
+__all__ = ["InputTransform", "Layer", "PointNetFeatures", "make_layers", "pool", "pooled_affine", "winners"]
+
+
+_BLOCK: Final = 25
+"""Points that are looked at together: the winning block is found first, for a maximum is much faster than its place."""
+
+_ENTRIES: Final = {"cpu": 2**20, "cuda": 2**27}
+"""Values held at a time: what a cache holds, or what a GPU's memory may be asked for."""
+
+
+def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
+    """(B, F): max over the points of relu(x Wᵀ + b).
+
+    Args:
+        x: (B, N, K) floating.
+        weight: (F, K).
+        bias: (F,).
+        precision: Of the search, if lower than that of `x`. What wins by less than its rounding may then lose to a
+            near equal; values and gradients stay those of the point that was taken, in the dtype of `x`.
+    """
+    winner = winners(x, weight, precision)
+    clouds, size = x.shape[:2]
+    rows = (winner + size * torch.arange(clouds, device=x.device)[:, None]).flatten()
+    chosen = x.flatten(0, 1).index_select(0, rows).view(clouds, -1, x.shape[2])
+    return torch.relu((chosen * weight).sum(dim=-1) + bias)  # ReLU keeps order, so it may follow the maximum
+
+
+@torch.no_grad()
+def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
+    """(B, F) int64: the point with the largest x Wᵀ; arguments as of `pooled_affine`."""
+    if precision.itemsize < x.dtype.itemsize:
+        x, weight = x.to(precision), weight.to(precision)
+    across = weight.T.contiguous()
+    at_once = max(1, _ENTRIES.get(x.device.type, 2**20) // max(1, x.shape[1] * len(weight)))
+    return torch.cat([_winners(part, across) for part in torch.split(x, at_once)])
+
+
+def _winners(x: Tensor, across: Tensor) -> Tensor:
+    clouds, size = x.shape[:2]
+    values = (x.flatten(0, 1) @ across).view(clouds, size, -1)
+    features = values.shape[2]
+    blocks = size // _BLOCK
+    if blocks < 2:
+        return values.argmax(dim=1)
+    whole = blocks * _BLOCK
+    blocked = values[:, :whole].view(clouds, blocks, _BLOCK, features)
+    most, block = blocked.amax(dim=2).max(dim=1)
+    inside = blocked.gather(1, block[:, None, None].expand(clouds, 1, _BLOCK, features)).squeeze(1)
+    winner = block * _BLOCK + inside.argmax(dim=1)
+    if whole == size:
+        return winner
+    rest, place = values[:, whole:].max(dim=1)
+    return torch.where(rest > most, whole + place, winner)
+
+
+_ENOUGH_VALUES: Final = 2**19
+"""Values of a layer, rows x outputs, from which moments are quicker than batch norm itself."""
+
+_ENOUGH_ROWS: Final = 32
+"""Rows for each input that a layer must have for the same: the moments' own matrices take inputs² each."""
+
+
+class Layer(nn.Module):
+    """Linear map, batch norm over all leading axes (or none), ReLU.
+
+    Shapes: (..., in_width) to (..., out_width).
+
+    Attributes:
+        total: Sums over the processes that share a batch out, for the statistics of batch norm; None where there is
+            one process. It is no part of the weights.
+        moments: Whether batch norm in training may be computed by moments; `torch.vmap` cannot follow there.
+    """
+
+    total: Total | None = None
+    moments: bool = True
+
+    def __init__(self, in_width: int, out_width: int, *, norm: bool = True) -> None:
+        super().__init__()
+        self.linear = nn.Linear(in_width, out_width)
+        self.norm = nn.BatchNorm1d(out_width) if norm else None
+
+    @property
+    def affine(self) -> bool:
+        """Whether the layer is an affine map and ReLU: no batch norm, or one whose statistics are fixed."""
+        return self.norm is None or not self.norm.training
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight and bias of that map, through which gradients reach all parameters; only where it is `affine`."""
+        if self.norm is None:
+            return self.linear.weight, self.linear.bias
+        mean, variance = self.norm.running_mean, self.norm.running_var
+        if mean is None or variance is None:
+            raise ModelError("batch norm: keeps no statistics, so it cannot be folded")
+        scale = self.norm.weight / torch.sqrt(variance + self.norm.eps)
+        return self.linear.weight * scale[:, None], (self.linear.bias - mean) * scale + self.norm.bias
+
+    def map_of(self, x: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Weight and bias of the affine map that the layer is for this batch, where finding them is the quick way.
+
+        With batch norm in training that is `batch_affine`. The plain way is taken where there are few rows, as in the
+        head, or fewer outputs than inputs, or nothing but a prediction is wanted, for which `folding` exists.
+        """
+        if self.norm is None or not self.norm.training:
+            return self.folded() if self.training or torch.is_grad_enabled() else None
+        if self.moments and x.dim() == 3 and _worth_moments(x.shape[0] * x.shape[1], self.linear):
+            return batch_affine(x, self.linear, self.norm, self.total)
+        return None
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply the layer."""
+        found = self.map_of(x)
+        if found is not None:  # spares two passes over the points, and their gradients
+            return torch.relu(functional.linear(x, *found))
+        y: Tensor = self.linear(x)
+        if self.norm is None:
+            return torch.relu(y)
+        rows = y.flatten(0, -2)
+        if self.norm.training and self.total is not None:
+            return torch.relu(synced_norm(rows, self.norm, self.total).view_as(y))
+        return torch.relu(self.norm(rows).view_as(y))
+
+
+def _worth_moments(rows: int, linear: nn.Linear) -> bool:
+    if linear.in_features > linear.out_features:
+        return False
+    return rows * linear.out_features >= _ENOUGH_VALUES and rows >= _ENOUGH_ROWS * linear.in_features
+
+
+def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:
+    """Layers between consecutive widths; none for a single width."""
+    return nn.Sequential(*[Layer(a, b, norm=norm) for a, b in pairwise(widths)])
+
+
+def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
+    """The largest value of each feature over the points, after some layers.
+
+    Shapes: (B, N, C) to (B, F).
+
+    Args:
+        layers: At least one.
+        points: The clouds.
+        precision: Of the search for the winners; see `pooled_affine`.
+    """
+    last = layers[-1]
+    hidden: Tensor = layers[:-1](points)
+    found = last.map_of(hidden) if isinstance(last, Layer) else None
+    if found is None:
+        features: Tensor = last(hidden).amax(dim=1)
+        return features
+    return pooled_affine(hidden, *found, precision)
+
+
+class InputTransform(nn.Module):
+    """T-Net: a learned 3 x 3 matrix that turns the coordinates of a cloud.
+
+    Only x, y, z are turned; colours and normals pass unchanged. It starts as the identity.
+
+    Shapes: (B, N, C) to (B, N, C), C at least 3.
+
+    Attributes:
+        precision: Of the search for the winning points in training.
+    """
+
+    precision: torch.dtype = torch.float32
+
+    def __init__(self, channels: int, widths: Sequence[int]) -> None:
+        super().__init__()
+        self.points = make_layers([channels, *widths[:3]])
+        self.cloud = make_layers(widths[2:])
+        self.matrix = nn.Linear(widths[-1], 9)
+        nn.init.zeros_(self.matrix.weight)
+        with torch.no_grad():
+            self.matrix.bias.copy_(torch.eye(3).flatten())
+
+    def forward(self, points: Tensor) -> Tensor:
+        """Turn the points."""
+        matrix = self.matrix(self.cloud(pool(self.points, points, self.precision))).view(-1, 3, 3)
+        return torch.cat([points[..., :3] @ matrix, points[..., 3:]], dim=-1)
+
+
+class PointNetFeatures(nn.Module):
+    """The feature vector of a cloud: f(x) in P2, compared by the losses of the SR-GAN.
+
+    Shapes: (B, N, C) to (B, F).
+
+    Attributes:
+        precision: Of the search for the winning points in training.
+    """
+
+    precision: torch.dtype = torch.float32
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        channels = config.channel_count
+        self.transform = InputTransform(channels, config.tnet_widths) if config.tnet else None
+        self.layers = make_layers([channels, *config.trunk_widths])
+
+    def forward(self, points: Tensor) -> Tensor:
+        """Features of each cloud."""
+        if self.transform is not None:
+            points = self.transform(points)
+        return pool(self.layers, points, self.precision)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a cloud and grasps to what a network is fed: the same code in training and in prediction.
+
+The cloud is sampled to a fixed number of points and moved to the unit sphere at its centroid; contacts
+move with it. The rotation of the hand is the same in both frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.geometry.normals import normals_and_curvature
+from foretouch.cloud.geometry.sampling import sample_indices
+from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.errors import CloudError, ModelError
+from foretouch.models.network.config import ModelConfig
+from foretouch.types import Cloud, Float32, Float64, Grasp
+
+__all__ = ["MINIMUM_POINTS", "PreparedCloud", "finite_points", "prepare_cloud", "prepare_grasps", "sample_channels"]
+
+MINIMUM_POINTS = 32
+"""Fewer points than this do not show a shape; the sparsest of the public clouds holds 814."""
+
+_DM_PER_M = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCloud:
+    """One cloud in the frame of the network.
+
+    Attributes:
+        points: (N, C) float32: x, y, z in the unit sphere, then colour or normal.
+        frame: From the cloud's frame to the unit sphere.
+    """
+
+    points: Float32
+    frame: UnitSphereFrame
+
+
+def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
+    """The points that have a depth, unorganised.
+
+    Raises:
+        CloudError: If fewer than `MINIMUM_POINTS` are left, or all are in one place.
+        ModelError: If the network needs a colour that the cloud lacks.
+    """
+    if config.channels == "xyz+rgb" and cloud.rgb is None:
+        raise ModelError("channels: the model needs xyz+rgb and the cloud has no rgb")
+    usable = cloud.take(np.asarray(np.isfinite(cloud.xyz).all(axis=-1), np.bool_))
+    if usable.size < MINIMUM_POINTS:
+        raise CloudError(f"cloud: {usable.size} finite points of {cloud.size} are fewer than {MINIMUM_POINTS}")
+    if not np.ptp(usable.xyz, axis=0).any():
+        raise CloudError(f"cloud: all {usable.size} finite points are in one place")
+    return usable
+
+
+def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | None = None) -> PreparedCloud:
+    """Sample a cloud and move it to the unit sphere.
+
+    Args:
+        cloud: In metres, any frame. Points without depth are left out.
+        config: Of the network.
+        rng: Chooses the points; by default a fresh one of `config.sampler_seed`, so that one cloud always
+            gives the same input. Training passes its own and sees other points each time.
+
+    Raises:
+        CloudError: As of `finite_points`.
+        ModelError: As of `finite_points`.
+    """
+    usable = finite_points(cloud, config)
+    rng = np.random.default_rng(config.sampler_seed) if rng is None else rng
+    frame = UnitSphereFrame.fit(usable.xyz)
+    index = sample_indices(usable.xyz, config.n_points, method=config.sampler, rng=rng)
+    return PreparedCloud(sample_channels(usable, index, frame, config), frame)
+
+
+def sample_channels(
+    cloud: Cloud, index: npt.NDArray[np.integer], frame: UnitSphereFrame, config: ModelConfig
+) -> Float32:
+    """(n, C) float32: the chosen points as the network sees them.
+
+    Colour is scaled to [-1, 1], the span of P2's generator. Normals are of unit length.
+
+    Args:
+        cloud: (N, 3), finite.
+        index: (n,) indices into the cloud.
+        frame: Fitted to the cloud.
+        config: Of the network.
+    """
+    xyz = frame.apply_points(cloud.xyz[index])
+    if config.channels == "xyz":
+        return np.ascontiguousarray(xyz, np.float32)
+    if config.channels == "xyz+rgb":
+        if cloud.rgb is None:
+            raise ModelError("channels: the model needs xyz+rgb and the cloud has no rgb")
+        other = cloud.rgb[index].astype(np.float32) / 127.5 - 1.0
+    else:
+        other = _normals(cloud.xyz, index)
+    return np.concatenate([xyz, other], axis=1, dtype=np.float32)
+
+
+def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: ModelConfig) -> Float32:
+    """(K, G) float32: g1, g2 in the unit sphere, R row by row, then radius and width [dm] if asked for.
+
+    Args:
+        grasps: In the cloud's frame.
+        frame: Of the cloud.
+        config: Of the network; G is 0 where it feeds no grasp.
+    """
+    count = len(grasps)
+    if not config.use_grasp or count == 0:
+        return np.zeros((count, config.grasp_size), np.float32)
+    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
+    parts = [
+        frame.apply_points(contacts.reshape(-1, 3)).reshape(count, 6),
+        np.array([grasp.rotation for grasp in grasps]).reshape(count, 9),
+    ]
+    if config.metric_inputs:
+        width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+        parts += [np.full((count, 1), frame.scale * _DM_PER_M), width[:, None] * _DM_PER_M]
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def _normals(xyz: Float32, index: npt.NDArray[np.integer]) -> Float64:
+    """(n, 3) unit normals towards the camera; zero where fewer than three points are near to tell one."""
+    normals, _ = normals_and_curvature(xyz, index)
+    return np.nan_to_num(normals, nan=0.0)

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`sensor_msgs/PointCloud2` to clouds and back, and the layout of `object_cloud`.
+
+`object_cloud` holds the points of all targets, one after the other, best first. Beside x, y, z (and rgb)
+each point carries `label` (UINT32, the object's id), `row` and `column` (UINT16, its place in the image
+it was cut from), so that later steps can tell the objects apart and search neighbours by pixel. A cloud
+without these fields is one object without an image.
+"""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sensor_msgs.msg import PointCloud2, PointField
+
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, decode, encode
+from foretouch.cloud.io.pointcloud2 import PointField as LayoutField
+from foretouch.cloud.segmentation.segment import ObjectSegment
+from foretouch.errors import CloudError
+from foretouch.pipeline import FoundObject
+from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, stamp_ns
+from foretouch.types import Cloud, Plane
+from foretouch_msgs.msg import Object
+
+__all__ = ["cloud_from_msg", "cloud_to_msg", "object_to_msg", "objects_from_msg", "objects_to_msg"]
+
+
+def cloud_from_msg(message: PointCloud2) -> Cloud:
+    """A cloud; its arrays are read-only views of the message where the layout allows.
+
+    Raises:
+        CloudError: If the sizes do not add up, or x, y or z is missing or of another type.
+    """
+    arrays = decode(_layout(message), message.data)
+    return Cloud(arrays.xyz, arrays.rgb, message.header.frame_id, stamp_ns(message.header.stamp))
+
+
+def cloud_to_msg(cloud: Cloud) -> PointCloud2:
+    """A message of 12 bytes a point, 16 with colour."""
+    layout, data = encode(cloud)
+    message = PointCloud2(
+        header=header_to_msg(cloud.frame_id, cloud.stamp_ns),
+        height=layout.height,
+        width=layout.width,
+        fields=[PointField(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count) for f in layout.fields],
+        is_bigendian=layout.is_bigendian,
+        point_step=layout.point_step,
+        row_step=layout.row_step,
+        is_dense=layout.is_dense,
+    )
+    message.data = data
+    return message
+
+
+def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
+    """The targets as `object_cloud`; without any, a cloud without points.
+
+    Args:
+        targets: Best first; their ids are whole numbers.
+        frame_id: Frame of the scene's cloud.
+        nanoseconds: Its stamp [ns].
+    """
+    coloured = bool(targets) and all(one.cloud.rgb is not None for one in targets)
+    points = np.concatenate([_records(one, coloured=coloured) for one in targets] or [np.empty(0, _record())])
+    message = PointCloud2(
+        header=header_to_msg(frame_id, nanoseconds),
+        height=1,
+        width=len(points),
+        fields=_fields(points.dtype),
+        point_step=points.dtype.itemsize,
+        row_step=points.nbytes,
+        is_dense=True,
+    )
+    data = array.array("B")
+    data.frombytes(points.view(np.uint8).data)
+    message.data = data  # an array.array is taken over as it is; NumPy's would be looked at byte by byte
+    return message
+
+
+def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
+    """One object with the indices of its points.
+
+    Args:
+        segment: The object.
+        target: Whether it gets grasps.
+    """
+    indices = array.array("I")
+    indices.frombytes(segment.pixels.astype(np.uint32).view(np.uint8).data)
+    low, high = segment.bounds
+    return Object(
+        id=str(segment.id),
+        n_points=segment.n_points,
+        centroid=point_to_msg(segment.centroid),
+        minimum=point_to_msg(low),
+        maximum=point_to_msg(high),
+        target=target,
+        indices=indices,
+    )
+
+
+def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
+    """The reverse of `objects_to_msg`, in the same order; also any cloud of one object.
+
+    Args:
+        message: `object_cloud`.
+        plane: The table that they stand on.
+
+    Raises:
+        CloudError: As `cloud_from_msg`.
+    """
+    cloud = cloud_from_msg(message)
+    if cloud.size == 0:
+        return ()
+    labels, rows, columns = (_field(message, name) for name in ("label", "row", "column"))
+    if labels is None:
+        finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
+        return (FoundObject("", cloud.take(finite), plane),) if finite.size else ()
+    shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
+    _, first = np.unique(labels, return_index=True)
+    found = []
+    for label in labels[np.sort(first)]:
+        mine = np.flatnonzero(labels == label)
+        pixels = None
+        if shape is not None and rows is not None and columns is not None:
+            pixels = rows[mine].astype(np.int64) * shape[1] + columns[mine]
+        found.append(FoundObject(str(label), cloud.take(mine), plane, pixels, shape))
+    return tuple(found)
+
+
+def _layout(message: PointCloud2) -> PointCloud2Layout:
+    return PointCloud2Layout(
+        height=message.height,
+        width=message.width,
+        fields=tuple(LayoutField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
+        point_step=message.point_step,
+        row_step=message.row_step,
+        is_bigendian=message.is_bigendian,
+        is_dense=message.is_dense,
+    )
+
+
+def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:
+    names: list[tuple[str, str]] = [(name, "<f4") for name in "xyz"]
+    if coloured:
+        names.append(("rgb", "<u4"))
+    names.append(("label", "<u4"))
+    if imaged:
+        names += [("row", "<u2"), ("column", "<u2")]
+    return np.dtype(names)
+
+
+def _records(target: FoundObject, *, coloured: bool) -> npt.NDArray[Any]:
+    imaged = target.pixels is not None and target.image_shape is not None
+    records = np.empty(target.cloud.size, _record(coloured=coloured, imaged=imaged))
+    for i, name in enumerate("xyz"):
+        records[name] = target.cloud.xyz[:, i]
+    if coloured and target.cloud.rgb is not None:
+        r, g, b = target.cloud.rgb.T.astype(np.uint32)
+        records["rgb"] = (r << 16) | (g << 8) | b
+    records["label"] = int(target.id)
+    if target.pixels is not None and target.image_shape is not None:
+        records["row"], records["column"] = np.divmod(target.pixels, target.image_shape[1])
+    return records
+
+
+def _fields(record: np.dtype[Any]) -> list[PointField]:
+    codes = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "<u2": PointField.UINT16}
+    fields = []
+    for name, (kind, offset, *_) in (record.fields or {}).items():
+        # PCL and RViz expect packed colours to be called a float.
+        datatype = PointField.FLOAT32 if name == "rgb" else codes[kind.str]
+        fields.append(PointField(name=name, offset=offset, datatype=datatype, count=1))
+    return fields
+
+
+def _field(message: PointCloud2, name: str) -> npt.NDArray[Any] | None:
+    """One of our own whole-number fields of an unorganised cloud, or None where it is absent."""
+    kinds = {PointField.UINT32: "u4", PointField.UINT16: "u2"}
+    field = next((f for f in message.fields if f.name == name), None)
+    if field is None:
+        return None
+    if field.datatype not in kinds or field.count != 1 or message.height != 1:
+        raise CloudError(f"{name}: is not one UINT32 or UINT16 a point of an unorganised cloud")
+    kind = (">" if message.is_bigendian else "<") + kinds[field.datatype]
+    return np.ndarray((message.width,), kind, buffer=message.data, offset=field.offset, strides=(message.point_step,))

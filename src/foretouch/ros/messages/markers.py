@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What RViz shows: objects, contacts, the hand, and the electrodes coloured by predicted touch. Pure functions.
+
+Every marker lives for a second and has a stable id, so that what is no longer said fades by itself.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from foretouch.ros.messages.conversions import grasp_from_msg, interval_text, point_to_msg, reference_text
+from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
+from foretouch.types import Float64, Grasp
+from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPrediction
+
+__all__ = ["fingertip_rotation", "object_markers", "touch_markers"]
+
+_LIFETIME = Duration(sec=1)
+_CONTACT_M = 0.012  # diameter of a contact's ball
+_AXIS_M = 0.06  # length of the hand's axes
+_ELECTRODE_M = 0.003
+_TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
+_FLAGGED = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
+_OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
+_CONTACTS = (ColorRGBA(r=1.0, g=0.4, b=0.1, a=1.0), ColorRGBA(r=0.1, g=0.5, b=1.0, a=1.0))
+_AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.0))
+
+
+def object_markers(message: ObjectArray) -> MarkerArray:
+    """A translucent box around each object, green for the targets, and its id."""
+    markers = []
+    for number, one in enumerate(message.objects):
+        box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if one.target else _OTHER)
+        low, high = (np.array([p.x, p.y, p.z]) for p in (one.minimum, one.maximum))
+        box.pose.position = point_to_msg((low + high) / 2.0)
+        box.scale = _vector(np.maximum(high - low, 1e-3))
+        markers += [box, _label(message.header, number, one)]
+    return MarkerArray(markers=markers)
+
+
+def touch_markers(
+    prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True, touches: int = 0
+) -> MarkerArray:
+    """Contacts, hand frame, the 48 electrodes of one prediction, and in words its pressures and what they lean on.
+
+    Args:
+        prediction: One that was made; a refusal gives no marker.
+        ranges: An electrode at its upper end is green, at its lower end red: compression lowers the count.
+        thumb_takes_g1: Which finger touches g1.
+        touches: In memory, for a prediction that leans on them.
+    """
+    if prediction.status != Status.OK:
+        return MarkerArray()
+    grasp = grasp_from_msg(prediction.grasp)
+    header = prediction.header
+    ids = count()
+    markers = []
+    for contact, colour in zip((grasp.g1, grasp.g2), _CONTACTS, strict=True):
+        ball = _marker(header, "contacts", next(ids), Marker.SPHERE, colour)
+        ball.pose.position = point_to_msg(contact)
+        ball.scale = Vector3(x=_CONTACT_M, y=_CONTACT_M, z=_CONTACT_M)
+        markers.append(ball)
+    for axis, colour in zip(grasp.rotation.T, _AXES, strict=True):
+        arrow = _marker(header, "hand", next(ids), Marker.ARROW, colour)
+        arrow.points = [point_to_msg(grasp.midpoint), point_to_msg(grasp.midpoint + _AXIS_M * axis)]
+        arrow.scale = Vector3(x=0.004, y=0.008, z=0.0)
+        markers.append(arrow)
+    thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
+    markers.append(_electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")))
+    markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
+    markers.append(_words(prediction, grasp, touches))
+    return MarkerArray(markers=markers)
+
+
+def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
+    """How a fingertip is drawn at a contact: its pad faces the other contact, its tip points away from the camera.
+
+    Where the finger really points depends on the hand; P2's data say only where it touches.
+
+    Args:
+        grasp: The grasp.
+        contact: (3,) float64, its g1 or g2 [m].
+
+    Returns:
+        (3, 3) float64, columns x (along the finger), y, z (away from the pad) in the cloud's frame.
+    """
+    z = contact - grasp.midpoint
+    z = z / np.linalg.norm(z)
+    x = grasp.rotation[:, 0] - z * (z @ grasp.rotation[:, 0])
+    x = x / np.linalg.norm(x)
+    if x @ grasp.midpoint < 0.0:  # the camera is at the origin
+        x = -x
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _electrodes(
+    header: Header,
+    namespace: str,
+    grasp: Grasp,
+    contact: Float64,
+    values: list[Interval],
+    limits: tuple[float, float],
+) -> Marker:
+    """One list of 24 balls; the pad's surface, where its electrodes lie lowest, is put on the contact."""
+    marker = _marker(header, namespace, 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))
+    marker.scale = Vector3(x=_ELECTRODE_M, y=_ELECTRODE_M, z=_ELECTRODE_M)
+    positions = electrode_positions() + 0.5 * _ELECTRODE_M * electrode_normals()
+    positions = positions - [positions[:, 0].mean(), 0.0, positions[:, 2].min()]
+    placed = positions @ fingertip_rotation(grasp, contact).T + contact
+    counts = np.array([interval.value for interval in values], np.float64)
+    low, high = limits
+    marker.points = [point_to_msg(point) for point in placed]
+    marker.colors = [_heat(drop) for drop in np.clip((high - counts) / (high - low), 0.0, 1.0)]
+    return marker
+
+
+def _words(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
+    """Pressures with half widths, the reference and the flags above the hand; in yellow where something is flagged."""
+    colour = _FLAGGED if prediction.flags else ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
+    label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
+    label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
+    label.scale.z = 0.02
+    pressures = f"PDC {interval_text(prediction.pdc_th)} | {interval_text(prediction.pdc_mf)}"
+    label.text = "\n".join([f"{pressures} ({reference_text(prediction, touches)})", *prediction.flags])
+    return label
+
+
+def _heat(drop: float) -> ColorRGBA:
+    """Green without a drop, over yellow, to red at the full range."""
+    return ColorRGBA(r=float(min(1.0, 2.0 * drop)), g=float(min(1.0, 2.0 - 2.0 * drop)), b=0.1, a=1.0)
+
+
+def _label(header: Header, number: int, one: Object) -> Marker:
+    label = _marker(header, "object_ids", number, Marker.TEXT_VIEW_FACING, ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0))
+    label.pose.position = Point(x=one.centroid.x, y=one.minimum.y - 0.02, z=one.centroid.z)  # y points down
+    label.scale.z = 0.03
+    label.text = f"{one.id}: {one.n_points} points"
+    return label
+
+
+def _marker(header: Header, namespace: str, number: int, kind: int, colour: ColorRGBA) -> Marker:
+    return Marker(
+        header=header,
+        ns=namespace,
+        id=number,
+        type=kind,
+        action=Marker.ADD,
+        pose=Pose(orientation=Quaternion(w=1.0)),
+        color=colour,
+        lifetime=_LIFETIME,
+    )
+
+
+def _vector(values: Float64) -> Vector3:
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes `points` from a RealSense that is plugged in, recorded or synthetic.
+
+Threads: one thread reads the camera (and so opens, waits for and reopens it) and publishes; the
+executor's callbacks only look at its status.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError, ForetouchError
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.simulation import random_scene
+from foretouch.simulation.message_faults import FaultConfig
+from foretouch.simulation.scene_camera import scene_camera
+from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.swing import swinging
+from foretouch.types import Cloud
+
+__all__ = ["CameraNode", "CameraNodeConfig", "SyntheticConfig"]
+
+_READ_S = 0.1  # longest wait before the thread looks whether it should end
+_PERIOD_S = 1.0  # of the synthetic scene's motion
+_MOST_FRAMES = 30  # of that motion, held in memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyntheticConfig(Settings):
+    """The scene before a synthetic camera."""
+
+    seed: int = setting(0, "Decides the scene", minimum=0, maximum=2**31 - 1, read_only=True)
+    n_objects: int = setting(3, "Objects on the table", minimum=0, maximum=8, read_only=True)
+    moving: bool = setting(True, "Whether an object swings to and fro", read_only=True)
+    noise_m: float = setting(
+        0.0, "Standard deviation of the depth at 1 m", unit="m", minimum=0.0, maximum=0.05, read_only=True
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraNodeConfig(NodeConfig):
+    """Settings of the camera node."""
+
+    source: str = setting(
+        "device",
+        "`device` (as the settings of `camera` say), `synthetic`, `scene`, or a recording's path",
+        read_only=True,
+    )
+    camera: RealSenseConfig = field(default_factory=RealSenseConfig)
+    synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
+    scene: ShowConfig = field(default_factory=ShowConfig)
+    faults: FaultConfig = field(default_factory=FaultConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.source != "scene" and self.faults != FaultConfig():
+            raise ConfigError(f"CameraNodeConfig.faults: are put into the camera of a scene only, not {self.source}")
+
+
+class CameraNode(ForetouchNode[CameraNodeConfig]):
+    """Publishes organised clouds and tells in /diagnostics what the camera is doing.
+
+    Attributes:
+        synthetic: The feeder where `source` is `synthetic` or `scene`; it can be paused and unplugged.
+    """
+
+    def __init__(self, name: str = "camera", **options: Any) -> None:
+        self.synthetic: SyntheticCamera | None = None
+        self._camera: RealSenseCamera | None = None
+        self._points: Any = None
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._failure = ""
+        self._size: dict[str, int] = {}  # of the image, where a scene decides it
+        super().__init__(name, CameraNodeConfig, **options)
+
+    # Hooks of the base.
+
+    def setup(self) -> None:
+        """Render the scene of a synthetic camera and advertise the topic."""
+        if self.config.source == "synthetic":
+            self.synthetic = _synthetic_camera(self.config)
+        elif self.config.source == "scene":
+            scene = self.config.scene.load()
+            self._size = {"width": scene.camera.width, "height": scene.camera.height}
+            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps, self.config.faults)
+        self._points = self.advertise(PointCloud2, "points")
+
+    def start(self) -> None:
+        """Make the camera and read it from a thread."""
+        self._failure = ""
+        self._stopping.clear()
+        self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._tell)
+        if self.synthetic is not None:
+            self.synthetic.start()
+        self._thread = threading.Thread(target=self._run, args=(self._camera,), name="camera", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and release the device."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+        if self.synthetic is not None:
+            self.synthetic.close()
+
+    def teardown(self) -> None:
+        """Forget the scene."""
+        self.synthetic = None
+
+    def config_changed(self, config: CameraNodeConfig) -> None:
+        """Filters and timeouts may change while it streams."""
+        camera = self._camera
+        if camera is not None:
+            camera.reconfigure(config.camera.replace(**self._size))
+
+    def has_ended(self) -> bool:
+        """Whether a recording was played to its end."""
+        camera = self._camera
+        return camera is not None and camera.status.state == "ended"
+
+    def errors(self) -> tuple[str, ...]:
+        """A camera that is absent, stalled or being reopened, and why."""
+        if self._failure:
+            return (self._failure,)
+        camera = self._camera
+        if camera is None or camera.status.is_well:
+            return ()
+        return (f"{camera.status.state}: {camera.status.reason}",)
+
+    def notes(self) -> dict[str, str]:
+        """The camera's state and counts."""
+        camera = self._camera
+        if camera is None:
+            return {"source": self.config.source, "camera": "closed"}
+        status = camera.status
+        age = "" if status.since_frame_s is None else f"{status.since_frame_s:.2f}"
+        return {
+            "source": self.config.source,
+            "camera": status.state,
+            "reason": status.reason,
+            "device": status.device,
+            "opened": str(status.opened),
+            "failures": str(status.failures),
+            "since_frame_s": age,
+        }
+
+    # The thread.
+
+    def _run(self, camera: RealSenseCamera) -> None:
+        told: Counter[str] = Counter()
+        while not self._stopping.is_set() and camera.status.state != "ended":
+            try:
+                cloud = camera.read(_READ_S)
+            except ForetouchError as err:  # the settings ask for what there is not: trying again is vain
+                self._fail(str(err))
+                return
+            except Exception as err:  # noqa: BLE001  a thread that ends silently would leave everybody waiting
+                self._fail(f"{type(err).__name__}: {err}")
+                return
+            self._count_drops(camera.status.dropped, told)
+            if cloud is not None:
+                self._publish(cloud)
+
+    def _publish(self, cloud: Cloud) -> None:
+        arrived = self.statistics.arrive()
+        age_s = self.age_s(cloud.stamp_ns)
+        self._points.publish(cloud_to_msg(cloud))
+        self.statistics.use(arrived, age_s)
+
+    def _count_drops(self, dropped: Mapping[str, int], told: Counter[str]) -> None:
+        for reason, count in dropped.items():
+            for _ in range(count - told[reason]):
+                self.statistics.arrive()
+                self.statistics.drop(reason)
+            told[reason] = count
+
+    def _fail(self, reason: str) -> None:
+        self._failure = reason
+        self.get_logger().error(reason)
+
+    def _tell(self, status: CameraStatus) -> None:
+        text = f"camera {status.state}" + (f": {status.reason}" if status.reason else "")
+        if status.is_well:
+            self.get_logger().info(text)
+        else:
+            self.get_logger().warning(text)
+
+
+def _camera_config(config: CameraNodeConfig) -> RealSenseConfig:
+    if config.source in {"device", "synthetic", "scene"}:
+        return config.camera
+    return config.camera.replace(file=config.source)
+
+
+def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
+    camera, scene = config.camera, config.synthetic
+    rng = np.random.default_rng(scene.seed)
+    depth_scene = random_scene(rng, camera.width, camera.height, scene.n_objects)
+    count = min(_MOST_FRAMES, max(1, round(_PERIOD_S * camera.fps))) if scene.moving else 1
+    frames = swinging(depth_scene, count, rng=rng, noise_m=scene.noise_m)
+    return SyntheticCamera(frames, camera.fps)

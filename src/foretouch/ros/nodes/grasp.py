@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`object_cloud` + `table` -> `grasps`: where two fingers could take each target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.lifecycle import LifecyclePublisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from foretouch.grasp import GeoGraspConfig
+from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.ros.messages.plans import plan_targets
+from foretouch.ros.messages.requests import read_table, read_targets
+from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode
+from foretouch.ros.runtime.warm_up import tabletop
+from foretouch_msgs.msg import GraspArray, TablePlane
+
+__all__ = ["GraspNode", "GraspNodeConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspNodeConfig(ProcessingConfig):
+    """Settings of the grasp node."""
+
+    grasp: GeoGraspConfig = GeoGraspConfig()
+
+
+class GraspNode(ProcessingNode[GraspNodeConfig]):
+    """Plans with GeoGrasp (`Pipeline.plan`)."""
+
+    _grasps: LifecyclePublisher[Any]
+
+    def __init__(self, **options: Any) -> None:
+        inputs = [(PointCloud2, "object_cloud"), (TablePlane, "table")]
+        super().__init__("grasp", GraspNodeConfig, inputs, **options)
+        self._pipeline = Pipeline(PipelineConfig(grasp=self.config.grasp))
+
+    def setup(self) -> None:
+        """Outputs before inputs, so that no answer is lost."""
+        self._grasps = self.advertise(GraspArray, "grasps")
+        for target in self._pipeline.see(tabletop()).targets:
+            self._pipeline.plan(target)
+        super().setup()
+
+    def config_changed(self, config: GraspNodeConfig) -> None:
+        """Use the new settings from the next cloud on."""
+        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp))
+
+    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+        """Plan grasps on the targets of one cloud."""
+        targets = read_targets(messages["object_cloud"], read_table(messages["table"], header))
+        message = plan_targets(self._pipeline, targets, header)
+        self._grasps.publish(message)
+        return message.status, message.reason
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """There is no grasp."""
+        self._grasps.publish(GraspArray(header=header, status=status, reason=reason))

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
+
+Where a hand sends what it reads, and tells of the grasps that it executes, predictions lean on that (see `feeling`): on
+the reading at rest, and on touches of the object at hand. `forget_touches` says that another object is at hand. Without
+any tactile message it is as if none of this were there.
+
+Service and action work in threads of their own (see `offload`), beside the worker that answers the topics:
+the model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
+then says so, and cleaning up and configuring again is the way to try once more.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from rclpy.action.server import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.service import Service
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from foretouch.grasp import GeoGraspConfig
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.ros.messages.markers import touch_markers
+from foretouch.ros.messages.requests import check_frames, read_plane, read_targets
+from foretouch.ros.messages.status import RefusalError
+from foretouch.ros.messages.tactile import make_adapter
+from foretouch.ros.runtime.processing_node import ProcessingNode
+from foretouch.ros.runtime.workers import ThreadPool
+from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
+from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.touch.predictor import Predictor
+from foretouch_msgs.action import SampleGrasps
+from foretouch_msgs.msg import (
+    ExecutedGrasp,
+    Grasp,
+    GraspArray,
+    Status,
+    TablePlane,
+    TouchPrediction,
+    TouchPredictionArray,
+)
+from foretouch_msgs.srv import PredictTouch
+
+__all__ = ["TouchPredictorNode"]
+
+_T = TypeVar("_T")
+_REQUESTS_AT_A_TIME = 2  # more would only take turns at the processor
+_TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
+_TACTILE_DEPTH = 200  # two seconds of a hand's messages
+_EXECUTED_DEPTH = 10
+
+
+class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
+    """Predicts touch (`TouchModel.predict`)."""
+
+    _touch: LifecyclePublisher[Any]
+    _markers: LifecyclePublisher[Any]
+
+    def __init__(self, **options: Any) -> None:
+        inputs = [(PointCloud2, "object_cloud"), (GraspArray, "grasps")]
+        super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
+        self._predictor: Predictor | None = None
+        self._feeling: OnlineAdapter | None = None
+        self._used_tare = self.config.use_tare
+        self._offload: ThreadPool | None = None
+        self._answering: list[Service[Any, Any]] = []
+        self._action: ActionServer[Any, Any, Any] | None = None
+        self._tables: dict[int, TablePlane] = {}
+        self._latest: Latest | None = None
+        self._latest_lock = threading.Lock()
+
+    # Hooks of the base.
+
+    def setup(self) -> None:
+        """Load the model, then offer the topic, the service and the action."""
+        self._predictor = Predictor(self.config.model, self.config.fallback_model)
+        if self._predictor.fault:
+            self.get_logger().error(self._predictor.fault)
+        self._predictor.warm_up()
+        self._feel(self._predictor)
+        self._touch = self.advertise(TouchPredictionArray, "touch")
+        self._markers = self.advertise(MarkerArray, "markers")
+        self._offload = ThreadPool(self, _REQUESTS_AT_A_TIME)
+        group = ReentrantCallbackGroup()
+        self._answering = [
+            self.create_service(PredictTouch, "predict_touch", self._predict_touch, callback_group=group),
+            self.create_service(Trigger, "forget_touches", self._forget_touches, callback_group=group),
+        ]
+        self._action = ActionServer(
+            self,
+            SampleGrasps,
+            "sample_grasps",
+            self._sample_grasps,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        self.subscribe(TablePlane, "table", self._remember_table)
+        super().setup()
+
+    def teardown(self) -> None:
+        """Withdraw services and action, forget model and touches."""
+        for service in self._answering:
+            self.destroy_service(service)
+        self._answering.clear()
+        if self._action is not None:
+            self._action.destroy()
+        if self._offload is not None:
+            self._offload.close()
+        self._action = self._offload = self._predictor = self._feeling = self._latest = None
+        self._tables.clear()
+
+    def errors(self) -> tuple[str, ...]:
+        """The model's fault, if it has one."""
+        return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
+
+    def notes(self) -> dict[str, str]:
+        """The model's name and hash besides, and what it leans on."""
+        model = self._predictor.model if self._predictor else None
+        known = {"model": model.name, "model_sha256": model.sha256} if model else {}
+        if model is not None and self._feeling is None:
+            known["regime"] = "none: the model's card holds no calibration"
+        return {**super().notes(), **known, **(self._feeling.notes() if self._feeling else {})}
+
+    def config_changed(self, config: TouchPredictorConfig) -> None:
+        """Touches compared with a tare and without are not of one kind: where that changes, they are forgotten."""
+        if config.use_tare != self._used_tare:
+            self._used_tare = config.use_tare
+            if self._feeling is not None:
+                self._feeling.forget()
+
+    # The topic.
+
+    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
+        """Predict the touch of all grasps on one cloud."""
+        grasps = messages["grasps"]
+        self._remember_cloud(messages["object_cloud"])
+        if not grasps.grasps:
+            raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
+        check_frames("grasps", grasps.header, header)
+        targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # prediction asks for no table
+        message = self._predict(targets, grasps.grasps, header, None)
+        self._see(messages["object_cloud"], grasps.grasps)
+        self._touch.publish(message)
+        if self._markers.get_subscription_count():
+            for prediction in message.predictions[:1]:
+                self._markers.publish(
+                    touch_markers(
+                        prediction,
+                        self.config.ranges,
+                        thumb_takes_g1=self.config.thumb_takes_g1,
+                        touches=self._feeling.touches() if self._feeling else 0,
+                    )
+                )
+        return message.status, message.reason
+
+    def refuse(self, header: Header, status: int, reason: str) -> None:
+        """Nothing can be said of this cloud."""
+        self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
+
+    def _predict(
+        self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: GeoGraspConfig | None
+    ) -> TouchPredictionArray:
+        predictor = self._loaded()
+        message = predictor.array(targets, grasps, header, posing)
+        return predictor.finish(message, self.age_s(stamp_ns(header.stamp)), self.config.late_after_s)
+
+    def _loaded(self) -> Predictor:
+        if self._predictor is None:
+            raise RefusalError(Status.NO_MODEL, "the node is not configured")
+        return self._predictor
+
+    async def _aside(self, work: Callable[[], _T]) -> _T:
+        if self._offload is None:
+            raise RefusalError(Status.NO_MODEL, "the node is not configured")
+        return await self._offload.run(work)
+
+    # What is felt.
+
+    def _feel(self, predictor: Predictor) -> None:
+        """Listen to the hand, where the model can make something of it."""
+        adapter = make_adapter(self.config.tactile)  # a mistake in its settings is told in any case
+        if predictor.model is None or predictor.model.trust is None:
+            return
+        self._feeling = predictor.feeling = OnlineAdapter(
+            predictor.model,
+            adapter,
+            config=lambda: self.config,
+            now_ns=lambda: int(self.get_clock().now().nanoseconds),
+            warn=self._warn,
+        )
+        tactile, executed = self._feeling.take_tactile, self._feeling.take_executed
+        self.subscribe(adapter.message, self.config.tactile_topic, tactile, depth=_TACTILE_DEPTH)
+        self.subscribe(ExecutedGrasp, "executed_grasp", executed, depth=_EXECUTED_DEPTH)
+
+    def _see(self, cloud: PointCloud2, grasps: Sequence[Grasp]) -> None:
+        """Take note of grasps that somebody may execute, be they planned, sampled or asked about."""
+        if self._feeling is not None:
+            self._feeling.see(cloud, cloud.header.frame_id, grasps)
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text)
+
+    def _forget_touches(self, _request: Any, response: Any) -> Any:
+        count = self._feeling.forget() if self._feeling else 0
+        response.success, response.message = True, f"{count} touches forgotten"
+        return response
+
+    # The services.
+
+    async def _predict_touch(self, request: Any, response: Any) -> Any:
+        response.touch = await self._aside(lambda: self._answer_or_say_why(request))
+        return response
+
+    def _answer_or_say_why(self, request: Any) -> TouchPredictionArray:
+        header = request.cloud.header
+        try:
+            return self._answer_request(request, header)
+        except RefusalError as refusal:
+            return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
+
+    def _answer_request(self, request: Any, header: Header) -> TouchPredictionArray:
+        table = read_plane(request.table[0]) if request.table else None
+        targets = read_targets(request.cloud, table or ASSUMED_TABLE)
+        if not request.grasps:
+            raise RefusalError(Status.NO_GRASP, "grasps: is empty")
+        posing = self.config.grasp if table else None
+        message = self._predict(targets, request.grasps, header, posing)
+        self._see(request.cloud, request.grasps)  # not before: the same grasp may have been felt already
+        return message
+
+    # The action.
+
+    async def _sample_grasps(self, goal_handle: Any) -> Any:
+        try:
+            result = await self._aside(lambda: self._sample(goal_handle))
+        except RefusalError as refusal:
+            goal_handle.abort()
+            return failed(refusal)
+        if goal_handle.is_cancel_requested:
+            goal_handle.canceled()
+        else:
+            goal_handle.succeed()
+        return result
+
+    def _sample(self, goal_handle: Any) -> Any:
+        with self._latest_lock:
+            latest = self._latest
+        sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
+        goal = goal_handle.request
+        result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
+        own = goal.cloud.width * goal.cloud.height > 0
+        self._see(goal.cloud if own or latest is None else latest.cloud, result.grasps)
+        return result
+
+    def _predict_candidates(
+        self, target: FoundObject, grasps: Sequence[Grasp], header: Header
+    ) -> Sequence[TouchPrediction]:
+        return list(self._predict([target], grasps, header, None).predictions)
+
+    def _remember_table(self, message: TablePlane) -> None:
+        with self._latest_lock:
+            self._tables[stamp_ns(message.header.stamp)] = message
+            while len(self._tables) > _TABLES_KEPT:
+                del self._tables[next(iter(self._tables))]
+
+    def _remember_cloud(self, message: PointCloud2) -> None:
+        with self._latest_lock:
+            table = self._tables.get(stamp_ns(message.header.stamp))
+            if table is not None:
+                self._latest = Latest(message, table)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the recorder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from foretouch.config import Settings, setting
+from foretouch.dataset.pairing import PairingConfig
+from foretouch.dataset.recording import Identity, RecordingConfig
+from foretouch.ros.messages.tactile import AdapterConfig
+from foretouch.ros.runtime.lifecycle_node import NodeConfig
+from foretouch.tactile.contact_detector import ContactConfig
+
+__all__ = ["IdentityConfig", "RecorderConfig"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentityConfig(Settings):
+    """Which hand and which camera: a dataset holds recordings of one of each."""
+
+    hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
+    hand_serial: str = setting("", "Its serial number", read_only=True)
+    camera: str = setting("realsense", "Model of the camera", read_only=True)
+    camera_serial: str = setting("", "Its serial number", read_only=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecorderConfig(NodeConfig):
+    """Settings of the recorder."""
+
+    folder: str = setting(".", "Where recordings go that are given no path, or a relative one", read_only=True)
+    record: str = setting("", "Dataset to record into from the start; empty waits for start_recording", read_only=True)
+    object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
+    note: str = setting("", "Of the operator, for `record`", read_only=True)
+    tactile_topic: str = setting("/rh/tactile", "What the hand sends", read_only=True)
+    points: bool = setting(False, "Whether the camera's whole clouds are recorded too", read_only=True)
+    unlabelled: bool = setting(True, "Whether clouds whose grasps were not executed become samples without a touch")
+    unlabelled_s: float = setting(1.0, "Least time between two of those", unit="s", minimum=0.0, maximum=3600.0)
+    assume_grasps: bool = setting(
+        False, "Whether a contact that nobody tells of belongs to the best grasp of the last cloud before it"
+    )
+    queue_mb: int = setting(
+        500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
+    )
+    tactile: AdapterConfig = field(default_factory=AdapterConfig)
+    identity: IdentityConfig = field(default_factory=IdentityConfig)
+    pairing: PairingConfig = field(default_factory=PairingConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+    writing: RecordingConfig = field(default_factory=RecordingConfig)
+
+    def who(self) -> Identity:
+        """Hand and camera, with all that makes recordings of the one differ from those of another."""
+        thumb, middle = self.tactile.fingers
+        hand = {"model": self.identity.hand, "serial": self.identity.hand_serial, "tactile": self.tactile.type}
+        camera = {"model": self.identity.camera, "serial": self.identity.camera_serial}
+        return Identity(hand={**hand, "thumb": thumb, "middle_finger": middle}, camera=camera)

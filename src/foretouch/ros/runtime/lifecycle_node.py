@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every node shares: lifecycle, parameters, QoS and diagnostics.
+
+A node fills four hooks, `setup` and `teardown` (configure, clean up) and `start` and `stop` (activate,
+deactivate); a known error in the first or the third refuses the transition with one line in the log.
+
+Inputs are subscribed to with sensor-data QoS, outputs are published reliably: that pair matches every
+publisher and subscriber there is. Both can be overridden (`qos_overrides.<topic>...` parameters), and a
+mismatch is told in the log and in /diagnostics, never silent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ForetouchError
+from foretouch.ros.runtime.diagnostics import Health, Snapshot, Statistics, diagnostic_status
+from foretouch.ros.runtime.parameters import NodeSettings
+
+__all__ = ["NAMESPACE", "ForetouchNode", "NodeConfig"]
+
+NAMESPACE = "/foretouch"
+_OUTPUT_DEPTH = 10
+_INPUT_DEPTH = 5  # with best effort: the sensor-data profile, as a fresh object, since overrides are written into it
+_C = TypeVar("_C", bound="NodeConfig")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeConfig(Settings):
+    """Settings of every node."""
+
+    autostart: bool = setting(True, "Whether the node configures and activates itself", read_only=True)
+    diagnostics_period_s: float = setting(
+        1.0, "Time between reports in /diagnostics", unit="s", minimum=0.1, maximum=60.0, read_only=True
+    )
+
+
+class ForetouchNode(LifecycleNode, Generic[_C]):
+    """A lifecycle node with typed settings and diagnostics.
+
+    Args:
+        name: Of the node.
+        config_class: Its settings; every field becomes a parameter.
+        options: For rclpy's `Node`; the namespace is `/foretouch` unless given here or on the command line.
+
+    Raises:
+        ConfigError: If a parameter given at the start breaks a rule.
+    """
+
+    def __init__(self, name: str, config_class: type[_C], **options: Any) -> None:
+        super().__init__(name, **{"namespace": NAMESPACE, **options})
+        try:
+            self.settings = NodeSettings(self, config_class, self.config_changed)
+        except ForetouchError:
+            super().destroy_node()  # else the context would, through the hooks of a node that is half made
+            raise
+        self.statistics = Statistics()
+        self.state_name = "unconfigured"
+        self._outputs: list[LifecyclePublisher[Any]] = []
+        self._inputs: list[Subscription[Any]] = []
+        self._mismatches: dict[str, str] = {}
+        self._last: Snapshot | None = None
+        self._input_group = MutuallyExclusiveCallbackGroup()
+        own_group = MutuallyExclusiveCallbackGroup()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
+
+    @property
+    def config(self) -> _C:
+        """The settings now in force; a change replaces the whole object."""
+        return self.settings.value
+
+    # What a node fills in.
+
+    def setup(self) -> None:
+        """Configure: make publishers and subscriptions, load what is slow to load."""
+
+    def start(self) -> None:
+        """Activate: begin to work."""
+
+    def stop(self) -> None:
+        """Deactivate: end the work begun by `start`; also called where nothing was begun."""
+
+    def teardown(self) -> None:
+        """Clean up: release what `setup` made, publishers and subscriptions excepted."""
+
+    def config_changed(self, config: _C) -> None:
+        """A parameter was changed while running."""
+
+    def has_ended(self) -> bool:
+        """Whether the node has nothing more to do; its process may then end."""
+        return False
+
+    def expects_input_every_s(self) -> float | None:
+        """Time without an input that is worth a warning [s]; None for a node without inputs."""
+        return None
+
+    def errors(self) -> tuple[str, ...]:
+        """What keeps the node from working, for /diagnostics."""
+        return ()
+
+    def notes(self) -> dict[str, str]:
+        """Other facts for /diagnostics."""
+        return {}
+
+    # What it is offered.
+
+    def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher[Any]:
+        """A reliable publisher that is silent unless the node is active."""
+        publisher: LifecyclePublisher[Any] = self.create_lifecycle_publisher(
+            message,
+            topic,
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=PublisherEventCallbacks(
+                incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
+                use_default_callbacks=False,  # each more is asked about at every message
+            ),
+        )
+        self._outputs.append(publisher)
+        return publisher
+
+    def subscribe(
+        self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
+    ) -> None:
+        """A subscription with sensor-data QoS; callbacks of one node never run at the same time.
+
+        Args:
+            message: Type of the messages.
+            topic: Where from.
+            callback: Called with each.
+            depth: Messages that may wait for the executor.
+        """
+        subscription = self.create_subscription(
+            message,
+            topic,
+            callback,
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
+            callback_group=self._input_group,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
+                message_lost=lambda event: self.statistics.lose(event.total_count_change),
+                use_default_callbacks=False,
+            ),
+        )
+        self._inputs.append(subscription)
+
+    def unknown_parameters(self) -> set[str]:
+        """Names given at the start that mean nothing to this node; ROS would pass over them in silence."""
+        given = getattr(self, "_parameter_overrides", {})
+        return {name for name in given if not (self.has_parameter(name) or name.startswith("qos_overrides."))}
+
+    def age_s(self, stamp_ns: int) -> float:
+        """Time from a stamp to now on the node's clock [s]."""
+        return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
+
+    def autostart(self) -> bool:
+        """Configure and activate, unless the parameter says no.
+
+        Returns:
+            False where a transition was refused.
+        """
+        if not self.config.autostart:
+            return True
+        success = TransitionCallbackReturn.SUCCESS
+        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+
+    # Transitions.
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make what the node needs."""
+        if not self._attempt(self.setup):
+            self._release()
+            return TransitionCallbackReturn.FAILURE
+        self.state_name = "inactive"
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work."""
+        if not self._attempt(self.start):
+            return TransitionCallbackReturn.FAILURE
+        result = super().on_activate(state)
+        self.state_name = "active"
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the work."""
+        self.state_name = "inactive"
+        self.stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything."""
+        result = super().on_cleanup(state)
+        self._release()
+        self.state_name = "unconfigured"
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the work and release everything."""
+        self.stop()
+        result = super().on_shutdown(state)
+        self._release()
+        self.state_name = "finalized"
+        return result
+
+    def destroy_node(self) -> None:
+        """End the work, whatever the state, and leave the graph."""
+        self.stop()
+        self._release()
+        super().destroy_node()
+
+    # Its own affairs.
+
+    def _attempt(self, hook: Callable[[], None]) -> bool:
+        try:
+            hook()
+        except ForetouchError as err:
+            self.get_logger().error(str(err))
+            return False
+        except Exception as err:  # noqa: BLE001  rclpy would swallow it and tell nobody
+            self.get_logger().error(f"{hook.__name__}: {type(err).__name__}: {err}")
+            return False
+        return True
+
+    def _release(self) -> None:
+        self.teardown()
+        for publisher in self._outputs:
+            self.destroy_lifecycle_publisher(publisher)
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        self._outputs.clear()
+        self._inputs.clear()
+
+    def _mismatch(self, topic: str, other: str, event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        text = f"{topic}: a {other} has incompatible QoS ({policy}): no message passes"
+        self._mismatches[f"{topic} {other}"] = text
+        self.get_logger().warning(text)
+
+    def _report(self) -> None:
+        now = self.statistics.snapshot()
+        health = Health(
+            state=self.state_name,
+            errors=self.errors(),
+            warnings=tuple(self._mismatches.values()),
+            notes=self.notes(),
+            expects_input_every_s=self.expects_input_every_s(),
+        )
+        status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, health)
+        self._last = now
+        report = DiagnosticArray(status=[status])
+        report.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(report)

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action `sample_grasps`: plan on the given or the latest object, predict, and tell the costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from foretouch.grasp import GeoGraspConfig
+from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.messages.conversions import pose_stamped
+from foretouch.ros.messages.plans import plan_targets
+from foretouch.ros.messages.requests import read_plane, read_table, read_targets
+from foretouch.ros.messages.status import RefusalError, status_name
+from foretouch.tactile import TactileRanges
+from foretouch_msgs.action import SampleGrasps
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction
+
+__all__ = ["GraspSampler", "Latest", "failed", "pressure_cost"]
+
+Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
+
+_SUCCESS = "success"
+_COSTS = (SampleGrasps.Goal.PRESSURE, SampleGrasps.Goal.SCORE)
+
+
+class Latest(NamedTuple):
+    """The newest object_cloud and the table of the same stamp."""
+
+    cloud: PointCloud2
+    table: TablePlane
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    cost: float
+    grasp: Grasp
+    prediction: TouchPrediction
+
+
+class GraspSampler:
+    """Answers one goal; holds no state between goals.
+
+    Args:
+        predict: Gives the predictions for grasps on one target, in order.
+        grasp: Settings of GeoGrasp.
+        ranges: Of the tactile values, for the cost `pressure`.
+    """
+
+    def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges) -> None:
+        self._predict = predict
+        self._grasp = grasp
+        self._ranges = ranges
+
+    def sample(
+        self, goal: Any, latest: Latest | None, tell: Callable[[Any], None], cancelled: Callable[[], bool]
+    ) -> Any:
+        """Plan, predict and sort.
+
+        Args:
+            goal: `SampleGrasps.Goal`.
+            latest: What the graph saw last, for a goal without a cloud.
+            tell: Called with a `SampleGrasps.Feedback` after each object.
+            cancelled: Asked before each object; what was found so far is then the result.
+
+        Returns:
+            `SampleGrasps.Result`, cheapest grasp first; those without a prediction come last, at infinite cost.
+
+        Raises:
+            RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal cannot be understood.
+        """
+        cost = goal.cost or SampleGrasps.Goal.PRESSURE
+        if cost not in _COSTS:
+            raise RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
+        header, targets = _targets(goal, latest)
+        config = self._grasp.replace(count=goal.count) if goal.count else self._grasp
+        pipeline = Pipeline(PipelineConfig(grasp=config))
+        candidates: list[_Candidate] = []
+        plan = GraspArray(status=Status.NO_GRASP, reason="cancelled before the first object")
+        for target in targets:
+            if cancelled():
+                break
+            plan = plan_targets(pipeline, [target], header)
+            fresh = self._rate(target, plan.grasps, header, cost)
+            tell(_feedback(fresh, header))
+            candidates += fresh
+        if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
+            raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
+        return _result(sorted(candidates, key=lambda c: c.cost), header, plan)
+
+    def _rate(self, target: FoundObject, grasps: Sequence[Grasp], header: Header, cost: str) -> list[_Candidate]:
+        predictions = self._predict(target, grasps, header)
+        by_score = cost == SampleGrasps.Goal.SCORE
+        return [
+            _Candidate(_finite(-grasp.score) if by_score else pressure_cost(touch, self._ranges), grasp, touch)
+            for grasp, touch in zip(grasps, predictions, strict=True)
+        ]
+
+
+def pressure_cost(prediction: TouchPrediction, ranges: TactileRanges) -> float:
+    """Mean of both fingers' predicted static pressure, each on the scale of its range: 0 least, 1 most.
+
+    Returns:
+        Infinity where nothing was predicted.
+    """
+    if prediction.status != Status.OK:
+        return math.inf
+    shares = []
+    for name, interval in (("PDC_TH", prediction.pdc_th), ("PDC_MF", prediction.pdc_mf)):
+        low, high = ranges.of(name)
+        shares.append((interval.value - low) / (high - low))
+    return _finite(float(np.mean(shares)))
+
+
+def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObject, ...]]:
+    """The objects that the goal is about, and the header of their cloud."""
+    if goal.cloud.width * goal.cloud.height:
+        if not goal.table:
+            raise RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
+        return goal.cloud.header, read_targets(goal.cloud, read_plane(goal.table[0]))
+    if latest is None:
+        raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
+    header = latest.cloud.header
+    return header, read_targets(latest.cloud, read_table(latest.table, header))
+
+
+def _feedback(candidates: Sequence[_Candidate], header: Header) -> Any:
+    return SampleGrasps.Feedback(
+        grasp_candidates=[pose_stamped(c.grasp, header) for c in candidates],
+        costs=[c.cost for c in candidates],
+        grasps=[c.grasp for c in candidates],
+    )
+
+
+def _result(candidates: Sequence[_Candidate], header: Header, plan: GraspArray) -> Any:
+    if not candidates:
+        raise RefusalError(plan.status, plan.reason)
+    return SampleGrasps.Result(
+        grasp_state=_SUCCESS,
+        status=Status.OK,
+        grasp_candidates=[pose_stamped(c.grasp, header) for c in candidates],
+        costs=[c.cost for c in candidates],
+        grasps=[c.grasp for c in candidates],
+        predictions=[c.prediction for c in candidates],
+    )
+
+
+def failed(refusal: RefusalError) -> Any:
+    """The result of a goal that was refused."""
+    return SampleGrasps.Result(grasp_state=f"{status_name(refusal.status)}: {refusal}", status=refusal.status)
+
+
+def _finite(cost: float) -> float:
+    return cost if math.isfinite(cost) else math.inf

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the touch predictor answers, for a topic, a service or an action alike: messages in, messages out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from std_msgs.msg import Header
+
+from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
+from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
+from foretouch.models import TouchModel, load_model
+from foretouch.pipeline import FoundObject, Pipeline
+from foretouch.ros.messages.conversions import (
+    duration_to_msg,
+    grasp_from_msg,
+    has_orientation,
+    prediction_to_msg,
+    refusal_to_msg,
+)
+from foretouch.ros.runtime.warm_up import tabletop
+from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.types import Float64, Grasp
+from foretouch_msgs.msg import Grasp as GraspMsg
+from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
+
+__all__ = ["Predictor"]
+
+
+class Predictor:
+    """A model that may be absent: then every answer says so, and why.
+
+    Args:
+        model: Name or path.
+        fallback: Name or path of the model used where `model` cannot be; "" for none.
+
+    Attributes:
+        model: None if neither could be loaded.
+        feeling: What predictions lean on besides the cloud; None for sight alone.
+        fault: Why `model` could not be loaded; "" if it could.
+        flags: Of every prediction.
+    """
+
+    def __init__(self, model: str, fallback: str = "") -> None:
+        self.model: TouchModel | None = None
+        self.feeling: OnlineAdapter | None = None
+        self.fault = ""
+        self.flags: tuple[str, ...] = ()
+        try:
+            self.model = load_model(model)
+        except ForetouchError as err:
+            self.fault = f"model: {err}"
+            if fallback:
+                self._fall_back(fallback)
+
+    def warm_up(self) -> None:
+        """Predict once, so that the first real cloud does not wait for torch."""
+        if self.model is not None:
+            pipeline = Pipeline()
+            for target in pipeline.see(tabletop()).targets:
+                self.model.predict(target.cloud, pipeline.plan(target).grasps)
+
+    def _fall_back(self, name: str) -> None:
+        try:
+            self.model = load_model(name)
+            self.flags = ("fallback_model",)
+        except ForetouchError as err:
+            self.fault = f"{self.fault}; fallback_model: {err}"
+
+    def array(
+        self,
+        targets: Sequence[FoundObject],
+        grasps: Sequence[GraspMsg],
+        header: Header,
+        posing: GeoGraspConfig | None = None,
+    ) -> TouchPredictionArray:
+        """A prediction or a refusal for every grasp, in order.
+
+        Args:
+            targets: The objects; features are computed once for each that has grasps.
+            grasps: Each on the object that it names, or on the only one.
+            header: Of the cloud.
+            posing: Settings to pose grasps without an orientation with, on the target's table; None refuses them.
+
+        Returns:
+            Status OK where any prediction is, else that of the first.
+        """
+        answers: list[TouchPrediction | None] = [None] * len(grasps)
+        by_target: dict[int, list[int]] = {}
+        for i, grasp in enumerate(grasps):
+            try:
+                by_target.setdefault(_target_of(grasp, targets), []).append(i)
+            except GraspError as err:
+                answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
+        for k, members in by_target.items():
+            mine = self._on_target(targets[k], [grasps[i] for i in members], header, posing)
+            for i, answer in zip(members, mine, strict=True):
+                answers[i] = answer
+        predictions = [answer for answer in answers if answer is not None]
+        ok = any(p.status == Status.OK for p in predictions)
+        status, reason = (Status.OK, "") if ok or not predictions else (predictions[0].status, predictions[0].reason)
+        return TouchPredictionArray(header=header, predictions=predictions, status=status, reason=reason)
+
+    def finish(self, message: TouchPredictionArray, age_s: float, late_after_s: float) -> TouchPredictionArray:
+        """Add to each prediction the model, the age of its input, and the flags that follow.
+
+        Args:
+            message: Changed and returned.
+            age_s: From the cloud's stamp to now [s].
+            late_after_s: Beyond this age a prediction is `late`; 0 for never [s].
+        """
+        late = ("late",) if 0.0 < late_after_s < age_s else ()
+        age = duration_to_msg(age_s)
+        for prediction in message.predictions:
+            prediction.flags = [*prediction.flags, *self.flags, *late]
+            prediction.input_age = age
+            if self.model is not None:
+                prediction.model, prediction.model_sha256 = self.model.name, self.model.sha256
+        return message
+
+    def _on_target(
+        self, target: FoundObject, grasps: Sequence[GraspMsg], header: Header, posing: GeoGraspConfig | None
+    ) -> list[TouchPrediction]:
+        model = self.model
+        if model is None:
+            return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
+        answers: list[TouchPrediction | None] = []
+        posed: list[Grasp] = []
+        poser = _Poser(target, posing)
+        for grasp in grasps:
+            try:
+                posed.append(poser.grasp(grasp))
+                answers.append(None)
+            except (GraspError, CloudError) as err:
+                answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
+        try:
+            predicted = iter((self.feeling or model).predict(target.cloud, posed) if posed else [])
+        except (CloudError, ModelError) as err:
+            status = Status.TOO_FEW_POINTS if isinstance(err, CloudError) else Status.REFUSED
+            return [old or refusal_to_msg(g, header, status, str(err)) for g, old in zip(grasps, answers, strict=True)]
+        return [old or prediction_to_msg(next(predicted), g, header) for g, old in zip(grasps, answers, strict=True)]
+
+
+class _Poser:
+    """Poses the hand at given contacts as `Pipeline.grasp_between` does, with one search for the object's axis."""
+
+    def __init__(self, target: FoundObject, config: GeoGraspConfig | None) -> None:
+        self._target = target
+        self._config = config
+        self._axis: Float64 | None = None
+
+    def grasp(self, message: GraspMsg) -> Grasp:
+        """The grasp of a message, turned if the message leaves that open."""
+        if has_orientation(message):
+            return grasp_from_msg(message)
+        if self._config is None:
+            raise GraspError("pose: no orientation, and no table to compute it with")
+        unturned = grasp_from_msg(message, np.eye(3))
+        if self._axis is None:
+            self._axis, _ = object_axis(self._target.cloud, self._target.plane, self._config)
+        return grasp_from_msg(message, hand_rotation(unturned.g1, unturned.g2, self._axis))
+
+
+def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
+    """Index of the target that a grasp is for; one that is alone and nameless takes any."""
+    ids = [target.id for target in targets]
+    if grasp.object_id in ids:
+        return ids.index(grasp.object_id)
+    if len(ids) == 1 and (not grasp.object_id or not ids[0]):
+        return 0
+    raise GraspError(f"object_id: {grasp.object_id!r} is none of {', '.join(map(repr, ids)) or 'the objects'}")

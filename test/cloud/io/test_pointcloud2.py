@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PointCloud2 bytes: against a reader by `struct`, against sensor_msgs_py where it is installed, and by hand."""
+
+from __future__ import annotations
+
+import array
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
+from foretouch.errors import CloudError
+from foretouch.types import Cloud
+
+_CODES = {1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
+_SIZE = {code: int(name[1]) for code, name in DATATYPES.items()}
+XYZ = tuple(PointField(name, 4 * i, 7) for i, name in enumerate("xyz"))
+
+
+def read_numbers(layout: PointCloud2Layout, data: bytes, names: list[str]) -> np.ndarray:
+    """A slow second opinion, one number at a time: (height, width, len(names)) float64."""
+    order = ">" if layout.is_bigendian else "<"
+    fields = {field.name: field for field in layout.fields}
+    result = np.empty((layout.height, layout.width, len(names)))
+    for row in range(layout.height):
+        for column in range(layout.width):
+            start = row * layout.row_step + column * layout.point_step
+            for i, name in enumerate(names):
+                field = fields[name]
+                (result[row, column, i],) = struct.unpack_from(
+                    order + _CODES[field.datatype], data, start + field.offset
+                )
+    return result
+
+
+def read_packed_rgb(layout: PointCloud2Layout, data: bytes, name: str) -> np.ndarray:
+    """(height, width, 3) uint8: the four bytes as a number 0x00RRGGBB."""
+    order = ">" if layout.is_bigendian else "<"
+    (field,) = [field for field in layout.fields if field.name == name]
+    result = np.empty((layout.height, layout.width, 3), np.uint8)
+    for row in range(layout.height):
+        for column in range(layout.width):
+            start = row * layout.row_step + column * layout.point_step + field.offset
+            (number,) = struct.unpack_from(order + "I", data, start)
+            result[row, column] = (number >> 16) & 255, (number >> 8) & 255, number & 255
+    return result
+
+
+def _layout(**changes) -> PointCloud2Layout:
+    values = {"height": 1, "width": 2, "fields": XYZ, "point_step": 12, "row_step": 24, **changes}
+    return PointCloud2Layout(**values)
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> PointCloud2Layout:
+    kinds = [(name, draw(st.sampled_from([7, 7, 8])), 1) for name in "xyz"]
+    if draw(st.booleans()):
+        kinds = [(name, 7, 1) for name in "xyz"]
+    colour = draw(st.sampled_from(["none", "rgb", "rgba", "channels"]))
+    if colour == "channels":
+        kinds += [(name, 2, 1) for name in "rgb"]
+    elif colour != "none":
+        kinds.append((colour, draw(st.sampled_from([5, 6, 7])), 1))
+    for i in range(draw(st.integers(0, 3))):
+        kinds.append((f"extra{i}", draw(st.sampled_from(list(DATATYPES))), draw(st.integers(0, 3))))
+    kinds = draw(st.permutations(kinds))
+    fields, offset = [], 0
+    for name, datatype, count in kinds:
+        offset += draw(st.sampled_from([0, 0, 0, 1, 4]))
+        fields.append(PointField(name, offset, datatype, count))
+        offset += _SIZE[datatype] * count
+    fields = draw(st.permutations(fields))
+    height, width = draw(st.integers(0, 4)), draw(st.integers(0, 5))
+    step = offset + draw(st.integers(0, 5))
+    row_step = step * width + draw(st.integers(0, 9))
+    return PointCloud2Layout(
+        height=height,
+        width=width,
+        fields=tuple(fields),
+        point_step=step,
+        row_step=row_step,
+        is_bigendian=draw(st.booleans()),
+    )
+
+
+@settings(max_examples=300, deadline=None)
+@given(layout=layouts(), seed=st.integers(0, 2**32 - 1))
+def test_any_layout_reads_as_by_struct(layout: PointCloud2Layout, seed: int) -> None:
+    data = np.random.default_rng(seed).integers(0, 256, layout.height * layout.row_step, dtype=np.uint8).tobytes()
+    arrays = decode(layout, data)
+    with np.errstate(over="ignore", invalid="ignore"):
+        expected = read_numbers(layout, data, ["x", "y", "z"]).astype(np.float32)
+    np.testing.assert_array_equal(arrays.xyz, expected.reshape(arrays.xyz.shape))
+    names = {field.name for field in layout.fields}
+    packed = next((name for name in ("rgb", "rgba") if name in names), None)
+    if packed is not None:
+        colours = read_packed_rgb(layout, data, packed)
+    elif "r" in names:
+        colours = read_numbers(layout, data, ["r", "g", "b"]).astype(np.uint8)
+    else:
+        assert arrays.rgb is None
+        return
+    assert arrays.rgb is not None
+    np.testing.assert_array_equal(arrays.rgb, colours.reshape(arrays.rgb.shape))
+    Cloud(arrays.xyz, arrays.rgb)  # accepted as it is, views included
+
+
+@pytest.mark.parametrize("shape", [(0,), (1,), (7,), (3, 4)])
+@pytest.mark.parametrize("with_rgb", [False, True])
+def test_encode_and_decode_are_inverse(rng: np.random.Generator, shape: tuple[int, ...], with_rgb: bool) -> None:
+    xyz = rng.normal(size=(*shape, 3)).astype(np.float32)
+    xyz.reshape(-1, 3)[::3] = np.nan
+    rgb = rng.integers(0, 256, xyz.shape, dtype=np.uint8) if with_rgb else None
+    layout, data = encode(Cloud(xyz, rgb))
+    assert (layout.point_step, layout.is_dense) == (16 if with_rgb else 12, xyz.size == 0)
+    assert isinstance(data, array.array)
+    assert data.typecode == "B"
+    arrays = decode(layout, data)
+    np.testing.assert_array_equal(arrays.xyz, xyz)
+    if rgb is None:
+        assert arrays.rgb is None
+    else:
+        np.testing.assert_array_equal(arrays.rgb, rgb)
+
+
+def test_strided_clouds_are_encoded_too(rng: np.random.Generator) -> None:
+    xyz = rng.normal(size=(6, 8, 3)).astype(np.float32)
+    layout, data = encode(Cloud(xyz[::2, ::-3]))
+    np.testing.assert_array_equal(decode(layout, data).xyz, xyz[::2, ::-3])
+
+
+def test_dense_means_that_all_points_are_finite(rng: np.random.Generator) -> None:
+    xyz = rng.normal(size=(5, 3)).astype(np.float32)
+    assert encode(Cloud(xyz))[0].is_dense
+    xyz[3, 1] = np.inf
+    assert not encode(Cloud(xyz))[0].is_dense
+
+
+@pytest.mark.parametrize("order", ["xyz", "zyx"])
+@pytest.mark.parametrize(("point_step", "row_padding"), [(12, 0), (16, 0), (32, 0), (16, 5)])
+def test_nothing_is_copied_where_a_view_will_do(order: str, point_step: int, row_padding: int) -> None:
+    fields = tuple(PointField(name, 4 * i, 7) for i, name in enumerate(order))
+    layout = _layout(height=3, width=4, fields=fields, point_step=point_step, row_step=4 * point_step + row_padding)
+    data = array.array("B", bytes(layout.row_step * 3))
+    arrays = decode(layout, data)
+    assert np.shares_memory(arrays.xyz, np.frombuffer(data, np.uint8))
+    with pytest.raises(ValueError, match="read-only"):
+        arrays.xyz[0, 0, 0] = 1.0
+
+
+def test_packed_colour_is_a_view() -> None:
+    layout = _layout(fields=(*XYZ, PointField("rgb", 12, 7)), point_step=16, row_step=32)
+    data = np.zeros(32, np.uint8)
+    data[12:15] = 3, 2, 1  # blue, green, red
+    arrays = decode(layout, data)
+    assert arrays.rgb is not None
+    assert np.shares_memory(arrays.rgb, data)
+    np.testing.assert_array_equal(arrays.rgb, [[1, 2, 3], [0, 0, 0]])
+
+
+def test_an_empty_message_has_no_points() -> None:
+    for height, width in ((0, 0), (1, 0), (0, 5), (4, 0)):
+        arrays = decode(_layout(height=height, width=width, row_step=12 * width), b"")
+        assert arrays.xyz.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fields": XYZ[:2]}, "fields: z is missing; there are: x, y"),
+        ({"fields": ()}, "fields: x is missing; there are: none"),
+        ({"fields": (*XYZ[:2], PointField("z", 8, 6))}, "z: datatype UINT32 is neither FLOAT32 nor FLOAT64"),
+        ({"fields": (PointField("x", 0, 7, 0), *XYZ[1:])}, "x: count 0 is not 1"),
+        (
+            {"fields": (*XYZ, PointField("rgb", 12, 7)), "point_step": 15, "row_step": 30},
+            "rgb: ends at byte 16, beyond",
+        ),
+        ({"fields": (*XYZ[:2], PointField("z", 8, 8))}, "z: ends at byte 16, beyond point_step 12"),
+        ({"fields": (*XYZ[:2], PointField("z", 6, 7))}, "z: offset 6 lies within y, which ends at 8"),
+        ({"fields": (*XYZ, PointField("a", 0, 9))}, "a: datatype 9 is none of 1 to 8"),
+        ({"fields": (*XYZ, PointField("a", -1, 2))}, "a: offset -1"),
+        ({"fields": (*XYZ, PointField("x", 8, 7))}, "fields: x stands twice"),
+        ({"row_step": 23}, "row_step: 23 is less than width 2 x point_step 12"),
+        ({"width": -1}, "width: -1 is negative"),
+        ({"height": 2}, "data: 24 bytes are not row_step 24 x height 2 = 48"),
+        ({"width": 1, "row_step": 12}, "data: 24 bytes are not row_step 12 x height 1 = 12"),
+        (
+            {"fields": (*XYZ, PointField("rgb", 12, 2)), "point_step": 13, "row_step": 26},
+            "rgb: 1 x UINT8 is not one FLOAT32",
+        ),
+    ],
+)
+def test_layouts_that_do_not_add_up_are_named(changes: dict, message: str) -> None:
+    with pytest.raises(CloudError, match=message):
+        decode(_layout(**changes), bytes(26 if "rgb: 1 x" in message else 24))
+
+
+def test_a_float64_beyond_float32_is_no_point() -> None:
+    fields = tuple(PointField(name, 8 * i, 8) for i, name in enumerate("xyz"))
+    data = np.array([1e300, 1.0, 2.0]).tobytes()
+    xyz = decode(_layout(width=1, fields=fields, point_step=24, row_step=24), data).xyz
+    np.testing.assert_array_equal(xyz, np.array([[np.inf, 1, 2]], np.float32))
+
+
+def test_equal_to_sensor_msgs_py_both_ways(rng: np.random.Generator) -> None:
+    point_cloud2 = pytest.importorskip(
+        "sensor_msgs_py.point_cloud2", reason="not on PyPI: part of a full ROS 2 install"
+    )
+    messages = pytest.importorskip("sensor_msgs.msg")
+    headers = pytest.importorskip("std_msgs.msg")
+    xyz = rng.normal(size=(40, 3)).astype(np.float32)
+    theirs = point_cloud2.create_cloud_xyz32(headers.Header(), xyz)
+    layout = PointCloud2Layout(
+        height=theirs.height,
+        width=theirs.width,
+        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in theirs.fields),
+        point_step=theirs.point_step,
+        row_step=theirs.row_step,
+        is_bigendian=theirs.is_bigendian,
+    )
+    np.testing.assert_array_equal(decode(layout, theirs.data).xyz, xyz)
+    ours_layout, ours = encode(Cloud(xyz))
+    assert ours.tobytes() == theirs.data.tobytes()
+    message = messages.PointCloud2(
+        height=1,
+        width=40,
+        fields=[
+            messages.PointField(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count)
+            for f in ours_layout.fields
+        ],
+        point_step=ours_layout.point_step,
+        row_step=ours_layout.row_step,
+        data=ours,
+    )
+    np.testing.assert_array_equal(point_cloud2.read_points_numpy(message, ["x", "y", "z"]), xyz)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dominant plane: against known planes, against Open3D, and under rotation."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
+from foretouch.libusb import ensure_libusb
+
+
+def _scene(rng: np.random.Generator, normal: np.ndarray, distance: float, share: float, n: int = 20_000) -> np.ndarray:
+    """A square of points with 1 mm noise on a plane, among uniform clutter."""
+    normal = normal / np.linalg.norm(normal)
+    side = np.linalg.svd(normal[None])[2][1:]
+    on = rng.uniform(-0.5, 0.5, (int(n * share), 2)) @ side - distance * normal
+    on += rng.normal(0.0, 0.001, (len(on), 1)) * normal
+    clutter = rng.uniform(-0.7, 0.7, (n - len(on), 3)) - distance * normal
+    return np.concatenate([on, clutter]).astype(np.float32)[rng.permutation(n)]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("direction", [(0, 0, -1), (0, -0.6, -0.8), (0.5, -0.5, -0.7), (0, 1, 0)])
+def test_a_known_plane_is_found_with_its_normal_towards_the_camera(
+    rng: np.random.Generator, direction: tuple[float, ...], share: float
+) -> None:
+    fit = fit_plane(_scene(rng, np.array(direction, float), 1.1, share), PlaneConfig())
+    assert fit.plane is not None
+    expected = np.append(np.array(direction) / np.linalg.norm(direction), 1.1)
+    # 1 mm of noise over at least a thousand points and half a metre: 0.1 mm and 0.2 mrad, times five.
+    np.testing.assert_allclose(fit.plane.coefficients, expected, atol=1e-3)
+    assert np.isclose(np.linalg.norm(fit.plane.normal), 1.0)
+
+
+def test_noise_is_measured_on_the_plane(rng: np.random.Generator) -> None:
+    fit = fit_plane(_scene(rng, np.array([0.0, 0.0, -1.0]), 1.2, 1.0), PlaneConfig())
+    assert fit.rms_m == pytest.approx(0.001, rel=0.1)
+    assert fit.noise_per_m == pytest.approx(0.001 / 1.2**2, rel=0.1)
+
+
+def test_agrees_with_open3d(rng: np.random.Generator) -> None:
+    ensure_libusb()
+    import open3d
+
+    xyz = _scene(rng, np.array([0.1, -0.6, -0.8]), 1.0, 0.5)
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz.astype(np.float64)))
+    theirs = np.array(cloud.segment_plane(0.01, 3, 2000)[0])
+    theirs *= np.sign(theirs[3])
+    fit = fit_plane(xyz, PlaneConfig())
+    assert fit.plane is not None
+    np.testing.assert_allclose(fit.plane.coefficients, theirs, atol=0.01)
+
+
+def test_the_plane_moves_with_the_points(rng: np.random.Generator) -> None:
+    xyz = _scene(rng, np.array([0.0, -0.5, -0.8]), 1.0, 0.7).astype(np.float64)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    first, second = (
+        fit_plane(xyz.astype(np.float32), PlaneConfig()),
+        fit_plane((xyz @ turn.T).astype(np.float32), PlaneConfig()),
+    )
+    assert first.plane is not None
+    assert second.plane is not None
+    # The same samples are drawn, so only the rounding to float32 differs.
+    np.testing.assert_allclose(second.plane.normal, turn @ first.plane.normal, atol=1e-4)
+    np.testing.assert_allclose(second.plane.offset, first.plane.offset, atol=1e-4)
+
+
+def test_the_seed_decides(rng: np.random.Generator) -> None:
+    xyz = _scene(rng, np.array([0.0, 0.0, -1.0]), 1.0, 0.4)
+    same = [fit_plane(xyz, PlaneConfig(seed=5)).plane.coefficients for _ in range(2)]
+    np.testing.assert_array_equal(*same)
+    assert not np.array_equal(same[0], fit_plane(xyz, PlaneConfig(seed=6)).plane.coefficients)
+
+
+@pytest.mark.parametrize(
+    ("points", "reason"),
+    [
+        (np.zeros((0, 3)), "0 points span no plane"),
+        (np.zeros((2, 3)), "2 points span no plane"),
+        (np.ones((100, 3)), "in one place or on a line"),
+        (np.linspace((0, 0, 1), (0, 0, 2), 100), "in one place or on a line"),
+        (np.random.default_rng(0).uniform(-1, 1, (5000, 3)), "holds .* of the points, less than 20%"),
+        (np.random.default_rng(0).normal(0, 0.005, (5000, 3)), "mm narrow, less than 20 mm"),
+        (np.random.default_rng(0).normal(0, 0.03, (5000, 3)), "a blob"),
+    ],
+)
+def test_what_is_no_plane_is_named(points: np.ndarray, reason: str) -> None:
+    fit = fit_plane(points.astype(np.float32), PlaneConfig())
+    assert fit.plane is None
+    assert re.search(reason, fit.reason)

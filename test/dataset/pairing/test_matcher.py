@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which grasp gets which cloud and which touch: ids and stamps decide, in whatever order messages come."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pair_builders import SECOND, Named, interval, level, stream
+
+from foretouch.dataset.pairing import (
+    CloudBuffer,
+    ContactEpisodes,
+    Execution,
+    GraspTouchMatcher,
+    Interval,
+    Label,
+    MatchedGrasp,
+    PairingConfig,
+    PairingError,
+    RejectedGrasp,
+    TouchBuffer,
+)
+from foretouch.simulation.message_faults import FaultConfig
+
+CONFIG = PairingConfig(wait_s=1.0)
+
+
+class World:
+    """A book with what it stands on."""
+
+    def __init__(self, grasps: int, faults: FaultConfig | None = None, **options: object) -> None:
+        self.readings = stream(grasps, faults)
+        self.buffer = TouchBuffer(kept_s=1e6)
+        self.clouds = CloudBuffer(60.0, 100.0)
+        self.book: GraspTouchMatcher[Named] = GraspTouchMatcher(self.buffer, self.clouds, CONFIG, **options)  # type: ignore[arg-type]
+
+    def feel(self) -> None:
+        episodes = ContactEpisodes()
+        for reading in self.readings:
+            self.buffer.add(reading)
+            episode = episodes.update(reading.stamp_ns, reading.counts)
+            if episode is not None:
+                self.book.feel(episode, 0.0)
+
+    def plan(self, number: int, name: str | None = None) -> int:
+        """A cloud and its grasps, half a second before the hand begins to close; gives the stamp."""
+        stamp = interval(number).start - SECOND // 2
+        self.clouds.add(stamp, f"cloud {number}".encode(), 0.0)
+        self.book.plan(stamp, "camera", [Named(name or f"g-{number}"), Named(f"{name or f'g-{number}'} second")])
+        return stamp
+
+    def tell(self, number: int, name: str | None = None, when: Interval | None = None) -> None:
+        self.book.tell(Execution(grasp_id=name or f"g-{number}", interval=when or interval(number), success=True), 0.0)
+
+    def reasons(self) -> list[str]:
+        results = self.book.poll(10.0)
+        return [r.reason if isinstance(r, RejectedGrasp) else "recorded" for r in results]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_pair_is_wrong_however_messages_come(seed: int) -> None:
+    """Jitter of 20 ms, skew of 50 ms, 5 % of the readings lost, clouds and reports lost and in any order."""
+    rng = np.random.default_rng(seed)
+    count = 20
+    world = World(count, FaultConfig(jitter_s=0.02, skew_s=0.05, drop_share=0.05, seed=seed))
+    world.feel()
+    known = [number for number in range(count) if rng.random() > 0.2]
+    for number in rng.permutation(known):
+        world.plan(int(number))
+    told = [int(number) for number in rng.permutation(count) if rng.random() > 0.1]
+    for number in told:
+        world.tell(number)
+    linked = [result for result in world.book.poll(10.0) if isinstance(result, MatchedGrasp)]
+    assert {one.grasp.id for one in linked} <= {f"g-{number}" for number in set(known) & set(told)}
+    assert len(linked) >= 0.9 * len(set(known) & set(told))
+    for one in linked:
+        number = int(one.grasp.id.removeprefix("g-"))
+        assert one.cloud.data == f"cloud {number}".encode()
+        # The nearest wrong touch is 10 counts away in every electrode and 20 in PDC.
+        assert np.abs(one.cut.touch.vector() - level(number)).max() < 5.0
+    assert world.book.outcomes.total() == len(told)
+    assert world.book.outcomes["grasp_unknown"] == len(set(told) - set(known))
+
+
+def test_a_grasp_waits_for_what_is_on_its_way_but_not_forever() -> None:
+    world = World(1)
+    world.tell(0)
+    assert world.book.poll(0.5) == []
+    world.plan(0)
+    assert world.book.poll(0.5) == []
+    world.feel()
+    assert isinstance(world.book.poll(0.5)[0], MatchedGrasp)
+    late = World(1)
+    late.plan(0)
+    late.tell(0)
+    assert late.book.poll(0.9) == []
+    assert late.reasons() == ["no_tactile"]
+
+
+def test_what_is_told_twice_at_once_or_of_nothing_is_counted_out() -> None:
+    world = World(2)
+    world.feel()
+    for number in (0, 1):
+        world.plan(number)
+    world.tell(0)
+    world.tell(0)
+    world.tell(0, "g-0 second", replace(interval(0), start=interval(0).start + SECOND // 10))
+    world.tell(1, "never planned")
+    world.book.tell(Execution(grasp_id="g-1", interval=None, success=False), 0.0)
+    assert world.reasons() == ["recorded", "told_twice", "overlap", "grasp_unknown", "grasp_failed"]
+
+
+def test_an_id_on_two_clouds_two_clouds_of_one_stamp_and_a_cloud_that_is_gone() -> None:
+    world = World(3)
+    world.feel()
+    world.plan(0, "same")
+    world.plan(1, "same")
+    world.tell(1, "same")
+    stamp = world.plan(2)
+    world.clouds.add(stamp, b"another", 0.0)
+    world.tell(2)
+    assert world.reasons() == ["grasp_ambiguous", "cloud_ambiguous"]
+    gone = World(1)
+    gone.feel()
+    gone.plan(0)
+    gone.clouds.clear()
+    gone.tell(0)
+    assert gone.reasons() == ["cloud_unknown"]
+
+
+def test_a_grasp_that_began_before_its_cloud_was_taken() -> None:
+    world = World(2)
+    world.feel()
+    world.plan(1)
+    world.tell(1, when=interval(0))
+    assert world.reasons() == ["bad_interval"]
+
+
+def test_the_operators_label_takes_the_contact_that_nobody_tells_of() -> None:
+    world = World(2)
+    for number in (0, 1):
+        world.plan(number)
+    assert world.book.label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1] == "waits for its contact"
+    world.feel()
+    (one,) = world.book.poll(2.0)
+    assert isinstance(one, MatchedGrasp)
+    assert (one.grasp.id, one.label.object, one.label.discard) == ("g-1", "cup", True)  # type: ignore[union-attr]
+    assert one.execution.flags == ("detected_interval",)
+    np.testing.assert_allclose(one.cut.touch.vector(), level(1), atol=5.0)
+
+
+def test_a_label_waits_for_the_robot_that_tells_of_its_grasp() -> None:
+    world = World(1)
+    world.plan(0)
+    world.book.label(Label(object="cup"), 0.0)
+    world.feel()
+    assert world.book.poll(0.5) == []
+    world.tell(0)
+    (one,) = world.book.poll(3.0)
+    assert isinstance(one, MatchedGrasp)
+    assert one.execution.flags == ()
+    assert one.label is not None
+    with pytest.raises(PairingError, match="is recorded already"):
+        world.book.label(Label(grasp_id="g-0"), 3.0)
+    with pytest.raises(PairingError, match="g-9: was not planned"):
+        world.book.label(Label(grasp_id="g-9"), 3.0)
+
+
+def test_a_label_with_times_needs_no_report() -> None:
+    world = World(1)
+    world.feel()
+    world.plan(0)
+    world.book.label(Label(interval=interval(0)), 0.0)
+    (one,) = world.book.poll(3.0)
+    assert isinstance(one, MatchedGrasp)
+    assert one.execution.flags == ("labelled_interval",)
+
+
+def test_contacts_belong_to_the_last_best_grasp_only_where_that_is_asked_for() -> None:
+    for assume, expected in ((False, []), (True, ["g-0", "g-1"])):
+        world = World(2, assume=assume)
+        for number in (0, 1):
+            world.plan(number)
+        world.feel()
+        linked = [one for one in world.book.poll(2.0) if isinstance(one, MatchedGrasp)]
+        assert [one.grasp.id for one in linked] == expected
+        for number, one in enumerate(linked):
+            assert one.execution.flags == ("detected_interval", "assumed_grasp")
+            np.testing.assert_allclose(one.cut.touch.vector(), level(number), atol=5.0)
+
+
+def test_at_the_end_everything_has_an_outcome() -> None:
+    world = World(2)
+    world.plan(0)
+    world.plan(1)
+    world.feel()
+    world.tell(0)
+    world.book.label(Label(grasp_id="g-1 second"), 0.0)
+    world.readings.clear()
+    outcomes = [r.reason if isinstance(r, RejectedGrasp) else r.grasp.id for r in world.book.poll(0.0, ending=True)]
+    assert outcomes == ["g-0", "g-1 second"]
+    assert world.book.pending == 0
+    idle = World(1)
+    idle.plan(0)
+    idle.book.label(Label(grasp_id="g-0"), 0.0)
+    (result,) = idle.book.poll(0.0, ending=True)
+    assert isinstance(result, RejectedGrasp)
+    assert result.reason == "no_contact"

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who wins a cell: by hand, and by how often an interval holds the truth."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foretouch.errors import DatasetError
+from foretouch.experiments.label_ratio.table import (
+    P2_AVERAGES,
+    P2_CHANGES,
+    TREES,
+    compare_models,
+    summarise,
+    tally,
+)
+from foretouch.tactile.ranges import P2_RANGES
+
+
+def row(model: str, seed: int, squared: dict[str, list[float]], **more: Any) -> dict[str, Any]:
+    objects = {name: {"squared": values, "reference": [200.0] * len(values)} for name, values in squared.items()}
+    facts = {"ratio": 90, "modality": "PDC_TH", "trial": "a", "labelled": 320, "updates": 640}
+    return {**facts, "model": model, "seed": seed, "objects": objects, **more}
+
+
+def test_means_and_deviations_by_hand() -> None:
+    rows = [
+        row("pointnet", 0, {"a": [81.0, 81.0], "b": [81.0]}),
+        row("pointnet", 1, {"a": [121.0, 121.0], "b": [121.0]}),
+        row("srgan", 0, {"a": [64.0, 64.0], "b": [64.0]}),
+        row("srgan", 1, {"a": [100.0, 100.0], "b": [100.0]}),
+    ]
+    (told,) = compare_models(rows, P2_RANGES, draws=200)
+    assert (told["pointnet_rmse"], told["srgan_rmse"], told["change"]) == (10.0, 9.0, -10.0)
+    assert told["pointnet_sd"] == pytest.approx(np.sqrt(2.0), abs=1e-4)
+    assert told["pointnet_percent"] == pytest.approx(100.0 * 10.0 / 900.0, abs=1e-4)
+    assert told["srgan_skill"] == pytest.approx(1.0 - 82.0 / 200.0)
+    # Both runs and all samples agree on -1: nothing is left to chance.
+    assert (told["change_low"], told["change_high"], told["verdict"]) == (-10.0, -10.0, "win")
+    assert (told["runs"], told["samples"], told["p2_change"]) == (2, 3, -6.2)
+
+
+def test_a_single_run_is_no_verdict() -> None:
+    (told,) = compare_models([row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})], P2_RANGES, draws=200)
+    assert told["change"] == pytest.approx(50.0)
+    assert told["verdict"] is told["change_low"] is told["srgan_sd"] is None
+    errors, baselines, changes = summarise([told])
+    assert (errors.rows[0][1], changes.rows[0][1]) == ("2.0 / 3.0", "+50.0")
+    assert baselines.rows[0][1] == "14.1 / –"
+
+
+def test_trees_and_mean_stand_beside_on_the_same_samples() -> None:
+    networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
+    (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
+    assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
+    with pytest.raises(DatasetError, match="not judged on the same samples"):
+        compare_models([row(TREES, 0, {"b": [2.25]}), *networks], P2_RANGES, draws=200)
+
+
+def test_a_run_without_its_partner_is_left_out() -> None:
+    rows = [row(model, seed, {"a": [1.0, 2.0]}) for model in ("pointnet", "srgan") for seed in (0, 1)]
+    (told,) = compare_models([*rows, row("srgan", 2, {"a": [1.0, 2.0]})], P2_RANGES, draws=200)
+    assert told["runs"] == 2
+
+
+def test_other_samples_are_refused() -> None:
+    rows = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]
+    with pytest.raises(DatasetError, match="not judged on the same samples"):
+        compare_models(rows, P2_RANGES, draws=200)
+
+
+def test_the_interval_holds_no_difference_in_19_of_20_worlds() -> None:
+    """Two models of equal worth; each run adds an error of its own to all of its samples, as luck in training does."""
+    rng = np.random.default_rng(0)
+    held = 0
+    worlds = 200
+    for _ in range(worlds):
+        hard = rng.gamma(2.0, 50.0, 60)
+        rows = [
+            row(model, seed, {"a": (hard * rng.gamma(20.0, 1 / 20.0, 60) * luck).tolist()})
+            for model in ("pointnet", "srgan")
+            for seed, luck in enumerate(rng.normal(1.0, 0.1, 3))
+        ]
+        (told,) = compare_models(rows, P2_RANGES, draws=400)
+        held += told["verdict"] == "tie"
+    assert 0.92 * worlds <= held  # wider than it must be where runs share their samples, never narrower
+
+
+def test_the_tally_counts_verdicts_and_averages() -> None:
+    rows = [{"verdict": name, "change": change} for name, change in (("win", -3.0), ("tie", -0.1), ("loss", 2.0))]
+    assert tally(rows) == [
+        "by interval: 1 wins, 1 ties, 1 losses",
+        "by average the SR-GAN is lower in 2 of 3 cells (P2: 12 of 20)",
+    ]
+
+
+def test_what_p2_tells_agrees_with_its_own_count() -> None:
+    """No modality has more lower averages in the text than P2 counts."""
+    for modality, count in P2_AVERAGES.items():
+        told = [change for (name, _), change in P2_CHANGES.items() if name == modality]
+        assert sum(change < 0.0 for change in told) <= count
+        assert sum(change > 0.0 for change in told) <= 5 - count

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps: what is finished stays finished, whatever is killed; what changed is refused by name."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from own_experiments.counting import EXPERIMENT, CountingSettings
+
+from foretouch.errors import ConfigError, FileError
+from foretouch.experiments import Cell, run_sweep
+from foretouch.experiments.framework.manifest import read_results, write_results
+
+TESTS = Path(__file__).parents[2]
+
+
+def sweep(out: Path, source: Path, **options):
+    changes = options.pop("settings", {})
+    return run_sweep(EXPERIMENT, CountingSettings(**changes), out, source=source, **options)
+
+
+def starts(trace: Path) -> dict[str, int]:
+    names = [path.name.split(".")[0] for path in trace.iterdir()]
+    return {name: names.count(name) for name in sorted(names)}
+
+
+def test_table_manifest_and_cells(tmp_path, numbers) -> None:
+    told = []
+    out = tmp_path / "out"
+    result = sweep(
+        out, numbers, workers=2, tell=lambda outcome, done, total: told.append((outcome.cell.key, done, total))
+    )
+    assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
+    assert read_results(out / "results.csv") == result.rows
+    assert sorted(told) == sorted((f"cell{k}", n, 6) for n, (key, *_) in enumerate(told, 1) for k in [int(key[4:])])
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["experiment"] == "counting"
+    assert manifest["settings"] == CountingSettings().to_mapping()
+    assert manifest["data"] == {"sha256": result.data_sha256}
+    assert manifest["cells"] == {"all": 6, "finished": 6, "failed": {}}
+    (session,) = manifest["sessions"]
+    assert {"foretouch", "git", "python", "libraries", "cpu", "cores", "gpu", "workers"} <= set(session)
+    assert str(tmp_path) not in (out / "manifest.json").read_text()
+
+
+def test_killed_and_resumed_equals_uninterrupted(tmp_path, numbers, trace) -> None:
+    words = [sys.executable, "-m", "foretouch.cli.main", "experiment", "own_experiments.counting"]
+    words += ["-o", str(tmp_path / "cut"), "--data", str(numbers), "--workers", "1", "--json", "pause_s=0.3"]
+    words += [f"trace={trace}"]
+    process = subprocess.Popen(
+        words,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
+        start_new_session=True,
+    )
+    for _ in range(2):
+        assert json.loads(process.stdout.readline())["status"] == "done"
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    done = {path.stem for path in (tmp_path / "cut/cells").iterdir() if path.suffix == ".json"}
+    assert {"cell0", "cell1"} <= done < {f"cell{k}" for k in range(6)}
+    settings = {"pause_s": 0.3, "trace": str(trace)}
+    result = sweep(tmp_path / "cut", numbers, settings=settings, resume=True)
+    assert result.reused == len(done)
+    assert all(starts(trace)[key[4:]] == 1 for key in done)
+    sweep(tmp_path / "whole", numbers, settings=settings)
+    assert (tmp_path / "cut/results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
+    assert len(json.loads((tmp_path / "cut/manifest.json").read_text())["sessions"]) == 2
+
+
+def test_failures_are_named_and_the_others_go_on(tmp_path, numbers, trace) -> None:
+    hurt = {"broken": (1,), "dies": (3,), "dies_once": (4,), "trace": str(trace)}
+    result = sweep(tmp_path / "out", numbers, settings=hurt, workers=2)
+    assert result.failures == {
+        "cell1": "cell 1: is broken",
+        "cell3": "its process died (killed, or out of memory)",
+    }
+    assert sorted({row["number"] for row in result.rows}) == [0, 2, 4, 5]
+    again = sweep(tmp_path / "out", numbers, settings=hurt, resume=True)
+    assert again.reused == 4
+    assert set(again.failures) == set(result.failures)
+    assert json.loads((tmp_path / "out/manifest.json").read_text())["cells"]["failed"] == again.failures
+
+
+def test_what_changed_is_refused_by_name(tmp_path, numbers) -> None:
+    out = tmp_path / "out"
+    sweep(out, numbers, settings={"cells": 2})
+    with pytest.raises(FileError, match="--resume goes on"):
+        sweep(out, numbers, settings={"cells": 2})
+    with pytest.raises(ConfigError, match=r"settings\.pause_s: 0\.0 is not 0\.1; a sweep resumes as it began"):
+        sweep(out, numbers, settings={"cells": 2, "pause_s": 0.1}, resume=True)
+    before = (out / "results.csv").read_bytes()
+    numbers.write_text("1 2.6\n")
+    with pytest.raises(ConfigError, match=r"data\.sha256"):
+        sweep(out, numbers, settings={"cells": 2}, resume=True)
+    assert (out / "results.csv").read_bytes() == before
+
+
+def test_more_cells_keep_those_that_are_finished(tmp_path, numbers) -> None:
+    out = tmp_path / "out"
+    sweep(out, numbers, settings={"cells": 2})
+    more = sweep(out, numbers, settings={"cells": 4}, resume=True)
+    assert (more.reused, more.cells, len(more.rows)) == (2, 4, 8)
+    fewer = sweep(out, numbers, settings={"cells": 3, "shown": 1}, resume=True)
+    assert (fewer.reused, fewer.cells, len(fewer.rows)) == (3, 3, 1)
+    assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
+
+
+def test_data_that_change_meanwhile_fail_the_cell(tmp_path, numbers) -> None:
+    from foretouch.experiments.framework.executors import Job, run_cell
+
+    job = Job.make(EXPERIMENT, CountingSettings().to_mapping(), numbers, "0" * 64)
+    outcome = run_cell(job, Cell("cell0", {"number": 0}))
+    assert outcome.rows is None
+    assert "which the sweep began with" in outcome.error
+
+
+def test_folders_of_something_else_are_left_alone(tmp_path, numbers) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/precious").touch()
+    for resume in (False, True):
+        with pytest.raises(FileError, match="exists already"):
+            sweep(tmp_path / "out", numbers, resume=resume)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
+    sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)  # nothing there: it begins
+    (tmp_path / "new/cells/cell0.json").write_text("{")
+    with pytest.raises(FileError, match=r"cell0.json: is unreadable"):
+        sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)
+
+
+def test_presets_and_their_errors() -> None:
+    assert EXPERIMENT.resolve("smoke", {"pause_s": 1}).cells == 2
+    with pytest.raises(ConfigError, match="preset: 'quick' is none of full, smoke"):
+        EXPERIMENT.resolve("quick", {})
+    with pytest.raises(ConfigError, match="paus: unknown setting; known: cells"):
+        EXPERIMENT.resolve("full", {"paus": 1})
+
+
+def test_results_read_back_as_they_were(tmp_path) -> None:
+    rows = [
+        {"a": 1, "b": 0.1 + 0.2, "c": None, "d": "x, y", "e": True},
+        {"a": 2, "b": -1e-9, "c": 1.5, "d": "z", "e": False},
+    ]
+    assert read_results(write_results(tmp_path, rows)) == rows
+
+
+@pytest.fixture
+def ray():
+    return pytest.importorskip("ray", reason="ray is not installed: pip install 'foretouch[sweep]'")
+
+
+@pytest.fixture
+def two_nodes(ray, monkeypatch):
+    """A cluster of two nodes of one core each; only what the test kills dies, however busy the machine is."""
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))  # where workers find `own_experiments`
+    monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
+    head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    yield cluster, cluster.add_node(num_cpus=1)
+    cluster.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # starting nodes and processes takes a minute or two on a busy machine
+def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, numbers, trace) -> None:
+    cluster, lost = two_nodes
+    settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
+    seen = []
+
+    def kill(outcome, done, total) -> None:
+        seen.append(outcome.cell.key)
+        if len(seen) == 2:
+            cluster.remove_node(lost, allow_graceful=False)
+
+    result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, tell=kill)
+    assert result.failures == {}
+    assert sorted(seen) == [f"cell{k}" for k in range(8)]
+    assert sum(starts(trace).values()) <= 8 + 2  # cell 0, and at most the one that the lost node ran
+    sweep(tmp_path / "local", numbers, settings={**settings, "pause_s": 0.0})
+    assert (tmp_path / "ray/results.csv").read_bytes() == (tmp_path / "local/results.csv").read_bytes()
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "localhost:no"])
+def test_no_cluster_is_told_at_once(ray, tmp_path, numbers, address: str) -> None:
+    with pytest.raises(ConfigError, match=f"--address: {address}: no cluster answers"):
+        sweep(tmp_path / "out", numbers, address=address)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Splits as part of the data: no id on both sides, P2's label ratios, the same for the same seed."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foretouch.dataset.build import SampleFacts
+from foretouch.errors import DatasetError, FileError
+from foretouch.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, label_ratios, make_splits, read_splits
+
+
+def facts(objects: int = 6, each: int = 20, unlabelled: int = 7) -> list[SampleFacts]:
+    labelled = [
+        SampleFacts(f"o{o}/{k:06d}", f"o{o}", 1000 * o + k, labelled=True) for k in range(each) for o in range(objects)
+    ]
+    return labelled + [SampleFacts(f"o0/9{k:05d}", "o0", k, labelled=False) for k in range(unlabelled)]
+
+
+@pytest.fixture
+def book(tmp_path: Path) -> dict[str, list[SplitPart]]:
+    (tmp_path / SPLITS_FILE).write_text(make_splits(facts(), 3))
+    return read_splits(tmp_path).parts
+
+
+def test_no_id_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
+    assert {kind: len(parts) for kind, parts in book.items()} == {"random": 5, "object": 5, "time": 5, "labels": 5}
+    for parts in book.values():
+        for part in parts:
+            assert not set(part.train) & set(part.test), part.name
+            assert not set(part.unlabelled) & {*part.train, *part.test}, part.name
+            assert part.train
+            assert part.test
+
+
+def test_every_labelled_sample_is_tested_once_by_the_folds(book: dict[str, list[SplitPart]]) -> None:
+    labelled = {sample.id for sample in facts() if sample.labelled}
+    for kind in ("random", "object", "time"):
+        tested = [i for part in book[kind] for i in part.test]
+        assert len(tested) == len(set(tested))
+        assert set(tested) == labelled
+        assert all(set(part.train) | set(part.test) == labelled for part in book[kind])
+
+
+def test_no_object_stands_on_both_sides(book: dict[str, list[SplitPart]]) -> None:
+    for part in book["object"]:
+        assert not {i.split("/")[0] for i in part.train} & {i.split("/")[0] for i in part.test}
+
+
+def test_blocks_of_time_are_consecutive(book: dict[str, list[SplitPart]]) -> None:
+    for k, part in enumerate(book["time"]):
+        assert sorted(i for i in part.test if i.startswith("o2/")) == [f"o2/{n:06d}" for n in range(4 * k, 4 * k + 4)]
+
+
+def test_label_ratios_share_their_test_and_are_nested(book: dict[str, list[SplitPart]]) -> None:
+    parts = book["labels"]
+    assert [part.name for part in parts] == [f"T{ratio}" for ratio in RATIOS]
+    never = {sample.id for sample in facts() if not sample.labelled}
+    without: set[str] = set()
+    for ratio, part in zip(RATIOS, parts, strict=True):
+        assert part.test == parts[0].test
+        assert len(part.test) == 6 * 4
+        assert len(set(part.unlabelled) - never) == round(96 * ratio / 100)
+        assert len(part.train) == 96 - round(96 * ratio / 100)
+        assert without < set(part.unlabelled)
+        assert never < set(part.unlabelled)
+        without = set(part.unlabelled)
+
+
+def test_the_papers_numbers_come_out_of_the_papers_data() -> None:
+    """P2: 4 objects x 1000 grasps, 200 of each for test, T10 leaves 10 % of 3200 without labels."""
+    groups = [name for name in "abcd" for _ in range(1000)]
+    test, parts = label_ratios(groups, np.random.default_rng(0))
+    assert [np.sum(np.asarray(groups)[test] == name) for name in "abcd"] == [200, 200, 200, 200]
+    sizes = {name: (len(train), len(without)) for name, (train, without) in parts.items()}
+    assert sizes == {
+        "T10": (2880, 320),
+        "T30": (2240, 960),
+        "T50": (1600, 1600),
+        "T70": (960, 2240),
+        "T90": (320, 2880),
+    }
+
+
+def test_the_seed_decides() -> None:
+    assert make_splits(facts(), 1) == make_splits(facts(), 1)
+    assert make_splits(facts(), 1) != make_splits(facts(), 2)
+
+
+def test_what_cannot_be_split_is_told() -> None:
+    book = json.loads(make_splits(facts(objects=1, each=6, unlabelled=0)))
+    assert book["splits"].keys() == {"random", "time", "labels"}
+    assert book["omitted"] == {"object": "folds: all samples are of o0; to keep groups apart takes 2"}
+    assert set(json.loads(make_splits([]))["omitted"]) == {"random", "object", "time", "labels"}
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "unlabelled"), [("ab", "b", ""), ("a", "b", "a"), ("a", "b", "b"), ("aa", "b", "")]
+)
+def test_an_id_on_two_sides_is_refused(tmp_path: Path, train: str, test: str, unlabelled: str) -> None:
+    part = {"name": "fold", "train": list(train), "test": list(test), "unlabelled": list(unlabelled)}
+    with pytest.raises(DatasetError, match=r"split fold: [ab] is there twice"):
+        SplitPart("fold", tuple(train), tuple(test), tuple(unlabelled)).require_disjoint()
+    (tmp_path / SPLITS_FILE).write_text(json.dumps({"schema_version": 1, "splits": {"random": [part]}}))
+    with pytest.raises(FileError, match="is there twice"):
+        read_splits(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("{", "is no list of splits"), ("[]", "is no list"), ('{"schema_version": 2}', "schema_version: 2 is not 1")],
+)
+def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / SPLITS_FILE).write_text(text)
+    with pytest.raises(FileError, match=message):
+        read_splits(tmp_path)
+    with pytest.raises(FileError, match="No such file"):
+        read_splits(tmp_path / "none.json")

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baselines: what they see, and what they must not see."""
+
+import dataclasses
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from foretouch.learning.evaluation.baselines import (
+    FEATURE_NAMES,
+    geometry_features,
+    geometry_trees,
+    object_mean,
+    object_time_trees,
+    training_mean,
+)
+from foretouch.types import Cloud
+
+
+def labels_of(samples) -> np.ndarray:
+    return np.array([sample.touch.vector() for sample in samples])
+
+
+def test_training_mean(samples) -> None:
+    labels = labels_of(samples[:40])
+    assert_allclose(training_mean(samples[:40], labels, samples[40:], 0), np.tile(labels.mean(axis=0), (20, 1)))
+
+
+def test_object_mean_and_a_new_object(samples) -> None:
+    train = [sample for sample in samples if sample.object != "box3"]
+    labels = labels_of(train)
+    new = next(sample for sample in samples if sample.object == "box3")
+    predicted = object_mean(train, labels, [train[0], new], 0)
+    same = np.array([sample.object == train[0].object for sample in train])
+    assert_allclose(predicted[0], labels[same].mean(axis=0))
+    assert_allclose(predicted[1], labels.mean(axis=0))
+
+
+def test_object_time_trees_see_no_cloud_and_no_grasp(samples) -> None:
+    labels = labels_of(samples[:40])
+    blind = [
+        dataclasses.replace(sample, cloud=Cloud(np.ones((1, 3), np.float32)), grasp=samples[0].grasp, touch=None)
+        for sample in samples[40:]
+    ]
+    assert_allclose(
+        object_time_trees(samples[:40], labels, blind, 1), object_time_trees(samples[:40], labels, samples[40:], 1)
+    )
+
+
+def test_geometry_trees_find_what_geometry_tells_and_repeat(samples) -> None:
+    train, test = samples[:45], samples[45:]
+    labels, actual = labels_of(train), labels_of(test)
+    predicted = geometry_trees(train, labels, test, 1)
+    mean = training_mean(train, labels, test, 1)
+    assert ((predicted - actual) ** 2).mean() < 0.5 * ((mean - actual) ** 2).mean()
+    assert np.array_equal(predicted, geometry_trees(train, labels, test, 1))
+
+
+def test_features_are_named_finite_and_blind_to_order(samples, rng) -> None:
+    sample = samples[0]
+    features = geometry_features(sample)
+    assert features.shape == (len(FEATURE_NAMES),)
+    assert np.isfinite(features).all()
+    shuffled = dataclasses.replace(sample, cloud=sample.cloud.take(rng.permutation(sample.cloud.size)))
+    assert_allclose(geometry_features(shuffled), features, atol=1e-12)
+    assert features[FEATURE_NAMES.index("width")] == sample.grasp.width_m
+    far = dataclasses.replace(sample, cloud=Cloud(sample.cloud.xyz + np.float32(1.0)))
+    assert geometry_features(far)[FEATURE_NAMES.index("g1_count")] == 0.0

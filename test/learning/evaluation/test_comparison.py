@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bootstrap over objects: by hand, against enumeration, and whether the intervals hold what they promise."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from foretouch.errors import DatasetError
+from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch.learning.evaluation.metrics import mean_skill, score
+from foretouch.tactile.modalities import MODALITIES
+
+
+def errors(own, reference=None, counts=None) -> ObjectErrors:
+    """One number an object, the same for all 50 values."""
+    own = np.asarray(own, np.float64)
+    reference = np.ones(len(own)) if reference is None else np.asarray(reference, np.float64)
+    counts = np.ones(len(own)) if counts is None else np.asarray(counts, np.float64)
+    names = tuple(f"o{k}" for k in range(len(own)))
+    return ObjectErrors(names, counts, np.tile(own[:, None], (1, 50)), np.tile(reference[:, None], (1, 50)))
+
+
+def test_skill_and_rmse_by_hand() -> None:
+    both = errors([100.0, 300.0], [400.0, 400.0], [1, 3])
+    assert skills(both)["PDC_TH"].value == pytest.approx(1 - 400 / 800)
+    assert both.rmse()["E_MF"] == pytest.approx(np.sqrt(400 / 4))
+    assert both.reference_rmse()["E_MF"] == pytest.approx(np.sqrt(800 / 4))
+    assert skills(both.only("o1"))[MEAN].value == pytest.approx(0.25)
+
+
+def test_pools_as_the_metrics_do(rng) -> None:
+    actual, predicted, mean = (rng.normal(2500.0, 100.0, (30, 50)) for _ in range(3))
+    names = np.array(["a", "b", "c"])[rng.integers(0, 3, 30)]
+    parts = [
+        (str(names[k]), 1.0, (predicted[k] - actual[k]) ** 2, (mean[k] - actual[k]) ** 2) for k in rng.permutation(30)
+    ]
+    ours, theirs = skills(ObjectErrors.total(parts)), score(predicted, actual, mean)
+    assert_allclose([ours[name].value for name in MODALITIES], [theirs[name].skill for name in MODALITIES])
+    assert ours[MEAN].value == pytest.approx(mean_skill(theirs))
+    assert ObjectErrors.total(parts).rmse()["E_TH"] == pytest.approx(theirs["E_TH"].rmse)
+
+
+def test_interval_against_all_resamples_of_six_objects() -> None:
+    own, reference = [0.2, 0.5, 0.9, 1.1, 0.4, 0.7], [1.0, 1.5, 1.0, 0.8, 2.0, 1.0]
+    every = [1 - sum(own[k] for k in draw) / sum(reference[k] for k in draw) for draw in product(range(6), repeat=6)]
+    tail = 0.00243  # Φ(-√(6/5) · 2.5706), t with 5 degrees of freedom
+    found = skills(errors(own, reference), BootstrapConfig(draws=200_000))["PDC_MF"]
+    assert_allclose([found.low, found.high], np.quantile(every, [tail, 1 - tail]), atol=0.01)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(0)
+    config, hits = BootstrapConfig(draws=1000), 0
+    for _ in range(400):
+        found = skills(errors(rng.normal(1.0, 0.1, 8)), config)["PDC_TH"]
+        hits += found.low <= 0.0 <= found.high
+    assert 0.92 <= hits / 400 <= 0.98  # plain percentiles: 0.89
+
+
+def test_what_is_hard_for_both_counts_for_neither() -> None:
+    hard = np.array([1.0, 5.0, 0.2, 3.0, 0.7, 2.0, 8.0])
+    pair = errors(hard * 0.9), errors(hard)
+    alone = skills(pair[0])["PDC_TH"]
+    assert alone.low < 0.0 < alone.high or alone.high < 0.0
+    assert compare(*pair)["PDC_TH"].verdict == "better"
+    assert compare(*reversed(pair))["PDC_TH"].verdict == "worse"
+    assert compare(pair[0], pair[0])[MEAN].verdict == "tie"
+    forth, back = compare(*pair)["E_TH"], compare(*reversed(pair))["E_TH"]
+    assert_allclose([forth.value, forth.low, forth.high], [-back.value, -back.high, -back.low])
+
+
+def test_same_seed_same_interval_and_units_do_not_matter() -> None:
+    one = errors([0.2, 0.5, 0.9, 1.1, 0.4, 0.7])
+    assert skills(one) == skills(one)
+    scaled = ObjectErrors(one.objects, one.counts, 100.0 * one.squared, 100.0 * one.reference)
+    assert_allclose(skills(scaled)["E_MF"].low, skills(one)["E_MF"].low)
+    assert skills(one, BootstrapConfig(seed=1))["E_MF"].low != skills(one)["E_MF"].low
+
+
+def test_few_objects_promise_nothing() -> None:
+    few = errors([0.5] * 5)
+    assert skills(few)["PDC_TH"] == Estimate(0.5, None, None)
+    assert compare(few, errors([0.9] * 5))["PDC_TH"].verdict == "too few objects"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ObjectErrors.total([]), "no object"),
+        (lambda: errors([np.nan, 1.0]), "squared"),
+        (lambda: skills(errors([1.0] * 6, [0.0] * 6)), "the training mean is exact"),
+        (lambda: compare(errors([1.0] * 6), errors([1.0] * 7)), "not tested on the same grasps"),
+        (lambda: compare(errors([1.0] * 6), errors([1.0] * 6, [2.0] * 6)), "not tested on the same grasps"),
+    ],
+)
+def test_bad_input_is_named(call, message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
+        call()

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration on made-up populations of objects whose lasting errors, noise and worth are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from foretouch.learning.training.calibration import (
+    COVERAGE,
+    HeldOutPredictions,
+    conformal_level,
+    coverage_by_object,
+    fit_group,
+    make_calibration,
+)
+from foretouch.models.calibration import Calibration
+from foretouch.tactile.modalities import MODALITIES, columns
+
+SIZE = 50
+W = np.linspace(100.0, 900.0, SIZE)
+
+
+def lasting(rng: np.random.Generator) -> np.ndarray:
+    """(50, 50) covariance in which values go together."""
+    factors = rng.normal(size=(SIZE, 5))
+    return 150.0 * (factors @ factors.T) + 200.0 * np.eye(SIZE)
+
+
+def population(
+    rng: np.random.Generator, between: np.ndarray, objects: int, each: int, worth: float = 1.0
+) -> HeldOutPredictions:
+    """Labels are an offset of the object, `worth` of each predicted difference, and noise of variance W."""
+    owner = np.repeat(np.arange(objects), each)
+    predicted = 30.0 * rng.normal(size=(len(owner), SIZE))
+    centre = np.array([predicted[owner == k].mean(axis=0) for k in range(objects)])[owner]
+    offsets = rng.multivariate_normal(np.zeros(SIZE), between, objects)
+    noise = np.sqrt(W) * rng.normal(size=predicted.shape)
+    labels = centre + worth * (predicted - centre) + offsets[owner] + noise
+    who = np.array([f"object{k}" for k in owner])
+    return HeldOutPredictions(predicted, labels, who, who)
+
+
+def of(residuals: np.ndarray, objects: list[str], sessions: list[str] | None = None) -> HeldOutPredictions:
+    """The same residual in all values."""
+    labels = np.tile(np.asarray(residuals, np.float64)[:, None], (1, SIZE))
+    return HeldOutPredictions(np.zeros_like(labels), labels, np.array(objects), np.array(sessions or objects))
+
+
+@pytest.mark.parametrize(("objects", "level"), [(1, 0.95), (8, 0.95), (18, 0.95), (40, 0.9225), (10**9, 0.9)])
+def test_few_objects_are_cut_higher_and_never_above_their_cap(objects: int, level: float) -> None:
+    assert conformal_level(objects) == pytest.approx(level, abs=1e-6)
+
+
+def test_intervals_of_forty_objects_hold_nine_in_ten_values_of_new_ones() -> None:
+    covered: dict[str, list[float]] = {modality: [] for modality in MODALITIES}
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        B = lasting(rng)
+        half = fit_group(population(rng, B, 40, 8)).half_width
+        new = population(rng, B, 60, 5)
+        inside = np.abs(new.labels - new.predicted) <= half
+        for modality in MODALITIES:
+            covered[modality].append(float(inside[:, columns([modality])].mean()))
+    for modality, shares in covered.items():
+        assert 0.87 <= np.mean(shares) <= 0.95, modality
+
+
+@pytest.mark.parametrize("worth", [1.0, 0.4])
+def test_after_three_touches_they_are_narrower_and_hold_as_many(worth: float) -> None:
+    covered, narrowed = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        B = lasting(rng)
+        regime = fit_group(population(rng, B, 40, 12, worth))
+        new = population(rng, B, 40, 40, worth)  # so many that the mean of what is predicted hardly matters
+        for name in np.unique(new.objects):
+            one = new.take(new.objects == name)
+            means = one.predicted[:3].mean(axis=0), one.labels[:3].mean(axis=0)
+            after = regime.after(one.predicted[3:], *means, 3)
+            covered.append((np.abs(one.labels[3:] - after) <= regime.half_width_after(3)).mean())
+        narrowed.append((regime.half_width_after(3) / regime.half_width).mean())
+    assert 0.86 <= np.mean(covered) <= 0.96
+    assert np.mean(narrowed) < 0.9
+
+
+def test_every_object_weighs_the_same_however_many_samples_it_has() -> None:
+    """Twenty objects of errors 1 to 20 are cut at 0.945: the 19th, though the first has most samples."""
+    errors = np.repeat(np.arange(1.0, 21.0), [100, *range(2, 20), 1])
+    regime = fit_group(of(errors, [f"{e:02.0f}" for e in errors]))
+    assert_allclose(regime.half_width, 19.0)
+    few = fit_group(of([10.0, *[1.0] * 99], ["a", *["b"] * 99]))  # two objects, cut at 0.95
+    assert_allclose(few.half_width, 10.0)
+
+
+def test_each_modality_has_its_own_cut() -> None:
+    rng = np.random.default_rng(0)
+    labels = rng.normal(size=(400, SIZE)) * 10.0
+    place = columns(["E_TH"])
+    labels[:, place] = rng.standard_t(3, (400, 24)) * 10.0  # heavy tails
+    names = np.array([f"{k % 40:02}" for k in range(400)])
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
+    factor = regime.half_width / np.sqrt(regime.spread)
+    for modality in MODALITIES:
+        scores = np.abs(labels[:, columns([modality])]) / np.sqrt(regime.spread[columns([modality])])
+        assert_allclose(
+            factor[columns([modality])], np.sort(scores.reshape(-1))[int(0.9225 * scores.size) - 1], rtol=0.02
+        )
+
+
+@pytest.mark.parametrize(("worth", "found"), [(0.0, 0.0), (0.4, 0.4), (1.0, 1.0), (1.7, 1.0), (-0.5, 0.0)])
+def test_the_worth_of_differences_is_found(worth: float, found: float) -> None:
+    rng = np.random.default_rng(3)
+    regime = fit_group(population(rng, lasting(rng), 20, 30, worth))
+    # 580 differences of deviation 30 in noise of up to 30: a standard error of 0.04 for a single value.
+    assert_allclose(regime.worth, found, atol=0.1)
+    for modality in MODALITIES:
+        assert len(np.unique(regime.worth[columns([modality])])) == 1
+
+
+def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
+    rng = np.random.default_rng(5)
+    held_out = population(rng, lasting(rng), 10, 30, 0.8)
+    known, new = fit_group(held_out), fit_group(held_out, new=True)
+    assert_allclose(new.worth, known.worth * 10 / 40)
+    assert (new.within > known.within).all()  # differences that count for less explain less
+    assert_allclose(
+        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].regimes["new"].worth, new.worth
+    )
+
+
+def test_with_many_objects_both_covariances_are_found() -> None:
+    rng = np.random.default_rng(5)
+    B = lasting(rng)
+    regime = fit_group(population(rng, B, 1500, 6, 0.5))
+    assert_allclose(regime.within, W, rtol=0.1)
+    scale = np.sqrt(np.outer(np.diag(B), np.diag(B)))
+    # Correlations of 1500 objects have a standard error of 0.03, of which 1225 are looked at.
+    assert np.abs((regime.between - B) / scale).max() < 0.16
+    assert np.sqrt((((regime.between - B) / scale) ** 2).mean()) < 0.04
+
+
+def test_few_objects_tell_how_much_errs_but_not_what_errs_together() -> None:
+    rng = np.random.default_rng(6)
+    regime = fit_group(population(rng, lasting(rng), 8, 30))
+    deviation = np.sqrt(np.diag(regime.between))
+    correlation = regime.between / np.outer(deviation, deviation)
+    off = correlation[~np.eye(SIZE, dtype=bool)]
+    assert np.abs(off).max() <= 8 / 38 + 1e-9
+    assert np.abs(off).max() > 0.05
+
+
+@pytest.mark.parametrize(("objects", "each"), [(2, 2), (8, 40), (40, 3), (100, 3), (300, 2)])
+@pytest.mark.parametrize("errs", [False, True])
+def test_the_covariance_is_positive_and_touches_never_blow_up(objects: int, each: int, errs: bool) -> None:
+    rng = np.random.default_rng(objects)
+    B = lasting(rng) if errs else np.zeros((SIZE, SIZE))
+    regime = fit_group(population(rng, B, objects, each))
+    assert np.linalg.eigvalsh(regime.between)[0] > 0.0
+    assert (np.diag(regime.between) >= 0.05 * regime.within - 1e-9).all()
+    widths = np.array([regime.half_width_after(n) for n in (0, 1, 10, 1000, 10**6)])
+    assert (np.diff(widths, axis=0) <= 1e-9).all()
+    Calibration.from_tensors(Calibration(np.zeros(SIZE), {"known": regime, "new": regime}).to_tensors())
+
+
+def test_sessions_of_one_sample_tell_nothing_of_what_lasts() -> None:
+    rng = np.random.default_rng(7)
+    labels = 20.0 * rng.normal(size=(30, SIZE))
+    names = np.array([f"{k:02}" for k in range(30)])
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
+    assert_allclose(regime.within, regime.spread)
+    assert_allclose(regime.half_width_after(10), regime.half_width)
+    assert_allclose(regime.worth, 1.0)
+
+
+def test_a_session_is_part_of_an_object_and_objects_count() -> None:
+    """Offsets of each stretch of a recording last for the stretch; the cut is that of ten objects."""
+    rng = np.random.default_rng(8)
+    objects = np.repeat([f"o{k}" for k in range(10)], 50)
+    stretches = np.array([f"{name}/{k // 10 % 5}" for k, name in enumerate(objects)])
+    offset = {name: 30.0 * rng.normal(size=SIZE) for name in np.unique(stretches)}
+    labels = np.array([offset[name] for name in stretches]) + 10.0 * rng.normal(size=(500, SIZE))
+    regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, objects, stretches))
+    assert_allclose(regime.within, 100.0, rtol=0.35)
+    assert np.diag(regime.between).mean() == pytest.approx(900.0, rel=0.1)
+
+
+def test_coverage_is_told_by_intervals_of_the_other_objects() -> None:
+    rng = np.random.default_rng(9)
+    held = population(rng, lasting(rng), 6, 10)
+    found = coverage_by_object(held)
+    assert list(found) == list(MODALITIES)
+    for k in range(6):
+        mine = held.objects == f"object{k}"
+        half = fit_group(held.take(~mine)).half_width
+        inside = np.abs(held.labels[mine] - held.predicted[mine]) <= half
+        for modality in MODALITIES:
+            assert found[modality][f"object{k}"] == pytest.approx(inside[:, columns([modality])].mean(), abs=5e-4)
+    for shares in found.values():
+        assert shares["mean"] == pytest.approx(np.mean([shares[f"object{k}"] for k in range(6)]), abs=1e-3)
+
+
+def test_one_object_alone_has_an_interval_and_no_coverage() -> None:
+    rng = np.random.default_rng(10)
+    one = population(rng, lasting(rng), 1, 20)
+    assert coverage_by_object(one) == {}
+    regime = fit_group(one)
+    assert np.isfinite(regime.half_width_after(3)).all()
+    assert np.isfinite(regime.after(one.predicted, one.predicted[0], one.labels[0], 1)).all()
+
+
+def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:
+    rng = np.random.default_rng(11)
+    many, few = population(rng, lasting(rng), 20, 4), population(rng, lasting(rng), 8, 4)
+    trust, facts = make_calibration(np.full(SIZE, 3000.0), {"known": few, "new": many})
+    assert (set(trust.regimes), facts["level"]) == ({"known", "new"}, COVERAGE)
+    told = facts["regimes"]["new"]
+    assert (told["objects"], told["samples"], told["cut"]) == (20, 80, 0.945)
+    assert facts["regimes"]["known"]["cut"] == 0.95
+    assert set(told["coverage"]["E_MF"]) == {"mean", *np.unique(many.objects)}
+
+
+def test_the_order_of_samples_does_not_matter() -> None:
+    rng = np.random.default_rng(12)
+    held = population(rng, lasting(rng), 10, 6, 0.6)
+    order = rng.permutation(60)
+    mixed = HeldOutPredictions(held.predicted[order], held.labels[order], held.objects[order], held.sessions[order])
+    one, other = fit_group(held), fit_group(mixed)
+    for field in ("between", "within", "worth", "spread", "half_width"):
+        assert_allclose(getattr(other, field), getattr(one, field), rtol=1e-9, atol=1e-9)

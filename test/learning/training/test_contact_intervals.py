@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What experiments ask of a contact predictor is what the shipped model answers."""
+
+import numpy as np
+import pytest
+from contact_model_builders import FEW_TREES, with_tares
+from experiment_samples import make_samples
+
+from foretouch.errors import DatasetError
+from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.evaluation.comparison import mean_over_objects
+from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import TouchModel
+
+
+@pytest.fixture(scope="module")
+def sides() -> tuple[list, list]:
+    samples = with_tares(make_samples(5, 10), 30.0)
+    return samples[:40], samples[40:]
+
+
+@pytest.fixture(scope="module")
+def fitted(sides) -> ContactPredictor:
+    return ContactPredictor(sides[0], labels_of(sides[0]), FEW_TREES)
+
+
+@pytest.mark.parametrize("tare", [False, True])
+@pytest.mark.parametrize("touches", [0, 3])
+def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, touches: int) -> None:
+    model = TouchModel(fitted.estimator, {"name": "toy", "sha256": ""}, fitted.trust[0])
+    held = sides[1]
+    counts, half = fitted.intervals_after(held[:touches], held[touches:], tare=tare)
+    for sample, row, width in zip(held[touches:], counts, half, strict=True):
+        # A tare is of its own sample here, a memory has one: so what was touched is told as changes from that one.
+        memory = TouchMemory(model, sample.tare if tare else None)
+        for felt in held[:touches]:
+            shift = sample.tare.vector() - felt.tare.vector() if tare else 0.0
+            memory.add(felt.cloud, felt.grasp, type(felt.touch).from_vector(felt.touch.vector() + shift))
+        (told,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
+        np.testing.assert_allclose(told.value.vector(), row, atol=1e-6)
+        np.testing.assert_allclose(told.upper.vector() - told.value.vector(), width, rtol=1e-9)
+
+
+def test_a_tare_that_is_missing_is_named(fitted) -> None:
+    with pytest.raises(DatasetError, match="tare: is missing"):
+        fitted.intervals_after([], make_samples(1, 1), tare=True)
+
+
+def test_mean_over_objects() -> None:
+    """Of numbers that are all the same nothing is in doubt; below six objects no interval is told."""
+    same = mean_over_objects(np.full(8, 0.9))
+    assert (same.value, same.low, same.high) == pytest.approx((0.9, 0.9, 0.9))
+    spread = mean_over_objects(np.linspace(0.6, 1.0, 9))
+    assert 0.6 < spread.low < 0.75 < spread.value < 0.85 < spread.high < 1.0
+    assert mean_over_objects(np.array([0.5, 1.0])).low is None

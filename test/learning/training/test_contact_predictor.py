@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact model calibrated: equal to the shipped model's predictions, honest in what it held out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contact_model_builders import FEW_TREES, labels_of, with_tares
+from experiment_samples import make_samples
+from numpy.testing import assert_allclose, assert_array_equal
+
+from foretouch.errors import DatasetError
+from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch.learning.training.contact import describe_samples, fit_contact
+from foretouch.learning.training.contact_predictor import ContactPredictor, calibration_folds
+from foretouch.models.contact.checkpoint import add_calibration, save_contact
+from foretouch.models.registry import load_model
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import TouchModel
+from foretouch.tactile import offsets, restore
+from foretouch.types import GraspSample
+
+BARE = make_samples(5, 10)
+TARED = with_tares(BARE, drift=60.0)
+KINDS = pytest.mark.parametrize("tare", [False, True])
+
+
+@pytest.fixture(scope="module")
+def bare() -> ContactPredictor:
+    """Fitted to four objects that were recorded without tares."""
+    return ContactPredictor(BARE[:40], labels_of(BARE[:40]), FEW_TREES)
+
+
+@pytest.fixture(scope="module")
+def tared() -> ContactPredictor:
+    """Fitted to the same with tares, whose sensors drift."""
+    return ContactPredictor(TARED[:40], labels_of(TARED[:40]), FEW_TREES)
+
+
+def as_shipped(
+    model: TouchModel, touched: list[GraspSample], sample: GraspSample, *, tare: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """(50,) value and half width by the model with a memory, whose readings are moved to the sample's tare."""
+    memory = TouchMemory(model, sample.tare if tare else None)
+    for one in touched:
+        reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
+        memory.add(one.cloud, one.grasp, reading)
+    (found,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
+    return found.value.vector(), found.upper.vector() - found.value.vector()
+
+
+@KINDS
+@pytest.mark.parametrize("touches", [0, 1, 3])
+def test_predictions_after_touches_are_those_of_the_shipped_model(tared, tmp_path, touches: int, tare: bool) -> None:
+    card = save_contact(tmp_path, "toy", tared.estimator, {})
+    add_calibration(card, *tared.trust)
+    model = load_model(card)
+    touched, asked = TARED[40 : 40 + touches], TARED[44:]
+    counts, half = tared.intervals_after(touched, asked, tare=tare)
+    wanted = [as_shipped(model, touched, sample, tare=tare) for sample in asked]
+    assert_allclose(counts, [value for value, _ in wanted], atol=1e-9)
+    assert_allclose(half, [width for _, width in wanted], atol=1e-9)
+    assert_array_equal(tared.predict_after(touched, asked, tare=tare), counts)
+
+
+def test_without_touches_it_is_the_estimate_from_sight(bare) -> None:
+    asked = BARE[40:]
+    wanted, familiar = bare.estimator.predict_rows(describe_samples(asked))
+    assert_array_equal(bare.predict(asked), wanted)
+    assert_array_equal(bare.predict_after([], asked), wanted)
+    assert_array_equal(bare.familiar(asked), familiar)
+
+
+def test_labels_and_tares_of_what_is_asked_are_not_looked_at(tared) -> None:
+    blind = [replace(sample, id=f"blind/{k}", touch=None, tare=None) for k, sample in enumerate(TARED[40:])]
+    assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
+
+
+def test_neighbours_have_no_influence(tared) -> None:
+    touched, asked = TARED[40:43], TARED[43:]
+    together = tared.predict_after(touched, asked, tare=True)
+    alone = [tared.predict_after(touched, [sample], tare=True)[0] for sample in asked]
+    assert_array_equal(together, alone)
+
+
+def test_touches_of_a_new_object_help_on_its_other_grasps(bare) -> None:
+    """The objects' lasting offsets are what touches tell."""
+    touched, asked = BARE[40:43], BARE[43:]
+    before, after = (np.abs(bare.predict_after(one, asked) - labels_of(asked)).mean() for one in ([], touched))
+    assert after < before
+
+
+def test_a_tare_takes_the_drift_away(tared) -> None:
+    asked = TARED[40:]
+    without, with_tare = (tared.predict_after([], asked, tare=tare) - labels_of(asked) for tare in (False, True))
+    assert np.abs(with_tare).mean() < 0.7 * np.abs(without).mean()
+    drift = np.array([sample.tare.vector() for sample in asked]) - tared.rest
+    assert_allclose(with_tare + labels_of(asked), tared.predict(asked) + drift)
+
+
+def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
+    assert (bare.rest_recorded, tared.rest_recorded) == (False, True)
+    assert set(bare.trust[0].regimes) == {"known", "new"}
+    assert set(tared.trust[0].regimes) == {"known", "new", "known_tare", "new_tare"}
+    assert_allclose(tared.rest, np.mean([sample.tare.vector() for sample in TARED[:40]], axis=0))
+    assert_array_equal(tared.trust[0].rest, tared.rest)
+
+
+def test_drift_that_a_tare_takes_away_is_not_doubted(tared) -> None:
+    regimes = tared.trust[0].regimes
+    for name in ("known", "new"):
+        assert regimes[f"{name}_tare"].half_width.mean() < regimes[name].half_width.mean()
+
+
+@pytest.mark.parametrize("name", ["known", "new"])
+def test_doubt_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> None:
+    rows, labels = describe_samples(BARE[:40]), labels_of(BARE[:40])
+    objects = np.array([sample.object for sample in BARE[:40]])
+    folds, sessions = calibration_folds(BARE[:40], 0)[name]
+    predicted = np.empty_like(labels)
+    for fold in folds:
+        fitted = fit_contact(rows[fold.train], labels[fold.train], list(objects[fold.train]), FEW_TREES)
+        predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
+    wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions), new=name == "new")
+    found = bare.trust[0].regimes[name]
+    for field in ("between", "within", "worth", "spread", "half_width"):
+        assert_allclose(getattr(found, field), getattr(wanted, field))
+    assert bare.trust[1]["regimes"][name]["objects"] == 4
+
+
+def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> None:
+    samples = BARE[:40]
+    found = calibration_folds(samples, 0)
+    for fold in found["new"][0]:
+        assert {samples[i].object for i in fold.test}.isdisjoint({samples[i].object for i in fold.train})
+    assert_array_equal(found["new"][1], [sample.object for sample in samples])
+    folds, sessions = found["known"]
+    assert len(folds) == 5
+    assert len(np.unique(sessions)) == 5 * 4
+    for name in np.unique(sessions):
+        mine = np.flatnonzero(sessions == name)
+        assert len({samples[i].object for i in mine}) == 1
+        assert mine[-1] - mine[0] == len(mine) - 1  # the samples are in order of time
+    few = calibration_folds([sample for k, sample in enumerate(samples) if k % 10 < 3], 0)
+    assert sorted(np.concatenate([fold.test for fold in few["known"][0]])) == list(range(12))
+
+
+def test_the_same_seed_gives_the_same_bits(bare) -> None:
+    again = ContactPredictor(BARE[:40], labels_of(BARE[:40]), FEW_TREES)
+    assert_array_equal(again.predict(BARE), bare.predict(BARE))
+
+
+def test_a_tare_that_was_not_taken_is_missed_by_name(tared) -> None:
+    lacking = [replace(TARED[45], tare=None)]
+    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
+        tared.predict_after(TARED[40:43], lacking, tare=True)
+    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
+        tared.predict_after(lacking, TARED[40:43], tare=True)
+    with pytest.raises(DatasetError, match=f"{TARED[45].id}: tare: is missing"):
+        tared.predict_after([], lacking, tare=True)
+
+
+def test_a_touch_without_a_reading_is_refused_by_name(bare) -> None:
+    with pytest.raises(DatasetError, match=f"{BARE[41].id}: touch: is not labelled"):
+        bare.predict_after([BARE[40], replace(BARE[41], touch=None)], BARE[43:])
+
+
+def test_one_object_alone_predicts_but_cannot_tell_its_doubt() -> None:
+    alone = ContactPredictor(BARE[:10], labels_of(BARE[:10]), FEW_TREES)
+    assert np.isfinite(alone.predict(BARE[10:20])).all()
+    with pytest.raises(DatasetError, match=r"folds: all samples are of .*; to keep groups apart takes 2"):
+        _ = alone.trust
+
+
+@pytest.mark.real_data
+def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_data) -> None:
+    from foretouch.dataset.vision2tactile import read_sample, sample_folders
+
+    samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::9]]
+    held = max({sample.object for sample in samples}, key=[sample.object for sample in samples].count)
+    train, asked = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
+    fitted = ContactPredictor(train, labels_of(train), FEW_TREES)
+    counts, half = fitted.intervals_after(asked[:3], asked[3:])
+    before = fitted.intervals_after([], asked[3:])[1]
+    assert (half <= before).all()
+    assert (np.abs(counts - labels_of(asked[3:])) <= half).mean() > 0.6

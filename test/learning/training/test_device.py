@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where training happens: the device that is asked for, and a search of low precision that still learns."""
+
+import numpy as np
+import pytest
+import torch
+
+from foretouch.errors import ConfigError
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.device import Place
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
+from foretouch.models.network.generator import GeneratorConfig
+
+
+def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    assert Place.of(TrainConfig(), 8).device == torch.device("cpu")
+    with pytest.raises(ConfigError, match=r"TrainConfig\.device: cuda: torch finds no GPU; choose auto or cpu"):
+        Place.of(TrainConfig(device="cuda"), 8)
+
+
+def test_a_search_in_bfloat16_learns_as_much_and_leaves_float32_weights(samples, small) -> None:
+    data = TrainingSet.build(samples, small)
+    generator = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)
+    config = SrganConfig(epochs=20, batch_size=10, learning_rate=1e-3, points=24, generator=generator, device="cpu")
+    losses, first = {}, {}
+    for precision in ("float32", "bfloat16"):
+        trainer = SrganTrainer(data, np.arange(20), np.arange(20, 60), config.replace(precision=precision))
+        found = [trainer.run_epoch()["labeled"] for _ in range(20)]
+        first[precision], losses[precision] = found[0], found[-1]
+        assert all(value.dtype != torch.bfloat16 for value in trainer.net.state_dict().values())
+    assert first["bfloat16"] != first["float32"]  # it was used
+    assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.1)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_gpu_gives_the_weights_of_a_cpu_but_for_rounding(samples, small) -> None:
+    data = TrainingSet.build(samples, small)
+    config = TrainConfig(epochs=1, batch_size=8, optimiser="sgd")
+    one, two = (train_network(data, np.arange(40), config.replace(device=device)) for device in ("cpu", "cuda"))
+    for name, value in one.state_dict().items():
+        assert two.state_dict()[name].device.type == "cpu"
+        torch.testing.assert_close(two.state_dict()[name], value, rtol=1e-3, atol=1e-4)
+
+
+def test_the_precision_reaches_both_searches(samples, small) -> None:
+    data = TrainingSet.build(samples, small.replace(tnet=True, tnet_widths=(8, 8, 16, 8, 8)))
+    net = SupervisedTrainer(data, np.arange(8), TrainConfig(batch_size=8, precision="bfloat16", device="cpu")).net
+    assert net.features.precision == net.features.transform.precision == torch.bfloat16

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Losses against numbers worked by hand, finite differences, and the hazards they were seen to have."""
+
+import math
+
+import pytest
+import torch
+
+from foretouch.errors import DatasetError
+from foretouch.learning.training.losses import (
+    Features,
+    SrganLossConfig,
+    discriminator_loss,
+    generator_loss,
+    gradient_penalty,
+    labeled_loss,
+    safe_root,
+)
+
+READINGS = ("as_printed", "contrast", "srgan")
+F64 = torch.float64
+
+# Two samples, two features.
+L = torch.tensor([[1.0, 2.0], [3.0, 0.0]])
+U = torch.tensor([[0.0, 2.0], [1.0, 1.0]])  # L - U: (1, 0), (2, -1); means (1.5, -0.5)
+FAKE = torch.tensor([[3.0, 2.0], [1.0, 9.0]])  # U - F: (-3, 0), (0, -8); means (-1.5, -4)
+
+
+def parts(config: SrganLossConfig, labeled: float = 0.5) -> dict[str, float]:
+    return discriminator_loss(torch.tensor(labeled), Features(L, U, FAKE), config).numbers()
+
+
+def test_root_mean_square_by_hand() -> None:
+    scaled, target = torch.tensor([[1.0], [5.0]]), torch.tensor([[4.0], [1.0]])
+    assert float(labeled_loss(scaled, target, [1])) == pytest.approx(math.sqrt((9 + 16) / 2))
+    assert float(labeled_loss(scaled, target, [1], "mse")) == pytest.approx(12.5)
+    assert float(labeled_loss(torch.zeros(1, 3), torch.tensor([[2.0, 3.0, 4.0]]), [1, 2])) == pytest.approx(
+        (2 + math.sqrt(12.5)) / 2
+    )
+
+
+def test_the_root_is_exact_where_errors_are_real_and_zero_at_zero() -> None:
+    squares = torch.tensor([0.0, 1.0001e-12, 1e-8, 0.3, 7e6], dtype=F64)
+    assert torch.equal(safe_root(squares), squares.sqrt())
+
+
+def test_a_perfect_batch_has_a_finite_gradient() -> None:
+    scaled = torch.zeros(4, 3, requires_grad=True)
+    labeled_loss(scaled, torch.zeros(4, 3), [3]).backward()
+    assert torch.equal(scaled.grad, torch.zeros(4, 3))
+    near = torch.full((4, 3), 1e-9, requires_grad=True)
+    labeled_loss(near, torch.zeros(4, 3), [3]).backward()
+    assert torch.isfinite(near.grad).all()
+    assert float(near.grad.max()) > 0
+
+
+def test_as_printed_by_hand_and_equation_4_is_equation_3() -> None:
+    found = parts(SrganLossConfig(reading="as_printed"))
+    assert found["unlabeled"] == pytest.approx((1 + 5) / 2)
+    assert found["fake"] == found["unlabeled"]
+    assert found["total"] == pytest.approx(0.5 + 10 * 3 + 0.1 * 3)
+    moved = discriminator_loss(torch.tensor(0.5), Features(L, U, 100 * FAKE), SrganLossConfig(reading="as_printed"))
+    assert moved.numbers() == found
+    assert parts(SrganLossConfig(reading="as_printed", across_features="mean"))["unlabeled"] == pytest.approx(1.5)
+
+
+def test_contrast_by_hand() -> None:
+    found = parts(SrganLossConfig(reading="contrast"))
+    roots = [2.0, 1.0, 1.0, 3.0]  # sqrt(|Δ| + 1) for |Δ| = 3, 0, 0, 8
+    assert found["unlabeled"] == pytest.approx(3.0)
+    assert found["fake"] == pytest.approx(-sum(roots) / 4)
+    assert found["total"] == pytest.approx(0.5 + 30 - 0.1 * 7 / 4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("log", -(math.log(4) + math.log(9)) / 4), ("abs", -11 / 4), ("ratio", -(3 / 4 + 8 / 9) / 4)],
+)
+def test_other_contrasts_by_hand(kind: str, value: float) -> None:
+    assert parts(SrganLossConfig(contrast=kind))["fake"] == pytest.approx(value)
+
+
+def test_original_srgan_by_hand() -> None:
+    found = parts(SrganLossConfig(reading="srgan"))
+    assert found["unlabeled"] == pytest.approx((1.5 + 0.5) / 2)
+    assert found["fake"] == pytest.approx(-(math.sqrt(2.5) + math.sqrt(5)) / 2)
+    generator = generator_loss(FAKE, U, SrganLossConfig(reading="srgan"))
+    assert generator.numbers() == {"total": pytest.approx(2.75), "generator": pytest.approx(2.75)}
+
+
+def test_generator_by_hand() -> None:
+    config = SrganLossConfig(reading="as_printed")
+    assert float(generator_loss(FAKE, U, config).total) == pytest.approx((9 + 64) / 2)
+    means = config.replace(distance="batch_mean")
+    assert float(generator_loss(FAKE, U, means).total) == pytest.approx(1.5**2 + 4**2)
+
+
+def test_distances_can_be_chosen_against_the_reading() -> None:
+    assert float(generator_loss(FAKE, U, SrganLossConfig(reading="srgan", distance="per_sample")).total) == 11 / 4
+    with pytest.raises(DatasetError, match="2 and 1 samples cannot be compared in pairs"):
+        generator_loss(FAKE, U[:1], SrganLossConfig())
+    generator_loss(FAKE, U[:1], SrganLossConfig(reading="srgan"))
+
+
+@pytest.mark.parametrize("contrast", ["sqrt", "log", "abs", "ratio"])
+@pytest.mark.parametrize("distance", ["per_sample", "batch_mean"])
+@pytest.mark.parametrize("reading", READINGS)
+def test_gradients_agree_with_finite_differences(reading: str, distance: str, contrast: str) -> None:
+    config = SrganLossConfig(reading=reading, distance=distance, contrast=contrast)
+    generator = torch.Generator().manual_seed(3)
+    features = [torch.randn(3, 4, dtype=F64, generator=generator).requires_grad_() for _ in range(3)]
+    labels = torch.randn(3, 2, dtype=F64, generator=generator).requires_grad_()
+
+    def total(y: torch.Tensor, *f: torch.Tensor) -> torch.Tensor:
+        labeled = labeled_loss(y, torch.zeros(3, 2, dtype=F64), [2])
+        loss = discriminator_loss(labeled, Features(*f), config).total
+        return loss + 3 * generator_loss(f[2], f[1], config).total
+
+    assert torch.autograd.gradcheck(total, (labels, *features))
+
+
+@pytest.mark.parametrize("contrast", ["sqrt", "log", "abs", "ratio"])
+@pytest.mark.parametrize("distance", ["per_sample", "batch_mean"])
+def test_the_contrast_stays_bounded_for_huge_features(contrast: str, distance: str) -> None:
+    config = SrganLossConfig(contrast=contrast, distance=distance, weight_unlabeled=0.0)
+    for size in (0.0, 1.0, 1e6, 1e18, 1e30):
+        fake = torch.full((5, 4), size, requires_grad=True)
+        features = Features(torch.zeros(5, 4), torch.zeros(5, 4), fake)
+        loss = discriminator_loss(torch.tensor(0.0), features, config)
+        loss.total.backward()
+        assert torch.isfinite(fake.grad).all()
+        assert float(fake.grad.abs().sum()) <= 0.1 + 1e-6  # w_F times a slope of at most one, shared out
+        assert math.isfinite(float(loss.total.detach()))
+        if contrast == "ratio":
+            assert -0.1 - 1e-6 <= float(loss.total.detach()) <= 0.0
+
+
+def test_contrast_falls_as_features_part() -> None:
+    for contrast in ("sqrt", "log", "abs", "ratio"):
+        values = [
+            discriminator_loss(torch.tensor(0.0), Features(U, U, U + gap), SrganLossConfig(contrast=contrast)).numbers()
+            for gap in (0.0, 0.5, 2.0, 50.0)
+        ]
+        found = [value["total"] for value in values]
+        assert found == sorted(found, reverse=True)
+        assert len(set(found)) == 4
+
+
+def test_the_penalty_is_one_sided_and_worked_by_hand() -> None:
+    """For f(x) = a Σx, ‖f‖ = a |Σx| has the slope a in each of n coordinates: ‖∇‖ = a √n."""
+    real, fake = torch.ones(3, 4, 3), torch.ones(3, 6, 3) * 2
+    rng = torch.Generator().manual_seed(0)
+
+    def features(scale: float):
+        return lambda clouds: scale * clouds.sum(dim=(1, 2)).unsqueeze(1)
+
+    steep = gradient_penalty(features(1.0), real, fake, rng)
+    assert float(steep.detach()) == pytest.approx((math.sqrt(12) - 1) ** 2, rel=1e-5)
+    assert float(gradient_penalty(features(0.2), real, fake, rng).detach()) == 0.0
+    assert float(gradient_penalty(features(0.0), real, fake, rng).detach()) == 0.0
+
+
+def test_the_penalty_can_be_differentiated_where_features_vanish() -> None:
+    weight = torch.zeros(3, 8, requires_grad=True)
+    rng = torch.Generator().manual_seed(0)
+    real, fake = torch.randn(4, 5, 3), torch.randn(4, 5, 3)
+    loss = gradient_penalty(lambda clouds: (clouds @ weight).amax(dim=1), real, fake, rng)
+    loss.backward()
+    assert torch.isfinite(weight.grad).all()
+
+
+def test_the_penalty_enters_the_total_with_its_weight() -> None:
+    config = SrganLossConfig(reading="as_printed", gradient_penalty=7.0)
+    loss = discriminator_loss(torch.tensor(0.5), Features(L, U, FAKE), config, torch.tensor(2.0))
+    assert loss.numbers()["total"] == pytest.approx(0.5 + 30.3 + 14.0)

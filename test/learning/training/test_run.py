@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run on disk: it resumes bit for bit, keeps its last good state, and refuses to become another run."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from run_builders import BASE, MODEL, quiet, run_config, stop_after
+from safetensors.torch import load_file
+
+from foretouch.config import load_yaml
+from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.learning.data.collection import Collection
+from foretouch.learning.evaluation.evaluate_model import judge
+from foretouch.learning.evaluation.metrics import score
+from foretouch.learning.training.run import train_run
+from foretouch.learning.training.run_config import RunConfig
+from foretouch.learning.training.run_folder import BOARD_FOLDER, LOG_FILE, STATE_FILE, read_state, write_state
+
+
+@pytest.mark.parametrize("method", ["supervised", "srgan"])
+def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) -> None:
+    chosen = run_config(method=method, split="labels/T50", validation=0.2)
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    with pytest.raises(KeyboardInterrupt):
+        train_run(chosen, data, tmp_path / "cut", stop_after(1))
+    assert not (tmp_path / "cut" / "tiny.json").exists()
+    cut = train_run(chosen, data, tmp_path / "cut", quiet, resume=True)
+    one, two = load_file(whole.with_suffix(".safetensors")), load_file(cut.with_suffix(".safetensors"))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert json.loads(whole.read_text())["sha256"] == json.loads(cut.read_text())["sha256"]
+    logs = [(tmp_path / name / LOG_FILE).read_text() for name in ("whole", "cut")]
+    assert logs[0] == logs[1]
+    assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_a_run_killed_at_any_time_resumes(store, data, tmp_path) -> None:
+    file = tmp_path / "tiny.yaml"
+    file.write_text(yaml.safe_dump(run_config(train={"epochs": 120, "batch_size": 8}).to_mapping()))
+    words = [sys.executable, "-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "--resume"]
+    words += ["-o", str(tmp_path / "run")]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=env, text=True)
+    for _ in range(20):
+        assert "epoch" in process.stdout.readline()
+    process.send_signal(signal.SIGKILL)
+    process.wait(30)
+    process.stdout.close()
+    assert not (tmp_path / "run" / "tiny.json").exists()
+    chosen = run_config(train={"epochs": 120, "batch_size": 8})
+    cut = train_run(chosen, data, tmp_path / "run", quiet, resume=True)
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
+
+
+def test_the_result_is_that_of_the_test_samples_with_the_baselines_beside_it(data, tmp_path) -> None:
+    said: list[dict] = []
+    card_path = train_run(run_config(split="labels/T30"), data, tmp_path / "run", said.append)
+    result, card = said[-1], json.loads(card_path.read_text())
+    (part,) = data.parts("labels/T30")
+    assert result["samples"] == len(part.test)
+    assert set(result["scores"]) == {"model", "training_mean", "object_mean", "object_time_trees", "geometry_trees"}
+    assert set(result["scores"]["model"]) == {"PDC_TH"}
+    train, test = (
+        np.array([data.samples[k].touch.vector() for k in data.index(ids)]) for ids in (part.train, part.test)
+    )
+    mean = np.tile(train.mean(0), (len(test), 1))
+    assert result["scores"]["training_mean"]["PDC_TH"]["rmse"] == pytest.approx(score(mean, test, mean)["PDC_TH"].rmse)
+    assert card["skill"]["labels/T30"] == result["scores"]["model"]
+    assert card["data"]["sha256"] == data.sha256
+    assert card["split"]["train"] == len(part.train)
+
+
+def test_validation_chooses_the_epoch_and_patience_ends(data, tmp_path) -> None:
+    said: list[dict] = []
+    chosen = run_config(validation=0.25, patience=2, train={**BASE["train"], "epochs": 60, "learning_rate": 0.05})
+    card = train_run(chosen, data, tmp_path / "run", said.append)
+    errors = [record["validation"] for record in said[:-1]]
+    best = int(np.argmin(errors))
+    assert len(errors) == best + 3
+    assert json.loads(card.read_text())["training"]["best_epoch"] == best
+    tensors, plain = read_state(tmp_path / "run" / STATE_FILE)
+    weights = load_file(card.with_suffix(".safetensors"))
+    assert plain["best"]["error"] == errors[best]
+    assert torch.equal(weights["output.weight"], tensors["best/output.weight"])
+    assert not torch.equal(weights["output.weight"], tensors["net/output.weight"])
+
+
+def test_a_loss_that_diverges_leaves_the_last_good_state(data, tmp_path) -> None:
+    wild = {**BASE["train"], "epochs": 50, "optimiser": "sgd", "learning_rate": 10.0, "schedule": "constant"}
+    with pytest.raises(DatasetError, match=r"not finite (in|after the last batch of) epoch"):
+        train_run(run_config(train=wild), data, tmp_path / "run", quiet)
+    if (tmp_path / "run" / STATE_FILE).exists():
+        tensors, _ = read_state(tmp_path / "run" / STATE_FILE)
+        assert all(torch.isfinite(value).all() for value in tensors.values())
+    assert not (tmp_path / "run" / "tiny.json").exists()
+
+
+def test_a_run_becomes_no_other_run(data, tmp_path) -> None:
+    train_run(run_config(), data, tmp_path / "run", quiet)
+    with pytest.raises(FileError, match="holds a run already; --resume"):
+        train_run(run_config(), data, tmp_path / "run", quiet)
+
+
+def test_splits_that_do_not_fit_are_named(data, tmp_path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(DatasetError, match="no sample is unlabelled; choose a split that withholds labels"):
+        train_run(run_config(method="srgan"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'time' has 5 parts; choose one: time/block 0"):
+        train_run(run_config(split="time"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'labels/T20' is none of labels/T10, labels/T30"):
+        train_run(run_config(split="labels/T20"), data, out, quiet)
+    with pytest.raises(DatasetError, match="'day' is none of random, object, time, labels"):
+        train_run(run_config(split="day"), data, out, quiet)
+    with pytest.raises(ConfigError, match="patience: needs validation"):
+        run_config(patience=3)
+    assert not out.exists()
+
+
+def test_the_state_before_survives_a_full_disk(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    write_state(file, {"a": torch.ones(3)}, {"epoch": 1})
+    (tmp_path / (STATE_FILE + ".part")).symlink_to("/dev/full")
+    with pytest.raises(FileError, match="the one before is kept: No space left"):
+        write_state(file, {"a": torch.zeros(3)}, {"epoch": 2})
+    tensors, plain = read_state(file)
+    assert (tensors["a"].tolist(), plain["epoch"]) == ([1.0, 1.0, 1.0], 1)
+
+
+def test_a_damaged_state_is_named(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    with pytest.raises(FileError, match="there is nothing to resume"):
+        read_state(file)
+    write_state(file, {"a": torch.ones(300)}, {"epoch": 1})
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(FileError, match="is no state of training"):
+        read_state(file)
+
+
+def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_path) -> None:
+    card = train_run(run_config(), data, tmp_path / "run", quiet)
+    judged = judge(card, data, data.parts("random"), baselines={})
+    assert judged["samples"] == len(data.samples)
+    assert judged["same_data"]
+    assert set(judged["scores"]) == {"model"}
+    other = Collection(data.name, data.samples, "another", data.splits)
+    assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
+
+
+def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path) -> None:
+    said: list[dict] = []
+    part = data.parts("object")[0].name
+    run = run_config(method="contact", split=f"object/{part}", contact={"trees": 5})
+    card = train_run(run, data, tmp_path / "run", said.append)
+    assert said[-1]["status"] == "done"
+    row = said[-1]["scores"]["model"]["PDC_TH"]
+    assert 0.0 <= row["coverage90"] <= 1.0
+    told = json.loads(card.read_text())
+    assert told["skill"][f"object/{part}"]["PDC_TH"] == row
+    assert told["calibration"]["regimes"]["new"]["objects"] == len({s.object for s in data.samples}) - 1
+    again = train_run(run, data, tmp_path / "run", quiet, resume=True)
+    assert json.loads(again.read_text())["sha256"] == told["sha256"]
+
+
+def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
+    name = data.samples[0].object
+    alone = Collection("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
+    card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
+    told = json.loads(card.read_text())
+    assert told["calibration"] is None
+    assert told["limits"][0].startswith("No calibration: ")
+
+
+def test_a_contact_model_has_no_validation() -> None:
+    with pytest.raises(ConfigError, match="no epochs to choose from"):
+        run_config(method="contact", validation=0.2)
+
+
+@pytest.mark.parametrize(
+    "recipe", sorted((Path(__file__).parents[2] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
+    resolved = RunConfig.from_mapping(load_yaml(recipe), recipe.name)
+    assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
+
+
+def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
+    recipe = Path(__file__).parents[2] / "config/train/p2_srgan.yaml"
+    chosen = RunConfig.from_mapping(load_yaml(recipe))
+    loss = chosen.srgan.loss
+    assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
+    assert (chosen.srgan.optimiser, chosen.srgan.learning_rate) == ("adam", 0.01)
+    assert (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake) == (1.0, 10.0, 0.1)
+    assert (chosen.model.n_points, chosen.model.channel_count, chosen.model.head_size) == (750, 6, 1039)
+    assert chosen.srgan.generator.n_points == 750
+
+
+def test_a_cloud_without_the_channel_is_named(data, tmp_path) -> None:
+    with pytest.raises(DatasetError, match=rf"{data.samples[0].id}: channels: the model needs xyz\+rgb"):
+        train_run(run_config(model={**MODEL, "channels": "xyz+rgb"}), data, tmp_path / "run", quiet)
+
+
+def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
+    pytest.importorskip("tensorboard", reason="an extra")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train_run(run_config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
+    logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
+    shown = EventAccumulator(str(tmp_path / "run" / BOARD_FOLDER))
+    shown.Reload()
+    for tag, values in (
+        ("losses/loss", [line["losses"]["loss"] for line in logged]),
+        ("validation", [line["validation"] for line in logged]),
+    ):
+        assert [scalar.step for scalar in shown.Scalars(tag)] == [0, 1, 2, 3]
+        assert [scalar.value for scalar in shown.Scalars(tag)] == pytest.approx(values, rel=1e-6)
+
+
+def test_without_tensorboard_it_is_named(data, tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(ConfigError, match=r"tensorboard: needs TensorBoard: pip install 'foretouch\[tensorboard\]'"):
+        train_run(run_config(tensorboard=True), data, tmp_path / "run", quiet)
+
+
+TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone"]
+
+
+@pytest.mark.slow
+def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
+    """Started as a user starts them; gradients are compared in test_ranks."""
+    changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
+    file = tmp_path / "tiny.yaml"
+    file.write_text(yaml.safe_dump(run_config(**changes).to_mapping()))
+    words = ["-m", "foretouch.cli.main", "train", str(file), f"data={store}", "--json", "-o", str(tmp_path / "two")]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([*TWO, *words], capture_output=True, env=env, text=True, check=False, timeout=100)
+    assert done.returncode == 0, done.stderr[-2000:]
+    said: list[dict] = []
+    train_run(run_config(**changes), data, tmp_path / "one", said.append)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line.get("epoch") for line in lines] == [0, 1, None]  # the first process alone speaks
+    for one, two in zip(said[:-1], lines[:-1], strict=True):
+        assert two["losses"] == pytest.approx(one["losses"], rel=1e-5)
+    ours, theirs = (read_state(tmp_path / name / STATE_FILE)[0] for name in ("one", "two"))
+    for name, value in theirs.items():
+        torch.testing.assert_close(value, ours[name], rtol=1e-4, atol=1e-5)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a run is told by file, field and rule, and nothing that stood there is lost."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from run_builders import BASE, MODEL, quiet, run_config, stop_after
+from safetensors.torch import load_file
+
+from foretouch.errors import ConfigError, DatasetError, FileError
+from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.training.run import train_run
+from foretouch.learning.training.run_config import RunConfig
+from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder, read_state
+from foretouch.models.registry import load_model
+from foretouch.types import Cloud, GraspSample
+
+CONTACT = {"method": "contact", "contact": {"trees": 2}}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def with_first(data: Collection, sample: GraspSample) -> Collection:
+    return replace(data, samples=(sample, *data.samples[1:]))
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"method": "contact", "train": {"epochs": 3}}, "train.epochs: has no effect on method 'contact'"),
+        ({"method": "contact", "model": MODEL}, "model.n_points: has no effect on method 'contact'"),
+        ({"method": "srgan", "train": {"batch_size": 3}}, "train.batch_size: has no effect on method 'srgan'"),
+        ({"contact": {"trees": 3}}, "contact.trees: has no effect on method 'supervised'"),
+    ],
+)
+def test_settings_of_another_method_are_refused(given: dict, field: str) -> None:
+    with pytest.raises(ConfigError, match=f"RunConfig.{field}"):
+        RunConfig.from_mapping(given)
+    RunConfig.from_mapping({"method": given.get("method", "supervised")})
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_one_object_cannot_be_kept_apart(data, tmp_path, method: str) -> None:
+    from foretouch.dataset.build import SampleFacts
+    from foretouch.learning.data.splits import make_splits, parse_splits
+
+    alone = tuple(sample for sample in data.samples if sample.object == "box0")
+    book = parse_splits(make_splits([SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in alone]))
+    one = Collection("one", alone, "sha", book.parts, omitted=book.omitted)
+    rule = r"one: split: 'object' cannot be made of these samples: folds: all samples are of box0; .* takes 2"
+    with pytest.raises(DatasetError, match=rule):
+        train_run(run_config(method=method, split="object/box0"), one, tmp_path / "run", quiet)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_without_any_label_there_is_nothing_to_learn(data, tmp_path, method: str) -> None:
+    bare = replace(data, samples=tuple(replace(sample, touch=None) for sample in data.samples))
+    with pytest.raises(DatasetError, match="boxes: no sample to learn from is labelled"):
+        train_run(run_config(method=method), bare, tmp_path / "run", quiet)
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_a_bad_label_is_named_and_the_mended_data_train_in_the_same_folder(data, tmp_path, method: str) -> None:
+    first = data.samples[0]
+    faulty = with_first(data, replace(first, touch=replace(first.touch, pdc_mf=-22072.0)))
+    run = run_config(**{**CONTACT, "method": method})
+    with pytest.raises(DatasetError, match=rf"{first.id}: touch: pdc_mf: -22072 is not between 0 and 4095 counts"):
+        train_run(run, replace(faulty, sha256="faulty"), tmp_path / "run", quiet)
+    assert train_run(run, data, tmp_path / "run", quiet).is_file()
+
+
+def test_a_cloud_that_a_contact_model_cannot_describe_is_named(data, tmp_path) -> None:
+    first = data.samples[0]
+    few = with_first(data, replace(first, cloud=Cloud(first.cloud.xyz[:3])))
+    with pytest.raises(DatasetError, match=rf"{first.id}: .*points"):
+        train_run(run_config(**CONTACT), few, tmp_path / "run", quiet)
+
+
+def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monkeypatch) -> None:
+    """The label of one sample becomes a NaN after the first epoch, as a memory fault would do it."""
+    from foretouch.learning.training.supervised import SupervisedTrainer
+
+    victim = int(data.index([data.samples[5].id])[0])
+    healthy = SupervisedTrainer.run_epoch
+
+    def faulty(self: SupervisedTrainer) -> dict[str, float]:
+        if self.epoch == 2:
+            self._labels[victim] = float("nan")
+        return healthy(self)
+
+    monkeypatch.setattr(SupervisedTrainer, "run_epoch", faulty)
+    every = run_config(train={**BASE["train"], "batch_size": 10})  # six batches: all 60 samples
+    with pytest.raises(
+        DatasetError, match=rf"loss is not finite in epoch 2, batch \d, sample {data.samples[victim].id};"
+    ):
+        train_run(every, data, tmp_path / "run", quiet)
+    tensors, plain = read_state(tmp_path / "run" / STATE_FILE)
+    assert plain["epoch"] == 2
+    assert all(torch.isfinite(value).all() for value in tensors.values())
+    monkeypatch.undo()
+    mended = train_run(every, data, tmp_path / "run", quiet, resume=True)
+    whole = train_run(every, data, tmp_path / "whole", quiet)
+    one, two = (load_file(card.with_suffix(".safetensors")) for card in (mended, whole))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+@pytest.mark.parametrize("full", [CONFIG_FILE, STATE_FILE])
+def test_a_full_disk_at_the_first_epoch_is_told_and_the_run_begins_again(data, tmp_path, full: str) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / f"{full}.part").symlink_to("/dev/full")
+    with pytest.raises(FileError, match=rf"{full}: cannot be written.*: No space left"):
+        train_run(run_config(), data, run, quiet)
+    assert train_run(run_config(), data, run, quiet).is_file()
+
+
+def test_a_full_disk_under_the_log_is_told(tmp_path) -> None:
+    (tmp_path / LOG_FILE).symlink_to("/dev/full")
+    with pytest.raises(FileError, match=f"{LOG_FILE}: cannot be written: No space left"):
+        RunFolder(tmp_path).log({"epoch": 0})
+
+
+def test_a_full_disk_later_keeps_log_and_state_and_the_run_goes_on(data, tmp_path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        train_run(run_config(), data, run, stop_after(1))
+    before = contents(run)
+    (run / f"{STATE_FILE}.part").symlink_to("/dev/full")
+    with pytest.raises(FileError, match=f"{STATE_FILE}: cannot be written, the one before is kept: No space left"):
+        train_run(run_config(), data, run, quiet, resume=True)
+    after = contents(run)
+    assert after[STATE_FILE] == before[STATE_FILE]
+    assert after[LOG_FILE].startswith(before[LOG_FILE])
+    whole = train_run(run_config(), data, tmp_path / "whole", quiet)
+    cut = train_run(run_config(), data, run, quiet, resume=True)
+    assert cut.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
+    assert (run / LOG_FILE).read_bytes() == (tmp_path / "whole" / LOG_FILE).read_bytes()
+
+
+@pytest.mark.parametrize("full", ["tiny.safetensors", "tiny.trust.safetensors", "tiny.json"])
+def test_a_full_disk_leaves_the_contact_model_before(data, tmp_path, full: str) -> None:
+    run = run_config(**CONTACT)
+    card = train_run(run, data, tmp_path / "run", quiet)
+    before = contents(card.parent)
+    card.with_name(f"{full}.part").symlink_to("/dev/full")
+    with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
+        train_run(run, data, tmp_path / "run", quiet, resume=True)
+    assert contents(card.parent) == before
+    assert load_model(card).trust is not None
+
+
+def test_a_state_of_another_architecture_is_named_by_file_and_tensor(data, tmp_path) -> None:
+    train_run(run_config(), data, tmp_path / "run", quiet)
+    train_run(run_config(model={**MODEL, "head_widths": [17]}), data, tmp_path / "other", quiet)
+    (tmp_path / "run" / STATE_FILE).write_bytes((tmp_path / "other" / STATE_FILE).read_bytes())
+    with pytest.raises(
+        FileError,
+        match=rf"run/{STATE_FILE}: .* net/head.0.linear.weight: \(17, \d+\) is not \(16, \d+\), so it is of another",
+    ):
+        train_run(run_config(), data, tmp_path / "run", quiet, resume=True)
+
+
+def test_a_run_resumes_as_it_began_and_the_field_is_named(data, tmp_path) -> None:
+    train_run(run_config(), data, tmp_path / "run", quiet)
+    file = tmp_path / "run" / CONFIG_FILE
+    with pytest.raises(ConfigError, match=r"config.yaml: model.head_widths: \[16\] is not \[17\]; a run resumes as it"):
+        train_run(run_config(model={**MODEL, "head_widths": [17]}), data, tmp_path / "run", quiet, resume=True)
+    with pytest.raises(ConfigError, match=r"config.yaml: data_sha256: .* is not 'other'"):
+        train_run(run_config(), replace(data, sha256="other"), tmp_path / "run", quiet, resume=True)
+    file.write_text("name: [")
+    with pytest.raises(ConfigError, match=r"config.yaml: not YAML"):
+        train_run(run_config(), data, tmp_path / "run", quiet, resume=True)
+
+
+def test_models_of_others_in_the_folder_are_not_written_over(data, tmp_path) -> None:
+    card = train_run(run_config(), data, tmp_path / "run", quiet)
+    for name in (CONFIG_FILE, STATE_FILE, LOG_FILE):
+        (card.parent / name).unlink()
+    before = contents(card.parent)
+    with pytest.raises(FileError, match="holds a run already"):
+        train_run(run_config(), data, tmp_path / "run", quiet)
+    assert contents(card.parent) == before
+
+
+def test_splits_of_a_store_tell_why_one_is_missing(data, store) -> None:
+    file = store / "splits.json"
+    text = file.read_text()
+    book = json.loads(text)
+    del book["splits"]["object"]
+    book["omitted"]["object"] = "too few"
+    file.write_text(json.dumps(book))
+    try:
+        with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
+            load_collection(store).parts("object")
+    finally:
+        file.write_text(text)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The SR-GAN: both networks move, labels are learned, batch mates do nothing, and it resumes bit for bit."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from foretouch.errors import ConfigError, DatasetError, ModelError
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.losses import SrganLossConfig
+from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.models.network.batch_norm import freeze
+from foretouch.models.network.generator import GeneratorConfig
+
+GENERATOR = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)  # 24 points
+QUICK = SrganConfig(
+    epochs=2, batch_size=5, learning_rate=1e-3, points=24, generator=GENERATOR, loss=SrganLossConfig(reading="srgan")
+)
+LABELLED, UNLABELLED = np.arange(20), np.arange(20, 60)
+
+
+@pytest.fixture
+def data(samples, small) -> TrainingSet:
+    return TrainingSet.build(samples, small)
+
+
+def make(data: TrainingSet, config: SrganConfig = QUICK) -> SrganTrainer:
+    return SrganTrainer(data, LABELLED, UNLABELLED, config)
+
+
+def weights(trainer) -> dict[str, torch.Tensor]:
+    return {
+        f"{name}/{key}": value.clone()
+        for name, module in trainer.modules.items()
+        for key, value in module.state_dict().items()
+    }
+
+
+def equal(one: dict[str, torch.Tensor], two: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == two.keys() and all(torch.equal(one[key], two[key]) for key in one)
+
+
+def steps(trainer: SrganTrainer, epochs: int) -> SrganTrainer:
+    for _ in range(epochs):
+        trainer.run_epoch()
+    return trainer
+
+
+@pytest.mark.parametrize("batch_norm", ["frozen", "per_source"])
+@pytest.mark.parametrize("reading", ["as_printed", "contrast", "srgan"])
+def test_an_epoch_changes_every_weight_of_both_networks(data, reading: str, batch_norm: str) -> None:
+    trainer = make(data, QUICK.replace(loss=SrganLossConfig(reading=reading), batch_norm=batch_norm))
+    before = weights(trainer)
+    losses = trainer.run_epoch()
+    assert set(losses) == {"total", "labeled", "unlabeled", "fake", "generator"}
+    assert np.isfinite(list(losses.values())).all()
+    for name, value in weights(trainer).items():
+        kept = name.endswith(("target_mean", "target_scale")) or (
+            batch_norm == "frozen" and name.endswith(("running_mean", "running_var", "num_batches_tracked"))
+        )
+        assert torch.equal(value, before[name]) == kept, name
+
+
+def test_each_step_moves_its_own_network_alone(data) -> None:
+    trainer = make(data)
+    freeze(trainer.net)
+    real = trainer._points(UNLABELLED[:5])
+    one = weights(trainer)
+    trainer._generator_step(0, UNLABELLED[:5], real)
+    two = weights(trainer)
+    assert all(torch.equal(one[key], two[key]) == key.startswith("net/") for key in one)
+    trainer._regressor_step(0, LABELLED[:5], UNLABELLED[:5], real)
+    three = weights(trainer)
+    assert all(torch.equal(two[key], three[key]) for key in two if key.startswith("generator/"))
+    assert not torch.equal(two["net/output.weight"], three["net/output.weight"])
+
+
+def test_a_batch_mate_moves_no_features_when_frozen(data) -> None:
+    trainer = steps(make(data), 1)
+    points = trainer._points(LABELLED[:5])
+    other = points.clone()
+    other[1:] *= 3.0
+    with torch.no_grad():
+        torch.testing.assert_close(trainer.net.features(other)[0], trainer.net.features(points)[0])
+        trainer.net.train()
+        assert (trainer.net.features(other)[0] - trainer.net.features(points)[0]).abs().max() > 0.01
+
+
+def test_frozen_statistics_are_those_of_real_clouds(data) -> None:
+    net = make(data, QUICK.replace(batch_size=10)).net
+    seen: list[torch.Tensor] = []
+    net.features.layers[0].linear.register_forward_hook(lambda _m, _i, out: seen.append(out.flatten(0, 1)))
+    with torch.no_grad():
+        for k in range(60):
+            net.features(torch.from_numpy(data.points(np.array([k]), np.random.default_rng(0), 24)))
+    norm, found = net.features.layers[0].norm, torch.cat(seen)
+    torch.testing.assert_close(norm.running_mean, found.mean(0), atol=0.02, rtol=0)
+    torch.testing.assert_close(norm.running_var, found.var(0), atol=0.01, rtol=0.15)
+
+
+def test_per_source_statistics_are_those_of_the_labelled_clouds_alone(data) -> None:
+    config = QUICK.replace(batch_norm="per_source")
+    one, two = make(data, config), make(data, config)
+    strange = one._points(UNLABELLED[:5]) * 50.0
+    for trainer, real in ((one, strange), (two, two._points(UNLABELLED[:5]))):
+        trainer.net.train()
+        trainer._regressor_step(0, LABELLED[:5], UNLABELLED[:5], real)
+    assert torch.equal(one.net.features.layers[0].norm.running_mean, two.net.features.layers[0].norm.running_mean)
+
+
+def test_a_few_labels_are_learned_by_heart(samples, small) -> None:
+    data = TrainingSet.build(samples, small.replace(outputs=("PDC_TH",), head_widths=(64, 32)))
+    config = QUICK.replace(
+        epochs=250,
+        learning_rate=3e-3,
+        target_scaling="standardised",
+        batch_size=10,
+        points=48,
+        loss=SrganLossConfig(reading="srgan", weight_unlabeled=1.0),
+    )
+    trainer = SrganTrainer(data, np.arange(10), UNLABELLED, config)
+    first = trainer.run_epoch()["labeled"]
+    steps(trainer, 249)
+    error = predict_set(trainer.net.eval(), data, np.arange(10))[:, 0] - data.labels[:10, 0]
+    assert first > 0.7
+    assert float(np.sqrt(np.mean(error**2))) < 0.35 * data.labels[:10, 0].std()
+
+
+def test_the_seed_decides_everything(data) -> None:
+    torch.manual_seed(1)
+    one = weights(steps(make(data), 2))
+    state = torch.random.get_rng_state()
+    torch.rand(5)
+    two = weights(steps(make(data), 2))
+    assert equal(one, two)
+    torch.random.set_rng_state(state)
+    assert not equal(one, weights(steps(make(data, QUICK.replace(seed=4)), 2)))
+
+
+def test_unlabelled_labels_are_not_looked_at(samples, small) -> None:
+    bare = [sample if i < 20 else dataclasses.replace(sample, touch=None) for i, sample in enumerate(samples)]
+    one = make(TrainingSet.build(samples, small))
+    two = make(TrainingSet.build(bare, small, unlabelled=True))
+    assert equal(weights(steps(one, 1)), weights(steps(two, 1)))
+
+
+@pytest.mark.parametrize("method", ["srgan", "supervised", "sgd"])
+def test_killed_and_resumed_is_uninterrupted(samples, small, method: str) -> None:
+    data = TrainingSet.build(samples, small.replace(head_dropout=0.3))
+
+    def fresh():
+        if method == "srgan":
+            return make(data, QUICK.replace(epochs=4, schedule="cosine"))
+        optimiser = "sgd" if method == "sgd" else "adamw"
+        return SupervisedTrainer(data, LABELLED, TrainConfig(epochs=4, batch_size=8, optimiser=optimiser))
+
+    whole = steps(fresh(), 4)
+    tensors, plain = steps(fresh(), 2).snapshot()
+    resumed = fresh()
+    resumed.restore(tensors, json.loads(json.dumps(plain)))
+    assert resumed.epoch == 2
+    steps(resumed, 2)
+    assert equal(weights(whole), weights(resumed))
+
+
+def test_a_state_of_another_architecture_is_refused(samples, small, data) -> None:
+    tensors, plain = make(data).snapshot()
+    wide = TrainingSet.build(samples, small.replace(head_widths=(40, 16)))
+    with pytest.raises(
+        ModelError, match=r"net/head.0.linear.weight: \(32, 49\) is not \(40, 49\), so it is of another"
+    ):
+        make(wide).restore(tensors, plain)
+
+
+def test_a_loss_that_is_not_finite_names_batch_and_sample(data) -> None:
+    spoilt = dataclasses.replace(data, labels=data.labels.copy())
+    trainer = make(spoilt)
+    trainer._labels[13] = torch.nan
+    with pytest.raises(DatasetError, match=rf"labeled: .* epoch 0, batch \d, sample {data.ids[13]};"):
+        trainer.run_epoch()
+    clouds = list(data.clouds)
+    clouds[33] = np.full_like(clouds[33], 3e38)
+    trainer = SrganTrainer(data, LABELLED, np.arange(30, 40), QUICK)
+    trainer.data = dataclasses.replace(data, clouds=tuple(clouds))
+    with pytest.raises(DatasetError, match=rf"unlabeled: .* epoch 0, batch \d, sample {data.ids[33]};"):
+        steps(trainer, 1)
+
+
+def test_the_penalty_runs_and_needs_frozen_batch_norm(data) -> None:
+    loss = SrganLossConfig(reading="srgan", gradient_penalty=10.0)
+    assert np.isfinite(make(data, QUICK.replace(loss=loss)).run_epoch()["penalty"])
+    with pytest.raises(ConfigError, match="gradient_penalty: needs batch_norm frozen"):
+        QUICK.replace(loss=loss, batch_norm="per_source")
+
+
+def test_too_few_of_either_kind_are_refused(data) -> None:
+    with pytest.raises(DatasetError, match="3 unlabelled samples are fewer than one batch of 5"):
+        SrganTrainer(data, LABELLED, np.arange(3), QUICK)
+    with pytest.raises(DatasetError, match="0 labelled samples"):
+        SrganTrainer(data, np.arange(0), UNLABELLED, QUICK)

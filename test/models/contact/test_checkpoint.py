@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of a contact model and of calibrations: exact round trip, every damage told by file and field."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from contact_model_builders import small_estimator
+from experiment_samples import make_samples
+from numpy.testing import assert_array_equal
+from trust_builders import FACTS, make_calibration, save_network_with_trust
+
+from foretouch.errors import FileError, ModelError
+from foretouch.models.calibration import Calibration
+from foretouch.models.card import read_card
+from foretouch.models.contact.checkpoint import add_calibration, load_calibration, load_contact, save_contact
+from foretouch.models.files import packed, read_tensors
+from foretouch.models.network.estimator import Fallback
+from foretouch.models.registry import load_model
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import TouchModel
+from foretouch.types import Touch
+
+SAMPLES = make_samples(5, 10)
+TARE = Touch.from_vector(make_calibration().rest + 12.0)
+
+
+@pytest.fixture
+def card(tmp_path: Path) -> Path:
+    path = save_contact(tmp_path, "toy", small_estimator(), {"summary": "a toy", "limits": ["none"]})
+    add_calibration(path, make_calibration(), FACTS)
+    return path
+
+
+def edit(card: Path, **changes: Any) -> None:
+    document = json.loads(card.read_text())
+    for key, value in changes.items():
+        if value is ...:
+            del document[key]
+        else:
+            document[key] = value
+    card.write_text(json.dumps(document))
+
+
+def rewrite(card: Path, name: str, value: Any, *, trust: bool = False) -> None:
+    """Change a tensor and make the card's hash fit, so that only the deeper check can find it."""
+    facts = json.loads(card.read_text())
+    mine = facts["calibration"] if trust else facts
+    path = card.with_name(mine["weights"])
+    tensors = read_tensors(path, mine["sha256"], card.name)
+    if value is None:
+        del tensors[name]
+    else:
+        tensors[name] = value
+    content, mine["sha256"] = packed(tensors)
+    path.write_bytes(content)
+    card.write_text(json.dumps(facts))
+
+
+def everything(model: TouchModel) -> np.ndarray:
+    """Values and bounds with nothing, a tare, and touches to lean on."""
+    memory = TouchMemory(model, TARE)
+    for sample in SAMPLES[:3]:
+        memory.add(sample.cloud, sample.grasp, sample.touch)
+    found = []
+    for leant in ({}, {"tare": TARE}, {"memory": memory}):
+        for sample in SAMPLES[5::8]:
+            (one,) = model.predict(sample.cloud, [sample.grasp], **leant)
+            found += [one.value.vector(), one.lower.vector(), one.upper.vector()]
+    return np.array(found)
+
+
+def test_a_loaded_model_predicts_as_the_saved_one_to_the_bit(card: Path) -> None:
+    saved = TouchModel(small_estimator(), {"name": "toy", "sha256": ""}, make_calibration())
+    assert_array_equal(everything(load_model(card)), everything(saved))
+    assert_array_equal(everything(load_model(card.with_suffix(".safetensors"))), everything(saved))
+
+
+def test_the_card_holds_what_was_given_and_the_hashes(card: Path) -> None:
+    facts = read_card(card)
+    assert (facts["kind"], facts["name"], facts["summary"], facts["limits"]) == ("contact", "toy", "a toy", ["none"])
+    assert facts["calibration"]["level"] == FACTS["level"]
+    assert facts["calibration"]["weights"] == "toy.trust.safetensors"
+    assert {path.name for path in card.parent.iterdir()} == {"toy.json", "toy.safetensors", "toy.trust.safetensors"}
+    model = load_model(card)
+    assert (model.name, model.sha256) == ("toy", facts["sha256"])
+
+
+def test_saving_again_gives_the_same_files(card: Path, tmp_path: Path) -> None:
+    again = save_contact(tmp_path / "again", "toy", load_contact(card, read_card(card)), {"summary": "a toy"})
+    assert read_card(again)["sha256"] == read_card(card)["sha256"]
+
+
+def test_model_and_calibration_at_once_are_those_one_after_the_other(card: Path, tmp_path: Path) -> None:
+    facts = {"summary": "a toy", "limits": ["none"]}
+    once = save_contact(tmp_path / "once", "toy", small_estimator(), facts, (make_calibration(), FACTS))
+    for path in card.parent.glob("toy.*"):
+        assert (once.parent / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("full", ["toy.safetensors", "toy.trust.safetensors", "toy.json"])
+def test_a_full_disk_leaves_the_calibrated_model_before(card: Path, full: str) -> None:
+    before = {path.name: path.read_bytes() for path in card.parent.iterdir()}
+    card.with_name(f"{full}.part").symlink_to("/dev/full")
+    other = make_calibration(seed=1)
+    with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
+        save_contact(card.parent, "toy", small_estimator(), {"summary": "another"}, (other, FACTS))
+    assert {path.name: path.read_bytes() for path in card.parent.iterdir()} == before
+
+
+def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> None:
+    card = save_contact(tmp_path, "bare", small_estimator(), {})
+    assert load_calibration(card, read_card(card)) == (None, None)
+    (prediction,) = load_model(card).predict(SAMPLES[0].cloud, [SAMPLES[0].grasp])
+    assert prediction.lower is None
+
+
+def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
+    card = Path(save_network_with_trust(tmp_path))
+    fallback = Fallback(small_estimator().novelty, np.linspace(1000.0, 3000.0, 50))
+    add_calibration(card, make_calibration(), FACTS, fallback)
+    trust, found = load_calibration(card, read_card(card))
+    assert isinstance(trust, Calibration)
+    for name, array in fallback.to_tensors().items():
+        assert_array_equal(found.to_tensors()[name], array)
+    sample = SAMPLES[0]
+    (prediction,) = load_model(card).predict(sample.cloud, [sample.grasp])
+    known = fallback.novelty.familiarity(np.asarray(_sizes(sample))) >= 0.5
+    assert ("unfamiliar" in prediction.flags) is not known
+
+
+def _sizes(sample) -> np.ndarray:
+    from foretouch.models.contact.features import ContactScene
+
+    return ContactScene(sample.cloud.xyz).object_features
+
+
+@pytest.mark.parametrize("which", ["toy.safetensors", "toy.trust.safetensors"])
+def test_absent_or_replaced_files_are_named(card: Path, which: str) -> None:
+    path = card.with_name(which)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=rf"{which}: sha256: .* of toy.json; damaged or replaced"):
+        load_model(card)
+    path.unlink()
+    with pytest.raises(ModelError, match=rf"{which}: no such weights; toy.json names them"):
+        load_model(card)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "trust", "rule"),
+    [
+        ("mean", None, False, "toy.safetensors: mean: is missing"),
+        ("kernel/scale", np.zeros(88), False, "toy.safetensors: kernel/scale, decay: a value is not above 0"),
+        ("forest_E_MF/leaf", np.zeros(3, np.int32), False, "toy.safetensors: forest_E_MF/forest: its arrays"),
+        ("novelty/known", np.zeros((9, 3), np.float32), False, "toy.safetensors: novelty/known: shape"),
+        ("rest", None, True, "toy.trust.safetensors: rest: is missing"),
+        ("new/within", np.zeros(50), True, "toy.trust.safetensors: new/within: holds a value"),
+        ("known/between", np.ones((50, 49)), True, "toy.trust.safetensors: known/between: shape"),
+    ],
+)
+def test_what_does_not_fit_is_named_with_file_and_field(card: Path, name: str, value, trust: bool, rule: str) -> None:
+    rewrite(card, name, value, trust=trust)
+    with pytest.raises(ModelError, match=rule):
+        load_model(card)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"weights": ...}, "toy.json: weights: is missing"),
+        ({"calibration": "yes"}, "toy.json: calibration: 'yes' is of type str"),
+        ({"calibration": {}}, "toy.json: calibration.weights: is missing"),
+        ({"calibration": {"weights": "x.safetensors"}}, "toy.json: calibration.sha256: is missing"),
+        ({"ranges": {"e_th": [9.0, 1.0]}}, "toy.json: ranges: .*e_th"),
+        ({"ranges": {"e_xx": [1.0, 9.0]}}, "toy.json: ranges: e_xx: unknown"),
+        ({"ranges": 5}, "toy.json: ranges: 5 is of type int"),
+        ({"kind": "contacts"}, "toy.json: kind: 'contacts' is none of"),
+    ],
+)
+def test_a_card_that_cannot_be_right_is_refused_by_field(card: Path, changes: dict[str, Any], rule: str) -> None:
+    edit(card, **changes)
+    with pytest.raises(ModelError, match=rule):
+        load_model(card)
+
+
+def test_weights_are_looked_for_beside_the_card_only(card: Path) -> None:
+    edit(card, weights="../../elsewhere/toy.safetensors")
+    assert load_model(card).name == "toy"

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernel ridge regression: scikit-learn's answers, the mean far away, neighbours without influence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.metrics.pairwise import laplacian_kernel
+
+from foretouch.errors import ModelError
+from foretouch.models.contact.kernel_regression import KernelRegression, laplacian, standardisation
+
+DECAY, RIDGE = 2.0, 0.7
+
+
+@pytest.fixture
+def rows(rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=(60, 7)) * [1e-3, 0.1, 1.0, 10.0, 1.0, 1.0, 300.0] + 5.0
+
+
+@pytest.fixture
+def target(rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=(60, 3))
+
+
+@pytest.fixture
+def kernel(rows, target) -> KernelRegression:
+    centre, scale = standardisation(rows)
+    known = (rows - centre) / scale
+    weight = np.linalg.solve(laplacian(known, known, DECAY) + RIDGE * np.eye(60), target)
+    return KernelRegression(centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(DECAY))
+
+
+def test_kernel_is_the_laplacian_of_scikit_learn(rng) -> None:
+    a, b = rng.normal(size=(5, 7)), rng.normal(size=(4, 7))
+    assert_allclose(laplacian(a, b, DECAY), laplacian_kernel(a, b, gamma=DECAY / 7), rtol=1e-12)
+
+
+def test_predictions_are_those_of_scikit_learn(kernel, rows, target, rng) -> None:
+    asked = rows.mean(axis=0) + 1.5 * rows.std(axis=0) * rng.normal(size=(40, 7))
+    theirs = KernelRidge(alpha=RIDGE, kernel="laplacian", gamma=DECAY / 7).fit(
+        (rows - kernel.centre) / kernel.scale, target
+    )
+    wanted = theirs.predict((asked - kernel.centre) / kernel.scale)
+    # Known rows and weights are rounded to float32, 6e-8 each, and 60 of them are summed.
+    assert_allclose(kernel.predict(asked), wanted, atol=1e-5)
+    assert np.abs(wanted).max() > 0.1
+
+
+def test_far_from_all_that_is_known_it_has_no_opinion(kernel, rows) -> None:
+    far = rows[:1] + rows.std(axis=0) * np.array([[0.0], [2.0], [10.0], [100.0]])
+    size = np.abs(kernel.predict(far)).max(axis=1)
+    assert (np.diff(size) < 0.0).all()
+    assert size[3] < 1e-30  # every column 100 deviations off: exp(-2 · 100) or so
+
+
+def test_a_row_does_not_depend_on_its_neighbours(kernel, rows) -> None:
+    together = kernel.predict(rows)
+    assert_array_equal(together, np.concatenate([kernel.predict(row[None]) for row in rows]))
+    assert_array_equal(kernel.predict(rows[::-1])[::-1], together)
+    assert kernel.predict(rows[:0]).shape == (0, 3)
+
+
+def test_a_column_that_varies_by_rounding_alone_is_constant() -> None:
+    """The mean of sixty times 0.05 is not 0.05, so the deviation is 2e-17 and not 0."""
+    rows = np.column_stack([np.full(60, 0.05), np.arange(60.0)])
+    assert rows.std(axis=0)[0] > 0.0
+    centre, scale = standardisation(rows)
+    assert scale[0] == 1.0
+    assert abs((0.051 - centre[0]) / scale[0]) < 0.01
+    assert scale[1] == rows[:, 1].std()
+
+
+def test_tensors_give_it_back_to_the_bit(kernel, rows) -> None:
+    assert_array_equal(KernelRegression.from_tensors(kernel.to_tensors()).predict(rows), kernel.predict(rows))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("weight", None, "weight: is missing"),
+        ("known", np.full((60, 7), np.nan, np.float32), "known: holds a value that is not finite"),
+        ("decay", np.array(np.inf), "decay: holds a value that is not finite"),
+        ("known", np.zeros((59, 7), np.float32), "do not fit together"),
+        ("known", np.zeros((60, 6), np.float32), "do not fit together"),
+        ("weight", np.zeros(60, np.float32), "do not fit together"),
+        ("weight", np.array(0.0, np.float32), "do not fit together"),
+        ("centre", np.zeros((1, 7)), "do not fit together"),
+        ("scale", np.ones(6), "do not fit together"),
+        ("decay", np.ones(1), "do not fit together"),
+        ("scale", np.array([1.0, 1, 1, 0, 1, 1, 1]), "scale, decay: a value is not above 0"),
+        ("decay", np.array(-2.0), "scale, decay: a value is not above 0"),
+    ],
+)
+def test_damage_is_refused_by_name(kernel, name: str, value: Any, rule: str) -> None:
+    tensors = kernel.to_tensors() | {name: value}
+    if value is None:
+        del tensors[name]
+    with pytest.raises(ModelError, match=rule):
+        KernelRegression.from_tensors(tensors)

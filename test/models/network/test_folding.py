@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folded network against the one it was made from."""
+
+import pytest
+import torch
+
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.folding import BLOCK, fold
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"tnet": False},
+        {"use_grasp": False, "head_norm": True},
+        {"channels": "xyz+normals", "metric_inputs": True, "head_norm": True},
+        {"outputs": ("PDC_MF",), "head_widths": ()},
+        {"trunk_widths": (16,), "head_dropout": 0.5},
+    ],
+    ids=str,
+)
+def test_folded_equals_eager(small: ModelConfig, make_net, changes) -> None:
+    config = small.replace(**changes)
+    net = make_net(config)
+    folded = fold(net)
+    points = torch.randn(config.n_points, config.channel_count) * 0.4
+    grasps = torch.randn(21, config.grasp_size)
+    eager = net.counts(points.expand(21, -1, -1), grasps if config.use_grasp else None)
+    torch.testing.assert_close(folded.features(points), net.features(points[None])[0], rtol=1e-5, atol=1e-5)
+    # counts of about 3000 in float32, whose last place is 2e-4
+    torch.testing.assert_close(folded.regress(folded.features(points), grasps), eager, rtol=0, atol=5e-3)
+
+
+def test_folding_uses_running_statistics_even_in_training_mode(small: ModelConfig, make_net) -> None:
+    net = make_net()
+    points = torch.randn(small.n_points, 3)
+    before = fold(net).features(points)
+    assert torch.equal(fold(net.train()).features(points), before)
+
+
+@pytest.mark.parametrize("widths", [(16, 8), (1024, 512, 256)], ids=str)
+def test_a_prediction_is_bit_equal_whatever_its_mates(small: ModelConfig, make_net, widths) -> None:
+    config = small.replace(head_widths=widths)
+    folded = fold(make_net(config))
+    features = folded.features(torch.randn(config.n_points, 3))
+    grasps = torch.randn(3 * BLOCK + 5, config.grasp_size)
+    together = folded.regress(features, grasps)
+    alone = torch.cat([folded.regress(features, grasp[None]) for grasp in grasps])
+    assert torch.equal(together, alone)
+    assert torch.equal(folded.regress(features, grasps.flip(0)).flip(0), together)
+
+
+def test_no_grasp_gives_no_row(small: ModelConfig, make_net) -> None:
+    folded = fold(make_net())
+    assert folded.regress(torch.zeros(small.feature_size), torch.zeros(0, small.grasp_size)).shape == (0, 50)
+
+
+def test_the_copy_does_not_follow(small: ModelConfig, make_net) -> None:
+    net = make_net()
+    points = torch.randn(small.n_points, 3)
+    folded = fold(net)
+    before = folded.features(points).clone()
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.add_(1.0)
+    assert torch.equal(folded.features(points), before)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""P2's generator: its sizes, its range, and that all of it can learn."""
+
+import pytest
+import torch
+
+from foretouch.errors import ConfigError
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
+
+P2 = GeneratorConfig()
+
+
+def make(config: GeneratorConfig = P2, channels: str = "xyz+rgb", seed: int = 0) -> CloudGenerator:
+    torch.manual_seed(seed)
+    return CloudGenerator(config, ModelConfig(channels=channels))
+
+
+def noise(config: GeneratorConfig = P2, count: int = 4, seed: int = 1) -> torch.Tensor:
+    return draw_noise(count, config, torch.Generator().manual_seed(seed))
+
+
+def test_the_lengths_are_those_of_the_paper() -> None:
+    generator, lengths = make(), []
+    for layer in generator.layers:
+        layer.register_forward_hook(lambda _m, _i, out: lengths.append(out.shape[-1]))
+        assert (layer.kernel_size, layer.stride) == ((5,), (5,))
+    assert generator(noise()).shape == (4, 750, 6)
+    assert lengths == [30, 150, 750]
+    assert P2.n_points == 750
+
+
+def test_widths_and_size_follow_the_configuration() -> None:
+    config = GeneratorConfig(noise_length=4, noise_channels=3, widths=(16,), stride=3)
+    generator = make(config)
+    assert [tuple(layer.weight.shape[:2]) for layer in generator.layers] == [(3, 16), (16, 6)]
+    assert generator(noise(config)).shape == (4, 36, 6)
+    assert config.n_points == 36
+
+
+def test_values_stay_within_the_tangent() -> None:
+    generator = make()
+    with torch.no_grad():
+        generator.layers[-1].weight.mul_(1e3)
+    fake = generator(noise()).detach()
+    assert float(fake.abs().max()) == 1.0
+    assert float(fake.min()) < -0.9
+
+
+def test_noise_is_uniform_in_the_unit_interval_and_seeded() -> None:
+    drawn = noise(count=2000)
+    assert drawn.shape == (2000, 6, 6)
+    assert float(drawn.min()) >= 0.0
+    assert float(drawn.max()) < 1.0
+    assert float(drawn.mean()) == pytest.approx(0.5, abs=0.01)
+    assert float(drawn.var()) == pytest.approx(1 / 12, abs=0.002)
+    assert torch.equal(drawn, noise(count=2000))
+    assert not torch.equal(drawn, noise(count=2000, seed=2))
+
+
+@pytest.mark.parametrize("channels", ["xyz", "xyz+rgb", "xyz+normals"])
+def test_gradient_reaches_every_parameter(channels: str) -> None:
+    generator = make(channels=channels)
+    (generator.clouds(noise(count=16)) * torch.randn(16, 750, 1)).sum().backward()
+    for name, parameter in generator.named_parameters():
+        assert float(parameter.grad.abs().max()) > 0, name
+
+
+def test_unused_channels_are_named_and_get_no_gradient() -> None:
+    generator = make(channels="xyz")
+    assert generator.channel_names == ("x", "y", "z", "unused_3", "unused_4", "unused_5")
+    assert generator.unused_channels == ("unused_3", "unused_4", "unused_5")
+    generator.clouds(noise()).square().sum().backward()
+    last = generator.layers[-1].weight.grad
+    assert float(last[:, 3:].abs().max()) == 0.0
+    assert float(last[:, :3].abs().max()) > 0.0
+    assert make(channels="xyz+normals").unused_channels == ()
+
+
+def test_a_column_of_noise_makes_its_own_points() -> None:
+    generator, drawn = make(), noise(count=1)
+    before = generator(drawn)
+    drawn[0, :, 2] += 0.5
+    moved = (generator(drawn) != before).any(dim=-1)[0].nonzero().flatten()
+    assert moved.min() >= 250
+    assert moved.max() < 375
+    assert len(moved) > 0
+
+
+def test_too_few_channels_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"channels: 3 are fewer than the 6 of xyz\+rgb"):
+        make(GeneratorConfig(channels=3))

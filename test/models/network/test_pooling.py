@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The winning points against torch's argmax, and what a search of low precision may change."""
+
+import pytest
+import torch
+
+from foretouch.models.network import pointnet as pooling
+from foretouch.models.network.pointnet import pooled_affine, winners
+
+
+def made(size: int, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(size)
+    x = torch.randn(5, size, 8, generator=generator).to(dtype)
+    return x, torch.randn(33, 8, generator=generator).to(dtype), torch.randn(33, generator=generator).to(dtype)
+
+
+@pytest.mark.parametrize("size", [1, 24, 25, 50, 51, 99, 128, 750])
+@pytest.mark.parametrize("entries", [1, 10_000, 2**20])
+def test_the_winner_is_the_largest(monkeypatch, size: int, entries: int) -> None:
+    monkeypatch.setitem(pooling._ENTRIES, "cpu", entries)
+    x, weight, _ = made(size, torch.float64)
+    assert torch.equal(winners(x, weight), (x @ weight.T).argmax(dim=1))
+
+
+@pytest.mark.parametrize("size", [7, 60, 113])
+def test_value_and_gradient_are_the_plain_ones(size: int) -> None:
+    inputs = [value.requires_grad_() for value in made(size, torch.float64)]
+    x, weight, bias = inputs
+    plain = torch.relu(x @ weight.T + bias).amax(dim=1)
+    quick = pooled_affine(x, weight, bias)
+    torch.testing.assert_close(quick, plain)
+    slopes = torch.randn_like(plain)
+    for one, two in zip(
+        torch.autograd.grad((quick * slopes).sum(), inputs),
+        torch.autograd.grad((plain * slopes).sum(), inputs),
+        strict=True,
+    ):
+        torch.testing.assert_close(one, two)
+
+
+def test_a_coarse_search_takes_a_near_equal_point_and_tells_its_exact_value() -> None:
+    x, weight, bias = made(750)
+    every = torch.relu(x @ weight.T + bias)
+    coarse = pooled_affine(x, weight, bias, torch.bfloat16)
+    exact = every.amax(dim=1)
+    assert not torch.equal(winners(x, weight, torch.bfloat16), winners(x, weight))
+    assert float((every - coarse[:, None]).abs().amin(dim=1).max()) < 1e-5  # the value of some point
+    assert float((exact - coarse).min()) > -1e-5
+    assert float((exact - coarse).max()) < 2.0**-6 * float(exact.max())  # 8 bits, of inputs and of the sum
+    assert torch.equal(winners(x, weight, torch.float64), winners(x, weight))  # never more than the inputs have
+
+
+def test_what_is_not_finite_comes_through() -> None:
+    x, weight, bias = made(60)
+    x[2, 31, 0] = torch.nan
+    pooled = pooled_affine(x, weight, bias)
+    assert torch.isnan(pooled[2]).all()
+    assert torch.isfinite(pooled[[0, 1, 3, 4]]).all()

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The networks themselves: shapes, invariances, gradients, and that they can learn."""
+
+import pytest
+import torch
+
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.pointnet import InputTransform
+from foretouch.models.network.regressor import TouchNet
+
+EACH = pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"tnet": False},
+        {"use_grasp": False, "head_norm": True},
+        {"channels": "xyz+rgb", "metric_inputs": True},
+        {"outputs": ("E_TH",), "head_norm": True},
+        {"outputs": ("PDC_MF",), "head_widths": ()},
+    ],
+    ids=str,
+)
+
+
+def inputs(config: ModelConfig, count: int = 4) -> tuple[torch.Tensor, torch.Tensor | None]:
+    generator = torch.Generator().manual_seed(1)
+    points = torch.randn(count, config.n_points, config.channel_count, generator=generator) * 0.4
+    return points, torch.randn(count, config.grasp_size, generator=generator) if config.use_grasp else None
+
+
+def test_p2_layers_have_the_widths_of_the_paper() -> None:
+    net = TouchNet(ModelConfig(outputs=("E_TH",), channels="xyz+rgb"))
+    assert [layer.linear.weight.shape for layer in net.features.layers] == [(64, 6), (128, 64), (1024, 128)]
+    assert [layer.linear.weight.shape for layer in net.head] == [(1024, 1039), (512, 1024), (256, 512)]
+    assert net.output.weight.shape == (24, 256)
+
+
+@EACH
+def test_shapes_are_as_promised(small: ModelConfig, make_net, changes) -> None:
+    config = small.replace(**changes)
+    net = make_net(config)
+    points, grasp = inputs(config)
+    assert net.features(points).shape == (4, config.feature_size)
+    assert net(points, grasp).shape == (4, config.output_size)
+    assert torch.isfinite(net.counts(points, grasp)).all()
+
+
+@EACH
+def test_order_of_points_does_not_matter(small: ModelConfig, make_net, changes) -> None:
+    config = small.replace(**changes)
+    net = make_net(config)
+    points, grasp = inputs(config)
+    shuffled = points[:, torch.randperm(config.n_points)]
+    # not bit-equal: the matrix product may sum a row in another order at another place
+    torch.testing.assert_close(net(shuffled, grasp), net(points, grasp), rtol=1e-5, atol=1e-6)
+
+
+@EACH
+def test_batch_equals_single(small: ModelConfig, make_net, changes) -> None:
+    config = small.replace(**changes)
+    net = make_net(config)
+    points, grasp = inputs(config)
+    single = [net(points[i : i + 1], None if grasp is None else grasp[i : i + 1]) for i in range(4)]
+    torch.testing.assert_close(torch.cat(single), net(points, grasp), rtol=1e-5, atol=1e-6)
+
+
+@EACH
+def test_gradient_reaches_every_parameter(small: ModelConfig, changes) -> None:
+    config = small.replace(**changes)
+    torch.manual_seed(0)
+    net = TouchNet(config)
+    if net.features.transform is not None:  # it starts at zero, where nothing before it would get a gradient
+        torch.nn.init.normal_(net.features.transform.matrix.weight)
+    points, grasp = inputs(config, 8)
+    (net(points, grasp) ** 2).sum().backward()
+    for name, parameter in net.named_parameters():
+        if name.endswith("linear.bias") and name.replace("linear.bias", "norm.bias") in dict(net.named_parameters()):
+            continue  # batch norm takes its mean away again: no gradient by construction
+        assert parameter.grad is not None, name
+        assert parameter.grad.abs().max() > 0, name
+
+
+def test_outputs_depend_on_the_grasp(small: ModelConfig, make_net) -> None:
+    net = make_net()
+    points, grasp = inputs(small)
+    assert (net(points, grasp) - net(points, grasp + 0.5)).abs().max() > 1e-3
+
+
+def test_one_batch_can_be_learned_by_heart(small: ModelConfig) -> None:
+    torch.manual_seed(0)
+    net = TouchNet(small.replace(head_widths=(64, 32)))
+    points, grasp = inputs(small, 8)
+    target = torch.randn(8, 50)
+    optimiser = torch.optim.AdamW(net.parameters(), 0.01)
+    for _ in range(250):
+        loss = (net(points, grasp) - target).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert float(loss.detach()) < 0.02 * float(target.var())
+
+
+def test_transform_starts_as_identity_and_turns_coordinates_only() -> None:
+    torch.manual_seed(0)
+    transform = InputTransform(6, (4, 4, 8, 4, 4)).eval()
+    points = torch.randn(2, 16, 6)
+    assert torch.equal(transform(points), points)
+    with torch.no_grad():
+        transform.matrix.bias.copy_(torch.tensor([0.0, 1, 0, -1, 0, 0, 0, 0, 1]))
+    turned = transform(points)
+    torch.testing.assert_close(turned[..., :3], torch.stack([-points[..., 1], points[..., 0], points[..., 2]], -1))
+    assert torch.equal(turned[..., 3:], points[..., 3:])
+
+
+def test_scaling_is_inverted(make_net) -> None:
+    net = make_net()
+    counts = torch.linspace(1000, 3000, 100).view(2, 50)
+    torch.testing.assert_close(net.to_counts(net.to_scaled(counts)), counts)

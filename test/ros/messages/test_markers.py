@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from std_msgs.msg import Header
+
+from foretouch.ros.messages.clouds import object_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.markers import fingertip_rotation, object_markers, touch_markers
+from foretouch.tactile import P2_RANGES
+from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch_msgs.msg import ObjectArray, Status
+
+HEADER = Header(frame_id="cam")
+# Contacts left and right of the view, object axis up: Z = +x, X = Z x axis, Y completes it.
+GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.column_stack([[0, 0, 1], [0, 1, 0], [1, 0, 0]]) * np.array([1.0, -1.0, 1.0]))  # fmt: skip
+
+
+def predict(e_th, e_mf):
+    touch = Touch(2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float))
+    return prediction_to_msg(TouchPrediction(GRASP, touch), grasp_to_msg(GRASP), HEADER)
+
+
+def by_name(array):
+    found = {}
+    for marker in array.markers:
+        found.setdefault(marker.ns, []).append(marker)
+    return found
+
+
+def points(marker):
+    return np.array([[p.x, p.y, p.z] for p in marker.points])
+
+
+def test_the_grasp_of_this_file_is_a_proper_rotation():
+    np.testing.assert_allclose(GRASP.rotation @ GRASP.rotation.T, np.eye(3))
+    assert np.linalg.det(GRASP.rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("contact", [GRASP.g1, GRASP.g2])
+def test_a_fingertip_is_a_rotation_whose_pad_faces_the_other_contact(contact):
+    rotation = fingertip_rotation(GRASP, contact)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    inward = (GRASP.midpoint - contact) / np.linalg.norm(GRASP.midpoint - contact)
+    np.testing.assert_allclose(-rotation[:, 2], inward, atol=1e-12)
+    assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
+
+
+def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
+    markers = by_name(touch_markers(predict(np.full(24, 3000.0), np.full(24, 3000.0)), P2_RANGES))
+    thumb, finger = points(markers["thumb"][0]), points(markers["middle_finger"][0])
+    assert thumb.shape == finger.shape == (24, 3)
+    assert (thumb[:, 0] >= 0.04 - 1e-9).all()
+    assert (finger[:, 0] <= -0.04 + 1e-9).all()
+    assert np.linalg.norm(thumb - GRASP.g1, axis=1).max() < 0.02
+    swapped = by_name(touch_markers(predict(np.ones(24), np.ones(24)), P2_RANGES, thumb_takes_g1=False))
+    assert (points(swapped["thumb"][0])[:, 0] < 0.0).all()
+
+
+def test_a_drop_is_red_and_none_is_green():
+    low, high = P2_RANGES.of("E_TH")
+    counts = np.full(24, high)
+    counts[5] = low
+    counts[6] = (low + high) / 2
+    colours = by_name(touch_markers(predict(counts, counts), P2_RANGES))["thumb"][0].colors
+    assert (colours[0].r, colours[0].g) == (0.0, 1.0)
+    assert (colours[5].r, colours[5].g) == (1.0, 0.0)
+    assert (colours[6].r, colours[6].g) == (1.0, 1.0)
+
+
+def test_contacts_and_hand_axes_are_where_the_grasp_is():
+    markers = by_name(touch_markers(predict(np.ones(24), np.ones(24)), P2_RANGES))
+    balls = [[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in markers["contacts"]]
+    np.testing.assert_array_equal(balls, [GRASP.g1, GRASP.g2])
+    for arrow, axis in zip(markers["hand"], GRASP.rotation.T, strict=True):
+        start, end = points(arrow)
+        np.testing.assert_allclose(start, GRASP.midpoint)
+        np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), axis)
+    identities = [(m.ns, m.id) for group in markers.values() for m in group]
+    assert len(set(identities)) == len(identities)
+    assert all(m.header.frame_id == "cam" for group in markers.values() for m in group)
+
+
+def test_a_refusal_draws_nothing():
+    refusal = refusal_to_msg(grasp_to_msg(GRASP), HEADER, Status.REFUSED, "no")
+    assert not touch_markers(refusal, P2_RANGES).markers
+
+
+def test_boxes_enclose_their_objects(scene_cloud):
+    from foretouch.pipeline import Pipeline
+
+    sight = Pipeline().see(scene_cloud())
+    objects = [object_to_msg(one, target=one.id == 1) for one in sight.segmentation.objects]
+    boxes = by_name(object_markers(ObjectArray(header=HEADER, objects=objects)))["objects"]
+    for box, one in zip(boxes, sight.segmentation.objects, strict=True):
+        centre = np.array([box.pose.position.x, box.pose.position.y, box.pose.position.z])
+        half = np.array([box.scale.x, box.scale.y, box.scale.z]) / 2
+        assert (np.abs(one.cloud.xyz - centre) <= half + 1e-6).all()
+    assert boxes[0].color.g > boxes[0].color.r

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, prepare_environment
+
+NAMES = ("AMENT_PREFIX_PATH", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", "OMP_NUM_THREADS")
+
+
+@pytest.fixture
+def bare(monkeypatch):
+    for name in NAMES:
+        monkeypatch.setenv(name, "x")  # so that it is put back
+        monkeypatch.delenv(name)
+    return monkeypatch
+
+
+def test_what_is_missing_is_set(bare):
+    prepare_environment()
+    assert os.environ["AMENT_PREFIX_PATH"] == sys.prefix
+    assert os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] == str(SHARED_MEMORY_PROFILE)
+    assert os.environ["OMP_NUM_THREADS"] == "1"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_user_has_set_stays(bare, name):
+    bare.setenv(name, "mine")
+    prepare_environment()
+    assert os.environ[name] == "mine"
+    if name == "FASTRTPS_DEFAULT_PROFILES_FILE":
+        assert "FASTDDS_DEFAULT_PROFILES_FILE" not in os.environ
+
+
+def test_the_profile_offers_64_mb_and_still_reaches_other_machines():
+    space = {"d": "http://www.eprosima.com"}
+    root = ET.parse(SHARED_MEMORY_PROFILE).getroot()
+    kinds = {
+        transport.findtext("d:transport_id", namespaces=space): transport
+        for transport in root.iterfind(".//d:transport_descriptor", space)
+    }
+    used = [one.text for one in root.iterfind(".//d:userTransports/d:transport_id", space)]
+    assert sorted(used) == sorted(kinds)
+    assert {one.findtext("d:type", namespaces=space) for one in kinds.values()} == {"SHM", "UDPv4"}
+    assert int(root.find(".//d:segment_size", space).text) == 64 * 1024 * 1024
+    assert int(root.find(".//d:maxMessageSize", space).text) > 1280 * 720 * 16
+
+
+def test_it_loads_neither_numpy_nor_rclpy():
+    code = "import sys, foretouch.ros.runtime.environment, foretouch.ros.executables; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["False", "False"]

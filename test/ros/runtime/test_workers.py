@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+
+from foretouch.ros.runtime.workers import Worker
+
+
+def test_items_are_worked_on_in_order_in_another_thread():
+    done, threads, ready = [], set(), threading.Event()
+
+    def work(item):
+        done.append(item)
+        threads.add(threading.current_thread().name)
+        if item == 9:
+            ready.set()
+
+    worker = Worker("smith", 100, work, lambda *_: None)
+    worker.start()
+    for item in range(10):
+        worker.put(item)
+    assert ready.wait(5.0)
+    worker.stop()
+    assert done == list(range(10))
+    assert threads == {"smith"}
+
+
+def test_a_full_queue_gives_up_its_oldest_and_says_so():
+    begun, go = threading.Event(), threading.Event()
+    done, dropped = [], []
+
+    def work(item):
+        done.append(item)
+        begun.set()
+        go.wait(5.0)
+
+    worker = Worker("slow", 2, work, lambda item, reason: dropped.append((item, reason)))
+    worker.start()
+    worker.put(0)
+    assert begun.wait(5.0)
+    for item in (1, 2, 3, 4):
+        worker.put(item)
+    assert dropped == [(1, "superseded"), (2, "superseded")]
+    go.set()
+    worker.stop()
+    assert set(done) | {item for item, _ in dropped} == {0, 1, 2, 3, 4}
+
+
+def test_stopping_gives_up_what_waits_and_starting_again_works():
+    begun, go = threading.Event(), threading.Event()
+    done, dropped = [], []
+
+    def work(item):
+        done.append(item)
+        begun.set()
+        go.wait(5.0)
+
+    worker = Worker("w", 5, work, lambda item, reason: dropped.append((item, reason)))
+    worker.start()
+    worker.put("a")
+    assert begun.wait(5.0)
+    worker.put("b")
+    stopper = threading.Thread(target=worker.stop)
+    stopper.start()
+    while not worker._stopping:
+        pass
+    go.set()
+    stopper.join(5.0)
+    assert done == ["a"]
+    assert dropped == [("b", "stopped")]
+    begun.clear()
+    worker.start()
+    worker.put("c")
+    assert begun.wait(5.0)
+    worker.stop()
+    assert done == ["a", "c"]
+
+
+def test_stopping_what_never_started_is_harmless():
+    Worker("idle", 1, print, print).stop()

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which object is the one that was touched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trust_builders import REST, save_network_with_trust
+
+from foretouch.errors import TactileError
+from foretouch.models import TouchModel, load_model
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.ros.touch.object_memory import ObjectMemory
+from foretouch.types import Cloud, Grasp, Touch
+
+NEAR_M = 0.02
+GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> TouchModel:
+    return load_model(save_network_with_trust(tmp_path_factory.mktemp("model")))
+
+
+def can(shift: float = 0.0, scale: float = 1.0, frame: str = "cam", seed: int = 0) -> Cloud:
+    points = np.random.default_rng(seed).uniform(-0.04, 0.04, (2000, 3))
+    return Cloud((scale * points + [shift, 0.0, 0.8]).astype(np.float32), None, frame)
+
+
+def touch(shift: float = 0.0) -> Touch:
+    return Touch.from_vector(REST + shift)
+
+
+@pytest.fixture
+def memory(model: TouchModel) -> ObjectMemory:
+    one = ObjectMemory(model)
+    one.add(can(), GRASP, touch(-40.0), None, 100.0, NEAR_M)
+    return one
+
+
+@pytest.mark.parametrize(
+    ("cloud", "same"),
+    [
+        (can(seed=1), True),  # another image of it
+        (can(0.015), True),
+        (can(0.03), False),
+        (can(scale=2.0), False),  # in the same place, but larger
+        (can(frame="base"), False),
+        (Cloud(np.full((5, 3), np.nan, np.float32), None, "cam"), False),
+    ],
+)
+def test_the_object_is_told_by_place_and_size(memory: ObjectMemory, cloud: Cloud, *, same: bool) -> None:
+    assert (memory.of(cloud, NEAR_M) is not None) == same
+
+
+def test_a_touch_of_another_object_begins_anew(memory: ObjectMemory) -> None:
+    memory.add(can(0.01), GRASP, touch(-40.0), None, 101.0, NEAR_M)
+    assert memory.count == 2
+    memory.add(can(0.3), GRASP, touch(-40.0), None, 102.0, NEAR_M)
+    assert memory.count == 1
+    assert memory.of(can(), NEAR_M) is None
+
+
+def test_it_is_forgotten_by_age_or_by_word(memory: ObjectMemory) -> None:
+    memory.expire(150.0, 60.0)
+    assert memory.count == 1
+    memory.expire(161.0, 60.0)
+    assert memory.count == 0
+    assert memory.of(can(), NEAR_M) is None
+
+
+def test_later_readings_are_moved_to_the_first_tare(model: TouchModel) -> None:
+    drifting, still = ObjectMemory(model), TouchMemory(model, touch())
+    for drift in (0.0, 25.0, 50.0):
+        drifting.add(can(), GRASP, touch(drift - 40.0), touch(drift), 100.0, NEAR_M)
+        still.add(can(), GRASP, touch(-40.0))
+    leaned = drifting.of(can(), NEAR_M)
+    assert leaned is not None
+    (a,), (b,) = (model.predict(can(), [GRASP], memory=one) for one in (leaned, still))
+    assert a.value is not None
+    assert b.value is not None
+    np.testing.assert_allclose(a.value.vector(), b.value.vector(), rtol=1e-12)
+
+
+def test_a_refused_reading_leaves_the_memory_as_it_was(memory: ObjectMemory) -> None:
+    with pytest.raises(TactileError, match="pdc_th"):
+        memory.add(can(0.5), GRASP, Touch(-22072.0, 1700.0, REST[2:26], REST[26:]), None, 101.0, NEAR_M)
+    assert memory.count == 1
+    assert memory.of(can(), NEAR_M) is not None

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The touch predictor beside a hand, over real DDS: what it has felt moves its predictions as the core's memory says."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from pair_builders import REST, level
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from robot_builders import FRAME, MS, QUICK, Robot
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trust_builders import save_network_with_trust
+
+from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
+from foretouch.models import load_model
+from foretouch.models.touch_memory import TouchMemory
+from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline
+from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns
+from foretouch.ros.messages.tactile import counts_from_msg
+from foretouch.tactile import offsets, restore
+from foretouch.types import Cloud, Grasp, TouchPrediction
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
+from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+from foretouch_msgs.srv import PredictTouch
+
+pytestmark = pytest.mark.ros
+
+NAMES = {TouchPredictionMsg.NONE: "none", TouchPredictionMsg.TARE: "tare", TouchPredictionMsg.TOUCHES: "touches"}
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return save_network_with_trust(tmp_path_factory.mktemp("model"))
+
+
+class Hand(Robot):
+    """A robot whose camera sees one can that lies still, and who keeps what its hand has sent."""
+
+    def __init__(self, graph: Any, node: Any) -> None:
+        self.graph, self.node = graph, node
+        self.heard = graph.listen(TouchPredictionArray, "touch")
+        self.felt = graph.listen(BiotacAll, "/rh/tactile")
+        self.shift = np.zeros(3, np.float32)
+        super().__init__(graph)
+        graph.matched("touch")
+        rng = np.random.default_rng(5)
+        angle, along = rng.uniform(0, np.pi, 600), rng.uniform(-0.05, 0.05, 600)
+        can = np.column_stack([0.033 * np.cos(angle), along, 0.8 - 0.033 * np.sin(angle)])
+        self.can = can.astype(np.float32)
+
+    def wake(self) -> None:
+        """The first readings: from then on clouds are kept."""
+        self.feel(REST, 5)
+        self.graph.until(lambda: self.notes()["tactile.received"] == "5")
+
+    def see(self, name: str) -> None:
+        self.cloud = Cloud(self.can + self.shift, None, FRAME, self.now)
+        self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
+        self.planned = [
+            Grasp(np.array([0.033, y, 0.8]), np.array([-0.033, y, 0.8]), np.eye(3), 1.0 - k, f"{name}/{k}", "7")
+            for k, y in enumerate((0.0, 0.02))
+        ]
+        messages = [grasp_to_msg(grasp) for grasp in self.planned]
+        self.grasps.publish(GraspArray(header=header_to_msg(FRAME, self.now), grasps=messages))
+
+    def ask(self) -> TouchPredictionArray:
+        """The answer to a cloud of now."""
+        self.now = max(self.now + MS, time.time_ns())
+        count = len(self.heard)
+        self.see(f"ask {self.now}")
+        self.graph.until(lambda: len(self.heard) > count)
+        self.now += MS
+        return self.heard[-1]
+
+    def touch(self, name: str, number: int, **faults: Any) -> dict[str, Any]:
+        """Execute the first grasp of a cloud; all its messages have arrived when this returns."""
+        times = self.grasp(name, number, **faults)
+        received = self.sent["/rh/tactile"]
+        self.graph.until(lambda: int(self.notes()["tactile.received"]) == len(self.felt) == received)
+        return times
+
+    def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
+        times = super().grasp(name, number, tell=False)
+        if tell:
+            known = self.told_of()
+            done = ExecutedGrasp(header=header_to_msg(FRAME, self.now), grasp_id=f"{name}/0", success=True, **times)
+            self.told.publish(done)
+            self.graph.until(lambda: self.told_of() > known)
+        return times
+
+    def notes(self) -> dict[str, str]:
+        return self.node.notes()
+
+    def outcomes(self) -> dict[str, int]:
+        found = {key: value for key, value in self.notes().items() if key.startswith("touches.")}
+        counts = {key.removeprefix("touches."): int(value) for key, value in found.items() if value.isdecimal()}
+        return {key: count for key, count in counts.items() if key != "waiting"}
+
+    def told_of(self) -> int:
+        """Executed grasps that the node knows of."""
+        return sum(self.outcomes().values()) + int(self.notes()["touches.waiting"])
+
+    def cut(self, times: dict[str, Any]) -> Any:
+        """What the recorder would cut out of the messages of this hand."""
+        buffer = TouchBuffer()
+        for message in self.felt:
+            thumb, middle = (counts_from_msg(message, name).astype(np.float32) for name in ("TH", "MF"))
+            counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
+            stamp = stamp_ns(message.header.stamp)
+            buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
+        config = PairingConfig(guard_s=QUICK["pairing__guard_s"], tare_s=QUICK["pairing__tare_s"])
+        return cut_touch(buffer, Interval(**{name: stamp_ns(stamp) for name, stamp in times.items()}), config)
+
+
+def start(graph: Any, card: str, **parameters: Any) -> Hand:
+    (node,) = graph.add("touch_predictor", model=card, **{**QUICK, **parameters})
+    assert node.state_name == "active"
+    return Hand(graph, node)
+
+
+def start_awake(graph: Any, card: str, **parameters: Any) -> Hand:
+    hand = start(graph, card, **parameters)
+    hand.wake()
+    return hand
+
+
+def assert_told(message: TouchPredictionMsg, wanted: TouchPrediction) -> None:
+    """All 150 numbers are those of the core, to the last bit of a float32."""
+    rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
+    for field in ("value", "lower", "upper"):
+        told = np.array([getattr(row, field) for row in rows], np.float32)
+        np.testing.assert_array_equal(told, getattr(wanted, field).vector().astype(np.float32))
+    assert NAMES[message.reference] == wanted.reference
+
+
+def assert_answer(answer: TouchPredictionArray, hand: Hand, **leaning: Any) -> None:
+    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **leaning)
+    for message, one in zip(answer.predictions, wanted, strict=True):
+        assert_told(message, one)
+
+
+def test_predictions_shift_as_the_memory_says_to_the_bit_and_forgetting_undoes_it(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    first = hand.ask()
+    assert_answer(first, hand)
+    memory = TouchMemory(load_model(card))
+    for number in range(3):
+        times = hand.touch(f"g-{number}", number)
+        memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
+        assert_answer(hand.ask(), hand, memory=memory)
+    assert (hand.notes()["touches"], hand.outcomes()) == ("3", {"taken_in": 3})
+    assert hand.notes()["regime"].startswith("touches (")
+
+    answer = graph.call(Trigger, "forget_touches", Trigger.Request())
+    assert (answer.success, answer.message) == (True, "3 touches forgotten")
+    assert_answer(hand.ask(), hand)
+    assert hand.notes()["touches"] == "0"
+
+
+def test_with_a_tare_readings_count_by_their_change_from_it(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card)
+    memory = None
+    for number in range(2):
+        cut = hand.cut(hand.touch(f"g-{number}", number))
+        memory = memory or TouchMemory(load_model(card), cut.tare)
+        memory.add(hand.cloud, hand.planned[0], restore(offsets(cut.touch, cut.tare), memory.tare))
+    assert_answer(hand.ask(), hand, memory=memory)
+    assert "_tare" in hand.notes()["regime"]
+
+
+def test_a_hand_at_rest_gives_a_tare_and_one_in_contact_none(graph: Any, card: str) -> None:
+    hand = start(graph, card, tare_max_age_s=3.0)
+    assert hand.ask().predictions[0].reference == TouchPredictionMsg.NONE
+    hand.now = time.time_ns() - 3000 * MS
+    hand.feel(REST, 250)
+    graph.until(lambda: int(hand.notes()["tactile.received"]) == 250)
+    rest = hand.ask().predictions[0]
+    assert rest.reference == TouchPredictionMsg.TARE
+    counts = np.array([np.r_[m.tactiles[4].pdc, m.tactiles[4].electrodes] for m in hand.felt], float)
+    window = [k for k in range(250) if 250 - 1 - 9 - 30 - 50 <= k <= 250 - 1 - 30]
+    median = np.median(counts[window], axis=0)[0]
+    assert rest.pdc_th.value == pytest.approx(
+        load_model(card).predict(hand.cloud, hand.planned)[0].value.pdc_th + median - 2600.0, abs=0.6
+    )
+    hand.feel(level(3), 60)
+    graph.until(lambda: int(hand.notes()["tactile.received"]) == 310)
+    held = hand.ask().predictions[0]
+    assert held.pdc_th.value == pytest.approx(rest.pdc_th.value, abs=1.0)  # that from before the contact
+    graph.until(lambda: float(hand.notes()["tare_age_s"]) > 3.0)
+    assert hand.ask().predictions[0].reference == TouchPredictionMsg.NONE
+
+
+def test_a_dead_sensor_is_refused_counted_and_named(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    hand.touch("good", 0)
+    before = hand.ask()
+    honest, hand.feel = hand.feel, lambda counts, readings: honest(np.r_[-22072.0, counts[1:]], readings)
+    hand.touch("dead", 1)
+    assert [p.pdc_th.value for p in hand.ask().predictions] == [p.pdc_th.value for p in before.predictions]
+    assert (hand.notes()["touches"], hand.outcomes()) == ("1", {"taken_in": 1, "refused.sensor_fault": 1})
+    assert "grasp dead/0: contact: pdc_th: -22072 is not between 0 and 4095" in hand.notes()["touches.last_refusal"]
+
+
+def test_a_dead_sensor_at_rest_makes_no_tare(graph: Any, card: str) -> None:
+    hand = start(graph, card)
+    hand.now = time.time_ns()
+    hand.feel(np.r_[REST[:2], np.zeros(24), REST[26:]], 250)
+    graph.until(lambda: int(hand.notes()["tactile.received"]) == 250)
+    assert hand.ask().predictions[0].reference == TouchPredictionMsg.NONE
+    assert "e_th" in hand.notes()["tare.fault"]
+
+
+def test_what_cannot_be_paired_is_counted_and_changes_nothing(graph: Any, card: str) -> None:
+    hand = start(graph, card, use_tare=False, pairing__wait_s=0.2)
+    before = hand.ask()
+    hand.wake()
+    times = hand.grasp("told too early", 0)  # nothing of it was lost, so it counts
+    hand.feel = lambda counts, readings: setattr(hand, "now", hand.now + 10 * MS * readings)
+    hand.grasp("unfelt", 1)
+    failed = ExecutedGrasp(header=header_to_msg(FRAME, hand.now), grasp_id="unfelt/1", success=False, **times)
+    hand.told.publish(failed)
+    stranger = ExecutedGrasp(header=header_to_msg(FRAME, hand.now), grasp_id="who?", success=True, **times)
+    hand.told.publish(stranger)
+    wanted = {"taken_in": 1, "refused.no_tactile": 1, "refused.grasp_failed": 1, "refused.grasp_unknown": 1}
+
+    def settled() -> bool:
+        time.sleep(0.1)
+        hand.ask()
+        return hand.outcomes() == wanted
+
+    graph.until(settled)
+    assert len(before.predictions) == len(hand.ask().predictions)
+    assert hand.notes()["touches"] == "1"
+
+
+def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    hand.touch("g", 0)
+    references = []
+    for shift in (0.0, 0.015, 0.05):
+        hand.shift = np.array([shift, 0.0, 0.0], np.float32)
+        references.append(NAMES[hand.ask().predictions[0].reference])
+    assert references == ["touches", "touches", "none"]
+    hand.touch("elsewhere", 1)  # memory begins with the object that was touched last
+    assert NAMES[hand.ask().predictions[0].reference] == "touches"
+    assert hand.notes()["touches"] == "1"
+    change = SetParameters.Request(parameters=[Parameter("forget_after_s", value=0.0).to_parameter_msg()])
+    assert graph.call(SetParameters, "touch_predictor/set_parameters", change).results[0].successful
+    assert NAMES[hand.ask().predictions[0].reference] == "none"
+    assert hand.notes()["touches"] == "0"
+
+
+def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    times = hand.touch("g", 0)
+    graph.until(lambda: hand.heard)  # else the service may come before the cloud
+    memory = TouchMemory(load_model(card))
+    memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
+    request = PredictTouch.Request(
+        cloud=objects_to_msg([FoundObject("7", hand.cloud, ASSUMED_TABLE)], FRAME, hand.now),
+        grasps=[grasp_to_msg(grasp) for grasp in hand.planned],
+    )
+    answer = graph.call(PredictTouch, "predict_touch", request).touch
+    assert_answer(answer, hand, memory=memory)
+    assert grasp_from_msg(answer.predictions[0].grasp).id == "g/0"
+
+
+def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    hand.ask()
+    mine = Grasp(np.array([0.033, 0.01, 0.8]), np.array([-0.033, 0.01, 0.8]), np.eye(3), id="mine/0", object_id="7")
+    request = PredictTouch.Request(
+        cloud=objects_to_msg([FoundObject("7", hand.cloud, ASSUMED_TABLE)], FRAME, hand.cloud.stamp_ns),
+        grasps=[grasp_to_msg(mine)],
+    )
+    assert graph.call(PredictTouch, "predict_touch", request).touch.status == Status.OK
+    asked, hand.see = hand.cloud, lambda _: None  # the planner has its own plan
+    cut = hand.cut(hand.touch("mine", 2))
+    del hand.see
+    memory = TouchMemory(load_model(card))
+    memory.add(asked, mine, cut.touch)
+    assert_answer(hand.ask(), hand, memory=memory)
+
+
+def test_a_change_of_use_tare_forgets_and_use_touches_ignores(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card, use_tare=False)
+    hand.touch("g", 0)
+
+    def turn(name: str, *, on: bool) -> str:
+        change = SetParameters.Request(parameters=[Parameter(name, value=on).to_parameter_msg()])
+        assert graph.call(SetParameters, "touch_predictor/set_parameters", change).results[0].successful
+        return NAMES[hand.ask().predictions[0].reference]
+
+    assert turn("use_touches", on=False) == "none"
+    assert turn("use_touches", on=True) == "touches"
+    assert turn("use_tare", on=True) != "touches"
+
+
+def test_a_hand_that_sends_no_readings_harms_nobody(graph: Any, card: str, scene_cloud: Any) -> None:
+    (node,) = graph.add("touch_predictor", model=card, tactile__type="std_msgs/String")
+    lines = graph.talk(String, "/rh/tactile")
+    graph.matched("/rh/tactile")
+    lines.publish(String(data="not,a,reading"))
+    graph.until(lambda: node.notes()["tactile.unreadable"] == "1")
+    assert "CSV: 3 fields" in node.notes()["tactile.last_unreadable"]
+    target = Pipeline().see(scene_cloud()).targets[0]
+    grasps = [grasp_to_msg(grasp) for grasp in Pipeline().plan(target).grasps]
+    request = PredictTouch.Request(cloud=objects_to_msg([target], FRAME, 5), grasps=grasps)
+    answer = graph.call(PredictTouch, "predict_touch", request).touch
+    assert (answer.status, answer.predictions[0].reference) == (Status.OK, TouchPredictionMsg.NONE)
+
+
+def test_a_model_without_calibration_neither_listens_nor_minds(graph: Any, model_card: str) -> None:
+    (node,) = graph.add("touch_predictor", model=model_card)
+    assert graph.probe.count_subscribers("/rh/tactile") == 0
+    assert "no calibration" in node.notes()["regime"]
+    assert graph.call(Trigger, "forget_touches", Trigger.Request()).message == "0 touches forgotten"
