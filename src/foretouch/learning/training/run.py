@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a training for TensorBoard, which is an extra; the run's own log stays the source.
-
-What the card of a trained model tells of its run, whatever kind of model it is.
-
-One training from a configuration to a model on disk, resumable at every epoch (`run_folder` tells what is there).
+"""One training from a configuration to a model on disk, resumable at every epoch (`run_folder` tells what is there).
 
 Of several processes (`torchrun`) the first alone writes; all of them read a state that is resumed.
 """
@@ -19,100 +15,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from foretouch import __version__
-from foretouch.errors import ConfigError
 from foretouch.learning.data.collection import Collection
 from foretouch.learning.data.division import Division, divide
 from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet, duplicate_labels
-from foretouch.learning.evaluation.cross_validation import MODEL
-from foretouch.learning.evaluation.evaluate_model import judge
-from foretouch.learning.training.contact import fit_and_save
+from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.training.contact_run import fit_and_save
+from foretouch.learning.training.run_card import add_scores, run_facts
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import BOARD_FOLDER, RunFolder
 from foretouch.learning.training.srgan import SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, predict_set
+from foretouch.learning.training.tensorboard_logger import open_tensorboard
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.card import card_text, read_card, write_text
 from foretouch.models.familiarity import Familiarity
 from foretouch.models.network.checkpoint import save_network
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile.modalities import columns
 
-__all__ = ["TensorBoardLogger", "add_scores", "open_tensorboard", "run_facts", "train_run"]
-
-
-class TensorBoardLogger:
-    """Writes one epoch's record after the other.
-
-    Args:
-        writer: Of `torch.utils.tensorboard`.
-    """
-
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-
-    def write(self, record: Mapping[str, Any]) -> None:
-        """An epoch's `losses` and, where it has one, its `validation`."""
-        for name, value in record["losses"].items():
-            self._writer.add_scalar(f"losses/{name}", value, record["epoch"])
-        if "validation" in record:
-            self._writer.add_scalar("validation", record["validation"], record["epoch"])
-
-    def close(self) -> None:
-        """Write out what is still held."""
-        self._writer.close()
-
-
-def open_tensorboard(folder: Path) -> TensorBoardLogger:
-    """A board in `folder`, beside what an earlier part of the same run wrote.
-
-    Raises:
-        ConfigError: If TensorBoard is not installed.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as err:
-        raise ConfigError("RunConfig.tensorboard: needs TensorBoard: pip install 'foretouch[tensorboard]'") from err
-    return TensorBoardLogger(SummaryWriter(str(folder)))
-
-
-def run_facts(config: RunConfig, data: Collection, division: Division) -> dict[str, Any]:
-    """`summary`, `data`, `split` and `version` of the card.
-
-    Raises:
-        DatasetError: If a label to learn from is absent or no reading of a working sensor; named by id.
-    """
-    outputs = MODALITIES if config.method == "contact" else config.model.outputs
-    learned = [data.samples[k] for k in division.train]
-    return {
-        "summary": f"{', '.join(outputs)}, {config.method}, from {len(learned)} labelled samples of {data.name}",
-        "data": {
-            "name": data.name,
-            "sha256": data.sha256,
-            "samples": len(data.samples),
-            "duplicate_labels": [list(pair) for pair in duplicate_labels(learned)],
-        },
-        "split": {"name": config.split, **division.sizes()},
-        "version": __version__,
-    }
-
-
-def add_scores(card: Path, config: RunConfig, data: Collection) -> dict[str, Any]:
-    """Judge a model on the test samples of its run's split, and enter that in its card.
-
-    Returns:
-        As of `judge`.
-
-    Raises:
-        FileError: If the card cannot be written; the one before is kept.
-    """
-    judged = judge(card, data, data.parts(str(config.split)), seed=config.seed)
-    told = read_card(card)
-    told["skill"] = {str(config.split): judged["scores"][MODEL]}
-    told["baselines"] = {name: table for name, table in judged["scores"].items() if name != MODEL}
-    write_text(card, card_text(told))
-    return judged
-
+__all__ = ["train_run"]
 
 Say = Callable[[Mapping[str, Any]], None]
 
