@@ -95,7 +95,7 @@ def test_differences_are_told_against_the_whole_or_against_nothing(tmp_path: Pat
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("ablation")
     settings = experiment.resolve("smoke", {"samples": 10, "contact.trees": 2})
     result = run_sweep(experiment, settings, tmp_path / "out", source=real_data / "vision2tactile")

@@ -53,7 +53,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side() -> No
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("learning_curve")
     few = {"grounds": [SIMULATED], "scene": "config/scenes/deformables.yaml", "samples": 24, "effort": 0.01}
     few |= {"simulated_objects": [2, 3], "seeds": [0, 1]}

@@ -21,7 +21,7 @@ from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.metrics import score
 from foretouch.tactile.modalities import MODALITIES
 
-RESULTS = Path(__file__).parents[3] / "docs/results"
+RESULTS = Path(__file__).parents[2] / "docs/results"
 
 FROZEN = {
     ("random", 5): "ea0a330fda25b70bdcc53c8a60fa26062f06e171a1b49d86af5760f61a6ed155",

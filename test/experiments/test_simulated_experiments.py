@@ -14,7 +14,7 @@ from foretouch.experiments.shared.simulated_data import SimulatedSettings, besid
 from foretouch.experiments.sim_to_real.teacher import LEANINGS
 from foretouch.types import Cloud, Grasp, GraspSample
 
-SCENES = Path(__file__).parents[3] / "config" / "scenes"
+SCENES = Path(__file__).parents[2] / "config" / "scenes"
 
 
 def swept(name: str, out: Path, source: Path | None = None, **changes: Any) -> list[dict[str, Any]]:

@@ -185,7 +185,7 @@ def test_a_contact_model_has_no_validation() -> None:
 
 
 @pytest.mark.parametrize(
-    "recipe", sorted((Path(__file__).parents[2] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
+    "recipe", sorted((Path(__file__).parents[3] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
 )
 def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
     resolved = RunConfig.from_mapping(load_yaml(recipe), recipe.name)
@@ -193,7 +193,7 @@ def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
 
 
 def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
-    recipe = Path(__file__).parents[2] / "config/train/p2_srgan.yaml"
+    recipe = Path(__file__).parents[3] / "config/train/p2_srgan.yaml"
     chosen = RunConfig.from_mapping(load_yaml(recipe))
     loss = chosen.srgan.loss
     assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
