@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from foretouch.simulation.effect import SampleState
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
 SPONGE = {

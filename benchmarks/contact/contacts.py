@@ -16,7 +16,7 @@ from foretouch.simulation.contact import (
     pad_direction,
     pad_window,
 )
-from foretouch.simulation.contact.surfaces import bent_surface, wedge
+from foretouch.simulation.contact.pad import bent_surface, wedge
 
 
 def random_contacts(

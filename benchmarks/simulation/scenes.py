@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.dataset.store import sample_digest
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
 
 FOLDER = Path(__file__).parents[2] / "config" / "scenes"

@@ -18,8 +18,8 @@ from sim_builders import CAN, scene
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.clouds import cloud_from_msg
 from foretouch.ros.nodes.camera import CameraNodeConfig
-from foretouch.simulation.frames import FrameMaker
 from foretouch.simulation.message_faults import FaultConfig
+from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.simulation.show import ShowConfig
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 

@@ -6,11 +6,10 @@ import pytest
 from sim_builders import CAN, SPONGE, scene
 
 from foretouch.errors import CloudError, SimulationError
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
 from foretouch.simulation.engine import Engine, explain, plan_chain
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 
 SCENE = scene()
 

@@ -4,7 +4,7 @@ from sim_builders import CAN, EVERY_CAMERA_FAULT, run, scene
 
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.simulation.depth_scene import FIRST_OBJECT
-from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.scene_camera import FrameMaker
 
 
 def test_a_frame_shows_the_sample_of_its_slot() -> None:

@@ -6,9 +6,8 @@ from sim_builders import CAN, scene
 from foretouch.camera import RealSenseConfig, open_camera
 from foretouch.camera.library import realsense
 from foretouch.errors import MissingDependencyError
-from foretouch.simulation.frames import FrameMaker
 from foretouch.simulation.message_faults import FaultConfig
-from foretouch.simulation.scene_camera import SceneImages, scene_camera
+from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera
 from foretouch.simulation.show import ShowConfig
 
 START = 1_763_000_000_000_000_000

@@ -4,7 +4,7 @@ import pytest
 from sim_builders import CAN, scene
 
 from foretouch.errors import ConfigError, FileError
-from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.simulation.show import ShowConfig, middle_of
 
 START = 1_763_000_000_000_000_000

@@ -11,8 +11,7 @@ from foretouch.errors import SimulationError
 from foretouch.grasp import plan_grasps
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import SimulatedSample, Simulation, replay
-from foretouch.simulation.streams import SampleKey
-from foretouch.simulation.world import World
+from foretouch.simulation.world import SampleKey, World
 from foretouch.tactile import check_touch
 from foretouch.types import GraspSample
 

@@ -3,7 +3,7 @@ import hashlib
 
 import numpy as np
 
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 
 
 def test_a_stream_is_seeded_by_scene_name_slot_and_attempt() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from foretouch.simulation import random_scene
-from foretouch.simulation.swing import swinging
+from foretouch.simulation.scene_camera import swinging
 
 
 def _column(labels: np.ndarray, label: int) -> float:

@@ -95,7 +95,7 @@ def _explain(scene: SceneConfig, as_json: bool) -> int:
 def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
     from foretouch.errors import SimulationError
     from foretouch.simulation.simulate import replay
-    from foretouch.simulation.streams import SampleKey
+    from foretouch.simulation.world import SampleKey
 
     slot, _, attempt = which.partition(".")
     if not slot.isdecimal() or (attempt and not attempt.isdecimal()):

@@ -13,11 +13,9 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
 from foretouch.errors import ForetouchError, SimulationError
-from foretouch.simulation.effects import Effect, Job, guarded
+from foretouch.simulation.effect import Effect, Job, SampleState, guarded
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.streams import SampleKey
-from foretouch.simulation.world import World
+from foretouch.simulation.world import SampleKey, World
 
 __all__ = ["EffectPlan", "EffectTiming", "Engine", "explain", "plan_chain"]
 

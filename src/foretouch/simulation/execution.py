@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hand that executes grasps on the objects of a scene: what its fingertips read, message by message.
+"""Fingertips at rest, one message after the other, for as long as anybody listens.
+
+A hand that executes grasps on the objects of a scene: what its fingertips read, message by message.
 
 The contact of a grasp is solved once, for the object as it lay when the grasp was planned; the course of time only
 says how much of it is there. The same effects run as in a data set, and only those that the scene calls for.
@@ -14,20 +16,50 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import SimulationError
-from foretouch.simulation.effects import Effect, Job, always, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
+from foretouch.simulation.effects import contact, grasp, meeting, place, reading
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.fingertip import quantise, temperature_drift, warming
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import TimelineConfig
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.steps import contact, grasp, meeting, place, reading
-from foretouch.simulation.streams import SampleKey
-from foretouch.simulation.world import World
+from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
-__all__ = ["Course", "CourseConfig", "SimulatedHand"]
+__all__ = ["Course", "CourseConfig", "RestingFingers", "SimulatedHand"]
+
+
+_BLOCK = 200  # messages that are made at a time
+_STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
+
+
+class RestingFingers:
+    """Readings without contact, each new.
+
+    Args:
+        hand: Whose fingers; nobody else may use it at the same time.
+        stream: Two with another number have noise of their own.
+    """
+
+    def __init__(self, hand: SimulatedHand, stream: int = 0) -> None:
+        self._hand = hand
+        self._repeat = _STREAMS * (stream + 1)
+        self._rows: npt.NDArray[np.int16] = np.empty((0, 2, 25), np.int16)
+        self._next = 0
+
+    def read(self, elapsed_s: float) -> npt.NDArray[np.int16]:
+        """(2, 25) int16 counts: thumb and middle finger, PDC then electrodes.
+
+        Args:
+            elapsed_s: Time since the hand was switched on [s].
+        """
+        if self._next == len(self._rows):
+            self._rows, self._next = self._hand.rest(_BLOCK, self._repeat, elapsed_s), 0
+            self._repeat += 1
+        self._next += 1
+        return np.asarray(self._rows[self._next - 1], np.int16)
+
 
 Counts = npt.NDArray[np.int16]
 

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene as a camera: images of its samples, fed to librealsense's software device.
+"""A scene in motion, for cameras that should not see the same image twice in a row.
+
+What the camera of a scene gives: whole images, for camera nodes, recordings and software devices.
+
+A scene as a camera: images of its samples, fed to librealsense's software device.
 
 From there on all is the code that a real camera runs.
 """
@@ -9,16 +13,90 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 
 from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
-from foretouch.simulation.depth_scene import DepthImage
-from foretouch.simulation.frames import FrameMaker
+from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene
+from foretouch.simulation.effects import place, view
+from foretouch.simulation.engine import Engine
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.world import SampleKey, World
 
-__all__ = ["SceneImages", "scene_camera"]
+__all__ = ["FrameMaker", "SceneImages", "scene_camera", "swinging"]
+
+
+_REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
+
+
+def swinging(
+    scene: DepthScene, count: int, *, rng: np.random.Generator | None = None, noise_m: float = 0.0
+) -> list[DepthImage]:
+    """Frames of one period in which the first object swings to and fro along x.
+
+    Args:
+        scene: At rest; without objects all frames show the same.
+        count: How many frames make the period.
+        rng: Of the noise; may be None without.
+        noise_m: As for `DepthScene.render` [m].
+    """
+    images = []
+    for phase in 2.0 * np.pi * np.arange(count) / count:
+        offset = np.array([_REACH_M * np.sin(phase), 0.0, 0.0])
+        images.append((scene.moved(0, offset) if scene.objects else scene).render(rng, noise_m))
+    return images
+
+
+_GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
+
+
+class FrameMaker:
+    """Makes images of a scene; slot k shows what sample k was taken from, with camera noise of its own.
+
+    Args:
+        scene: The scene. Effects of hand and fingers do not run.
+    """
+
+    def __init__(self, scene: SceneConfig) -> None:
+        self.scene = scene
+        self._world = World.of(scene)
+        seeing = [replace(effect, again=True) for effect in view.FRAME_EFFECTS]
+        self._engine = Engine(scene, (*place.EFFECTS, *seeing), ("depth", "labels", "normals"))
+
+    def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
+        """One image.
+
+        Args:
+            slot: Which sample of the scene.
+            attempt: Which try at it.
+            repeat: How often it was seen before: objects stay, the camera's noise is another.
+
+        Raises:
+            SimulationError: If clutter finds no place.
+        """
+        state = self._engine.run(SampleKey(self.scene.seed, slot, attempt, repeat))
+        millimetres = np.where(np.isfinite(state.depth), np.rint(state.depth * 1000.0), 0.0)
+        depth_mm = np.where((millimetres > 0.0) & (millimetres < 65536.0), millimetres, 0.0).astype(np.uint16)
+        colours = _GREY[np.minimum(state.labels, FIRST_OBJECT)]
+        item = self.scene.objects[slot % len(self.scene.objects)]
+        if item.colour is not None:
+            colours[state.labels == FIRST_OBJECT] = item.colour
+        shade = np.where(state.labels > TABLE, 0.35 + 0.65 * np.abs(state.normals[..., 2]), 1.0)
+        rgb = (colours * shade[..., None]).astype(np.uint8)
+        view_ = self._world.view
+        return DepthImage(depth_mm, rgb, state.labels, view_.matrix, self._world.plane.coefficients)
+
+    def nothing(self) -> DepthImage:
+        """An image without depth, and black."""
+        view_ = self._world.view
+        depth = np.zeros((view_.height, view_.width), np.uint16)
+        rgb, labels = np.zeros((*depth.shape, 3), np.uint8), np.zeros(depth.shape, np.int32)
+        return DepthImage(depth, rgb, labels, view_.matrix, self._world.plane.coefficients)
+
 
 _LOG = logging.getLogger(__name__)
 _MS_NS = 1_000_000

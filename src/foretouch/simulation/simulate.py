@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 
 from foretouch.errors import SimulationError
+from foretouch.simulation.effect import SampleState
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explain
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
 
 __all__ = ["SAMPLE_KEYS", "Failure", "SimulatedSample", "Simulation", "explain_scene", "replay"]

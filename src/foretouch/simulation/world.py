@@ -1,22 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all samples of a scene share: the camera's rays and the table in its frame."""
+"""What all samples of a scene share (camera rays, table, fingers), and the random streams of each sample.
+
+Each effect of each sample draws from a random stream of its own, so that adding an effect, or drawing more in one, changes the numbers
+of no other effect, and a sample can be generated again alone on any worker.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
 
 from foretouch.simulation.fingertip import Finger, draw_finger
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.streams import SampleKey
 from foretouch.simulation.view import CameraView
 from foretouch.types import Float64, Plane
 
-__all__ = ["CAMERA_FRAME", "World"]
+__all__ = ["CAMERA_FRAME", "SampleKey", "World"]
 
 CAMERA_FRAME = "camera_depth_optical_frame"
+
+
+@dataclass(frozen=True)
+class SampleKey:
+    """Which sample: with the scene it decides every number.
+
+    Attributes:
+        seed: Of the scene.
+        slot: Place of the sample in the data set, from 0.
+        attempt: How many tries at this place have failed before, from 0.
+        repeat: How often the same grasp of the same object was executed before, from 0.
+    """
+
+    seed: int
+    slot: int
+    attempt: int = 0
+    repeat: int = 0
+
+    def stream(self, name: str, *, again: bool = False) -> np.random.Generator:
+        """The stream of one effect in this sample.
+
+        Args:
+            name: Of the effect.
+            again: Whether a repeat of the grasp draws other numbers.
+        """
+        words = (self.seed, *_words(name), self.slot, self.attempt)
+        if again and self.repeat:
+            words = (*words, self.repeat)
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))
+
+
+@lru_cache(maxsize=256)
+def _words(name: str) -> tuple[int, ...]:
+    digest = hashlib.sha256(name.encode()).digest()
+    return tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4))
 
 
 @dataclass(frozen=True, eq=False)

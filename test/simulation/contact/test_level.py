@@ -18,7 +18,7 @@ from foretouch.simulation.contact import (
     pad_window,
     solve_contact,
 )
-from foretouch.simulation.contact.surfaces import bent_surface, wedge
+from foretouch.simulation.contact.pad import bent_surface, wedge
 from foretouch.simulation.fingertip import THUMB, FingertipConfig, draw_finger, read_contact
 
 FINGER = draw_finger(THUMB, np.random.default_rng(0))

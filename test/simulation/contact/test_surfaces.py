@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from foretouch.simulation.contact.surfaces import bent_surface, tilted, wedge
+from foretouch.simulation.contact.pad import bent_surface, tilted, wedge
 
 X, Y = np.meshgrid(np.linspace(-0.005, 0.005, 11), np.linspace(-0.005, 0.005, 11))
 

@@ -6,7 +6,7 @@ import pytest
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.objects import SHAPES, TriangleMesh, unit_mesh
-from foretouch.simulation.objects.surfaces import revolved, rounded_box, star_shaped
+from foretouch.simulation.objects.mesh import revolved, rounded_box, star_shaped
 
 MEMBERS = [(shape, 0) for shape in SHAPES] + [("random", k) for k in range(1, 12)]
 

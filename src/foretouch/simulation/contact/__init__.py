@@ -4,7 +4,7 @@
 Hertz, Winkler and the elastic layer share one problem and one solution; `grip` closes two fingers.
 """
 
-from foretouch.simulation.contact.grip import BALANCE_TOLERANCE, GripSolution, solve_grip
+from foretouch.simulation.contact.grip import BALANCE_TOLERANCE, GripSolution, HeldWeight, solve_grip, weigh
 from foretouch.simulation.contact.hertz import solve_hertz
 from foretouch.simulation.contact.layer import solve_layer
 from foretouch.simulation.contact.level import LEVELS, Level, choose_level, solve_contact
@@ -27,7 +27,6 @@ from foretouch.simulation.contact.problem import (
     ContactSolution,
     Layer,
 )
-from foretouch.simulation.contact.statics import HeldWeight, weigh
 from foretouch.simulation.contact.winkler import bed_stiffness, solve_winkler
 
 __all__ = [

@@ -14,18 +14,32 @@ from foretouch.simulation.fingertip.ageing import (
     temperature_drift,
     warming,
 )
-from foretouch.simulation.fingertip.electrodes import (
+from foretouch.simulation.fingertip.fingertip import (
+    MIDDLE_FINGER,
+    THUMB,
     ElectrodeConfig,
+    Finger,
+    FingerConfig,
+    FluidConfig,
     counts_at,
+    displaced_volume,
+    draw_finger,
     electrode_counts,
     electrode_weights,
+    pdc_counts,
     skin_approach,
 )
-from foretouch.simulation.fingertip.finger import MIDDLE_FINGER, THUMB, Finger, FingerConfig, draw_finger
-from foretouch.simulation.fingertip.fluid import FluidConfig, displaced_volume, pdc_counts
-from foretouch.simulation.fingertip.noise import NoiseConfig, ScanConfig, fresh_samples, hold, wander, white_noise
+from foretouch.simulation.fingertip.noise import (
+    NoiseConfig,
+    ScanConfig,
+    SteadyNoise,
+    fresh_samples,
+    hold,
+    steady_noise,
+    wander,
+    white_noise,
+)
 from foretouch.simulation.fingertip.reading import FingertipConfig, Reading, quantise, read_contact, rest_reading
-from foretouch.simulation.fingertip.statistics import SteadyNoise, steady_noise
 
 __all__ = [
     "MIDDLE_FINGER",

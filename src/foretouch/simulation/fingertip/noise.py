@@ -4,10 +4,14 @@
 The defaults are fitted to recordings of a BioTac SP in steady touch at 100 Hz (see `statistics`). The
 electrodes are sampled one after the other in a ring; each message takes what has been sampled since
 the last one, about 17 of 24, and repeats the rest: a block of about eight that moves on from row to row.
+
+How noisy steady counts are: one estimator for recordings and for the simulation.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +21,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.types import Float64
 
-__all__ = ["NoiseConfig", "ScanConfig", "fresh_samples", "hold", "wander", "white_noise"]
+__all__ = ["NoiseConfig", "ScanConfig", "SteadyNoise", "fresh_samples", "hold", "steady_noise", "wander", "white_noise"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,3 +104,57 @@ def hold(series: Float64, fresh: npt.NDArray[np.bool_]) -> Float64:
         raise TactileError(f"fresh: {np.count_nonzero(~fresh[0])} channels have no first value")
     rows = np.where(fresh, np.arange(len(series))[:, None], 0)
     return np.asarray(np.take_along_axis(series, np.maximum.accumulate(rows, axis=0), axis=0))
+
+
+_FEWEST_ROWS = 10
+
+
+@dataclass(frozen=True)
+class SteadyNoise:
+    """Noise of electrodes in steady touch.
+
+    Attributes:
+        sd: Standard deviation of the white part [counts]: root mean square of the steps that move, over √2.
+            A slow change hardly enters a step, and a repeated value none.
+        repeated: Share of values equal to the one before.
+        lag1: Autocorrelation at one row about each channel's straight line, median of the channels.
+    """
+
+    sd: float
+    repeated: float
+    lag1: float
+
+
+def steady_noise(series: Sequence[npt.ArrayLike]) -> SteadyNoise:
+    """Estimate the noise of one or more series.
+
+    Args:
+        series: Each (T, C) counts at a steady rate; T and C may differ.
+
+    Raises:
+        TactileError: If there is none, one has fewer than ten rows, or nothing moves in any.
+    """
+    steps: list[npt.NDArray[np.float64]] = []
+    lags: list[npt.NDArray[np.float64]] = []
+    for k, one in enumerate(series):
+        counts = np.asarray(one, np.float64)
+        if counts.ndim != 2 or len(counts) < _FEWEST_ROWS:
+            raise TactileError(f"series[{k}]: shape {counts.shape} is not (T, C) with T at least {_FEWEST_ROWS}")
+        steps.append(np.diff(counts, axis=0).ravel())
+        lags.append(_lag1(counts))
+    every = np.concatenate(steps) if steps else np.empty(0)
+    moves = every[every != 0.0]
+    if not moves.size:
+        raise TactileError("series: nothing moves in any of them")
+    sd = math.sqrt(float(np.mean(moves**2)) / 2.0)
+    return SteadyNoise(sd, 1.0 - moves.size / every.size, float(np.median(np.concatenate(lags))))
+
+
+def _lag1(counts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Of each channel that departs from its straight line."""
+    time = np.arange(len(counts)) - (len(counts) - 1) / 2.0
+    rest = counts - counts.mean(axis=0)
+    rest = rest - np.outer(time, time @ rest / (time @ time))
+    squares = np.einsum("tc,tc->c", rest, rest)
+    moving = squares > 0.0
+    return np.asarray(np.einsum("tc,tc->c", rest[1:], rest[:-1])[moving] / squares[moving])

@@ -13,14 +13,16 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
 from foretouch.simulation.contact.pad import PadConfig, PadWindow
 from foretouch.simulation.contact.problem import ContactSolution
-from foretouch.simulation.fingertip.electrodes import (
+from foretouch.simulation.fingertip.fingertip import (
     ElectrodeConfig,
+    Finger,
+    FluidConfig,
+    displaced_volume,
     electrode_counts,
     electrode_weights,
+    pdc_counts,
     skin_approach,
 )
-from foretouch.simulation.fingertip.finger import Finger
-from foretouch.simulation.fingertip.fluid import FluidConfig, displaced_volume, pdc_counts
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import Float64
 

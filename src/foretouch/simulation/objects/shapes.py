@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shapes by name, each in a unit box: a scene scales them to the size of its object.
+"""A family of shapes that no catalogue holds, for learning to generalise: superquadrics, vases and blobs.
+
+The shapes by name, each in a unit box: a scene scales them to the size of its object.
 
 P1 grasped cans and boxes, P2 a stuffed Minion, a flat ball, a sponge and a stuffed volleyball. None of their
 meshes is public; these are made here from formulas, with the features that a fingertip or a camera can tell.
@@ -15,12 +17,58 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects.family import random_shape
-from foretouch.simulation.objects.mesh import TriangleMesh
-from foretouch.simulation.objects.surfaces import revolved, rounded_box, star_shaped
+from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, star_shaped
 from foretouch.types import Float64
 
-__all__ = ["SHAPES", "unit_mesh"]
+__all__ = ["SHAPES", "random_shape", "unit_mesh"]
+
+
+_HARMONICS = 6  # waves of a blob
+
+
+def random_shape(rng: np.random.Generator) -> TriangleMesh:
+    """One member, of roughly unit size; all is drawn from `rng`."""
+    kind = rng.integers(3)
+    return (_superquadric, _vase, _blob)[kind](rng)
+
+
+def _superquadric(rng: np.random.Generator) -> TriangleMesh:
+    """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
+    p, q = rng.uniform(2.0, 8.0, 2)
+    stretch = rng.uniform(0.6, 1.0, 3)
+
+    def radius(d: Float64) -> Float64:
+        x, y, z = np.abs(d / stretch).T
+        return np.asarray(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q), np.float64)
+
+    return star_shaped(radius)
+
+
+def _vase(rng: np.random.Generator) -> TriangleMesh:
+    """A turned profile with bellies and necks, at least 25 mm where the box is 100 mm."""
+    height = np.linspace(0.0, 1.0, 48)
+    waves = sum(rng.normal(0.0, 0.22 / k) * np.cos(np.pi * k * height + rng.uniform(0.0, 6.28)) for k in range(1, 5))
+    radius = np.clip(0.4 + waves, 0.18, 0.75)
+    rim = 0.04 * np.sqrt(np.linspace(0.0, 1.0, 8)[1:])  # rounds the two ends off
+    radius[:7] *= 0.92 + 2.0 * rim
+    radius[-7:] *= (0.92 + 2.0 * rim)[::-1]
+    ring = np.stack([radius, height], axis=1)
+    return revolved(np.concatenate([[(0.0, 0.0)], ring, [(0.0, 1.0)]]))
+
+
+def _blob(rng: np.random.Generator) -> TriangleMesh:
+    """A ball with smooth waves in random directions."""
+    axes = rng.standard_normal((_HARMONICS, 3))
+    axes *= (rng.uniform(1.0, 4.0, _HARMONICS) / np.linalg.norm(axes, axis=1))[:, None]
+    phase = rng.uniform(0.0, 2.0 * np.pi, _HARMONICS)
+    height = rng.uniform(0.02, 0.14, _HARMONICS)
+    stretch = rng.uniform(0.6, 1.0, 3)
+
+    def radius(d: Float64) -> Float64:
+        ellipsoid = 1.0 / np.linalg.norm(d / stretch, axis=1)
+        return np.asarray(ellipsoid * (1.0 + np.sin(d @ axes.T + phase) @ height), np.float64)
+
+    return star_shaped(radius)
 
 
 def _can() -> TriangleMesh:

@@ -16,10 +16,8 @@ import numpy as np
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.scene.camera import CameraConfig
-from foretouch.simulation.scene.families import FamiliesConfig
-from foretouch.simulation.scene.fingers import FingersConfig
-from foretouch.simulation.scene.grasps import GraspsConfig
-from foretouch.simulation.scene.things import ClutterConfig, ObjectConfig, TableConfig
+from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
+from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
 
 __all__ = ["FIDELITIES", "GravityConfig", "SceneConfig", "load_scene"]
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from foretouch.errors import GraspError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
-from foretouch.simulation.effects import Effect, Job, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.hand import FingerFrame, finger_frames
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.state import SampleState
 from foretouch.types import Float64, Grasp
 
 __all__ = ["EFFECTS"]

@@ -9,8 +9,7 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_scene import FIRST_OBJECT
-from foretouch.simulation.effects import Effect, Job, always, called_for, keys
-from foretouch.simulation.state import SampleState
+from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.types import Cloud
 

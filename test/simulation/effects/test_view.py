@@ -6,13 +6,12 @@ from sim_builders import CAN, run, scene
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
+from foretouch.simulation.effect import SampleState
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.primitives import Box
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
-from foretouch.simulation.world import World
+from foretouch.simulation.world import SampleKey, World
 
 FLAT = {
     "name": "box",

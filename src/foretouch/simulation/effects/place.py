@@ -9,10 +9,9 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.body import Body
-from foretouch.simulation.effects import Effect, Job, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.scene import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.state import SampleState
 from foretouch.types import Float64
 
 __all__ = ["EFFECTS"]

@@ -9,10 +9,9 @@ import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip, weigh
-from foretouch.simulation.effects import Effect, Job, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, called_for, keys
 from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.state import SampleState
 
 __all__ = ["EFFECTS"]
 

@@ -10,11 +10,10 @@ import numpy as np
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.body import Body
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.effects import Effect, Job, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.pressing import pad_of, surface_behind
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.state import SampleState
 from foretouch.types import Float64
 
 __all__ = ["EFFECTS"]

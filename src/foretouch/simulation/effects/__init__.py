@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The effects themselves, in the order in which those that change one key are applied."""
 
-from foretouch.simulation.steps import contact, grasp, meeting, place, points, reading, view
+from foretouch.simulation.effects import contact, grasp, meeting, place, points, reading, view
 
 __all__ = ["EFFECTS"]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
-from foretouch.simulation.effects import Effect, Job, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.fingertip import (
     Finger,
     creep,
@@ -28,8 +28,7 @@ from foretouch.simulation.fingertip import (
 from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, pad_of, surface_behind
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.state import SampleState
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, Float64, Touch
 
 __all__ = ["EFFECTS"]
