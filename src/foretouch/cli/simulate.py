@@ -39,10 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting of the scene")
     parser.add_argument(
-        "--explain", action="store_true", help="tell which effects will run, and for which field; run none"
+        "--explain",
+        action="store_true",
+        help="list the effects that would run and the field that enables each; run nothing",
     )
     parser.add_argument(
-        "--replay", metavar="SLOT[.ATTEMPT]", help="make one try again and tell what it gives or why it fails"
+        "--replay", metavar="SLOT[.ATTEMPT]", help="repeat one attempt and print its sample or why it failed"
     )
     parser.add_argument("--no-sheet", action="store_true", help=f"do not draw {SHEET}")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and nothing else there")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world of its own: solids on a table, seen by a simulated depth camera."""
+"""The simulator: objects on a table, a simulated depth camera, and BioTac SP fingertips that press on the objects."""
 
 from foretouch.simulation.depth_scene import DepthImage, DepthScene, random_scene
 from foretouch.simulation.primitives import Box, Cylinder, Primitive, Sphere

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mesh with a size and a pose, and where rays meet it.
 
-The mesh stays in its unit box, and rays are brought there instead: the search tree is built once a shape, whatever
+The mesh stays in its unit box, and rays are brought there instead: the search tree is built once a shape, for any
 the sizes and poses. A ray's parameter t is the same in both frames, since the map between them is linear.
 """
 

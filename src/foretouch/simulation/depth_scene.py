@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random household-sized solids that stand or lie on the table, in view and apart from each other.
+"""Scenes of random household-sized solids on a table, seen by a D415: exact depth, labels, plane, and camera effects.
 
-Solids on a table seen by a D415: exact depth, labels and plane, and what the camera adds to them.
+The solids stand or lie on the table, in view and apart from each other.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class SampleState:
         load: (T,) float64, 0 without contact and 1 in full contact.
         hold_row: The message that is the touch; the tare is the median of those before the first load.
         series: (T, 2, 25) float64 [counts], what the sensor makes of it.
-        touch: What the sensor says in contact.
+        touch: Readings in contact [counts].
         tare: What it said before.
     """
 
@@ -102,7 +102,7 @@ Needed = Callable[[SceneConfig, ObjectConfig], str | None]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What an effect may know besides the state.
+    """What an effect may read besides the state.
 
     Attributes:
         scene: The scene.

@@ -127,7 +127,7 @@ class Engine:
             item: In place of that object: one that calls for the same effects, such as itself of another material.
 
         Raises:
-            SimulationError: If an effect refuses; `reason` says of which kind.
+            SimulationError: If an effect refuses; `reason` names the kind.
         """
         index = key.slot % len(self.scene.objects)
         item = self.scene.objects[index] if item is None else item

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fingertips at rest, one message after the other, for as long as anybody listens.
-
-A hand that executes grasps on the objects of a scene: what its fingertips read, message by message.
+"""A simulated hand that executes grasps on the objects of a scene: the readings of its fingertips, message by message.
 
 The contact of a grasp is solved once, for the object as it lay when the grasp was planned; the course of time only
-says how much of it is there. The same effects run as in a data set, and only those that the scene calls for.
+scales it. The same effects run as in a data set, and only those that the scene calls for. Between grasps, `RestingFingers`
+generates the readings of fingertips that touch nothing.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ class Course:
 
     Attributes:
         counts: (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them.
-        start: Row at which the hand begins to close.
+        start: Row at which the hand starts to close.
         onset: Row of first touch; None where a finger never touches.
         contact: Row from which on contact is steady; None likewise.
         release: First row after steady contact; None likewise.
@@ -114,7 +113,7 @@ class Course:
 
     @property
     def success(self) -> bool:
-        """Whether both fingers held the object."""
+        """Whether both fingers kept hold of the object."""
         return not self.reason
 
     def phase(self, row: int) -> str:
@@ -132,8 +131,8 @@ class SimulatedHand:
     """Two fingertips and the objects of a scene.
 
     Args:
-        scene: The scene. Its camera takes no part, and its `fingers.timeline` gives way to `config`.
-        config: How a grasp goes in time.
+        scene: The scene. Its camera takes no part, and its `fingers.timeline` is replaced by `config`.
+        config: Timing of a grasp.
     """
 
     def __init__(self, scene: SceneConfig, config: CourseConfig | None = None) -> None:
@@ -224,7 +223,7 @@ class SimulatedHand:
             message=str(err),
         )
 
-    # Effects of its own.
+    # Effects that run for an execution only.
 
     def _given(self) -> Effect:
         """In place of planning: the grasp that was asked for."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with messages between a sensor and those who listen: for tests of what must survive it."""
+"""Faults of messages between a sensor and its subscribers (loss, jitter, duplicates), for robustness tests."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene's words in the contact solver's: surfaces, layers and commands."""
+"""From a scene to contact problems: surfaces, layers and commands for the contact solver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BACK_M = 0.03  # how far in front of the tangent plane the rays start
 
 
 def layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:
-    """What gives way: the pad and, if it is soft, the object."""
+    """The elastic layers in contact: the pad and, if it is soft, the object."""
     pad = scene.fingers.pad.layer
     if item.young_pa is None or item.thickness_m is None:
         return (pad,)

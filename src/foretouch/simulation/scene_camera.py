@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene in motion, for cameras that should not see the same image twice in a row.
+"""A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-What the camera of a scene gives: whole images, for camera nodes, recordings and software devices.
-
-A scene as a camera: images of its samples, fed to librealsense's software device.
-
-From there on all is the code that a real camera runs.
+From there on the code is that of a real camera. `swinging` moves the objects a little, so that no two images in a row are equal.
 """
 
 from __future__ import annotations
@@ -55,7 +51,7 @@ _GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  #
 
 
 class FrameMaker:
-    """Makes images of a scene; slot k shows what sample k was taken from, with camera noise of its own.
+    """Makes images of a scene; slot k shows the scene of sample k, with independent camera noise.
 
     Args:
         scene: The scene. Effects of hand and fingers do not run.
@@ -100,7 +96,7 @@ class FrameMaker:
 
 _LOG = logging.getLogger(__name__)
 _MS_NS = 1_000_000
-_VIEWS = 4  # of one sample, each with noise of its own; rendering takes most of a core
+_VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
 
 
 class SceneImages:
@@ -115,8 +111,8 @@ class SceneImages:
     Args:
         scene: The scene.
         show: Which sample is on the table when.
-        faults: Of the camera's clock, and images that get lost. A sample is on the table when the camera's clock
-            says so, whatever the fault, so that a stamp still tells which it is.
+        faults: Of the camera's clock, and images that get lost. The camera's clock alone
+            decides which sample is on the table, so that a stamp identifies the sample in spite of the faults.
         clock_ns: Time of day [ns].
     """
 

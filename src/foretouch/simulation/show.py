@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene on show: which of its samples lies on the table at a given time.
+"""A scene over time: which of its samples is on the table at a given stamp.
 
-Camera and hand are nodes of their own, perhaps in processes of their own; a stamp is all that both know of a cloud.
+Camera and hand are separate nodes, perhaps in separate processes; the stamp is all that they share about a cloud.
 So the sample is a function of the stamp, and the hand touches the very object that the camera saw.
 """
 
@@ -27,7 +27,7 @@ class ShowConfig(Settings):
 
     path: str = setting("", "Scene file (YAML)", read_only=True)
     dwell_s: float = setting(
-        3.0, "How long each sample lies on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
+        3.0, "How long each sample stays on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
     )
     samples: int = setting(1000, "Samples that are shown before the first comes again", minimum=1, read_only=True)
     origin_ns: int = setting(
@@ -38,7 +38,7 @@ class ShowConfig(Settings):
         """The scene.
 
         Raises:
-            ConfigError: If there is no path, or what the file says breaks a rule.
+            ConfigError: If there is no path, or the file breaks a rule.
         """
         if not self.path:
             raise ConfigError("path: is empty; name a scene file")

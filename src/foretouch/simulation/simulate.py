@@ -187,9 +187,10 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
 
 def _given_up(failures: list[Failure]) -> SimulationError:
     last = failures[-1]
-    told = ", ".join(f"{n} {reason}" for reason, n in Counter(f.reason for f in failures).items())
+    reasons = ", ".join(f"{n} {reason}" for reason, n in Counter(f.reason for f in failures).items())
     return SimulationError(
-        f"slot {last.key.slot}: given up after {len(failures)} attempts ({told}); the last: {last.message}", last.reason
+        f"slot {last.key.slot}: given up after {len(failures)} attempts ({reasons}); the last: {last.message}",
+        last.reason,
     )
 
 

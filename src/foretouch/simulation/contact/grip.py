@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the weight of a held object is shared by two fingers: statics of a rigid body on two points.
+"""Two fingers on opposite sides of one object, and how they share its weight.
 
-With a the unit vector from g1 to g2, L their distance, w the weight (a force vector) and c the centre of
+Statics of a rigid body on two points: with a the unit vector from g1 to g2, L their distance, w the weight (a force vector) and c the centre of
 mass, the forces of the fingers on the object balance w, and their moments balance (c - m) x w about the
 midpoint m:
 
     along a:    F1 - F2 + w·a = 0, hence the second finger carries w·a more than the first;
     across a:   T1 + T2 = -w_t and (L/2) a x (T2 - T1) = -[(c - m) x w]_t, the rule of the lever and the
                 couple of an object that hangs beside the line;
-    about a:    a·((c - m) x w) is left to the torsional friction of the pads and only told.
-
-Two fingers on opposite sides of one object.
+    about a:    a·((c - m) x w) is left to the torsional friction of the pads and only reported.
 
 Each finger has its own contact and its own command. In a balanced grip the object hangs freely between
 them: it moves along the line of the contacts until the pushes cancel, up to the share of its weight

@@ -34,7 +34,7 @@ from foretouch.types import Float64
 __all__ = ["solve_hertz"]
 
 _REACH = 3  # cells on each side of first touch that its curvature is fitted on
-_MIN_RATIO = 0.01  # shortest b / a told
+_MIN_RATIO = 0.01  # smallest b / a that is resolved
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conjugate gradients under the bound p >= 0 (Polonsky & Keer 1999, their steps 1 to 8).
+"""Contact of elastic layers or half-spaces: constrained conjugate gradients (Polonsky & Keer 1999).
 
-Where and how hard two bodies will press, guessed in closed form: the start of the iterative solver.
-
-A thick layer answers like a half-space, whose mean stiffness under a footprint of radius a is
+The start of the iteration is guessed in closed form. A thick layer answers like a half-space, whose mean stiffness under a footprint of radius a is
 4√2 / (3π) E* / a (from Hertz); a thin one like its bed of springs. The two are added. Between the limits
 the footprint shrinks from all cells that overlap (bed) to half that depth (Hertz), and the profile
 turns from linear in the overlap to its square root.
 
-Contact of elastic layers or half-spaces: constrained conjugate gradients (Polonsky & Keer 1999).
-
-With K the influence of pressure on displacement, the pressure solves
+`Descent` minimises under the bound p >= 0 (their steps 1 to 8). With K the influence of pressure on displacement, the pressure solves
 
     p >= 0,   r = K p + g - d >= 0,   p r = 0,
 

@@ -38,8 +38,8 @@ def choose_level(layers: Sequence[Layer]) -> tuple[Level, str]:
         layers: The compliant bodies, the pad's first.
     """
     if len(layers) == 1 and not math.isinf(layers[0].thickness_m):
-        return "winkler", "the object is rigid: only the thin skin gives way"
-    return "layer", "the object gives way too"
+        return "winkler", "the object is rigid: only the thin skin deforms"
+    return "layer", "the object deforms too"
 
 
 def solve_contact(

@@ -3,10 +3,10 @@
 
 Frame of the fingertip, as `foretouch.tactile.layout`: x along the finger towards its tip, -z towards the
 pad. The electrodes of the core lie on an ellipsoid of revolution about x; the skin is taken as the
-ellipsoid whose semi-axes are longer by the layer's thickness. The contact has a frame of its own: its
+ellipsoid whose semi-axes are longer by the layer's thickness. The contact has its own frame: its
 origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
 
-Heights of simple objects in the contact frame: what the pad is pressed on in examples and tests.
+`bent_surface`, `wedge` and `tilted` give heights of simple objects in the contact frame, for examples and tests.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class PadConfig(Settings):
     poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
     friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0)
     window_m: float = setting(0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4)
-    soft_window_m: float = setting(0.02, "The same for an object that gives way", unit="m", minimum=1e-4)
+    soft_window_m: float = setting(0.02, "The same for a soft object", unit="m", minimum=1e-4)
     cells: int = setting(24, "Cells a side of that square", minimum=3, maximum=512)
 
     @property
@@ -196,7 +196,7 @@ def gap_field(depth: Float64, object_height: Float64) -> Float64:
     if depth.shape != object_height.shape:
         raise ContactError(f"object_height: shape {object_height.shape} is not that of the pad, {depth.shape}")
     if np.isnan(object_height).any() or np.isposinf(object_height).any():
-        raise ContactError("object_height: holds NaN or +inf; -inf says that there is no surface")
+        raise ContactError("object_height: holds NaN or +inf; use -inf where there is no surface")
     gap = depth - object_height
     least = float(gap.min())
     if math.isinf(least):

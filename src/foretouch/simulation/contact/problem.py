@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every level of contact takes and gives: one problem, one solution.
+"""The contact problem and its solution, shared by all levels of fidelity.
 
 Two bodies meet across a gap. Each is a stack-free elastic layer bonded to a rigid base: the skin on the
 core of the fingertip and, if it is soft, the object. Only normal, frictionless contact is solved; strains
@@ -76,7 +76,7 @@ class Layer:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What the finger is told: a force or a depth, one of them.
+    """The command of a finger: either a force or a depth.
 
     Attributes:
         force_n: Normal force, at least 0 [N].

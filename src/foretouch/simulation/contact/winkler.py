@@ -27,7 +27,7 @@ from foretouch.types import Float64
 
 __all__ = ["bed_stiffness", "solve_winkler"]
 
-_MAX_POISSON = 0.45  # beyond, the confined modulus says more about ν than about the material
+_MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 
 
 def bed_stiffness(layer: Layer) -> float:

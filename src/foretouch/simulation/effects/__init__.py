@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effects themselves, in the order in which those that change one key are applied."""
+"""The effects of a scene, in the order in which effects that change the same key are applied."""
 
 from foretouch.simulation.effects import contact, grasp, meeting, place, points, reading, view
 

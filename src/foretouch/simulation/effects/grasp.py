@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the fingers as they really go."""
+"""Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the actual positions of the fingers with their execution error."""
 
 from __future__ import annotations
 

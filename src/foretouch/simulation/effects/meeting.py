@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where each pad meets the object, and the object's surface around that place."""
+"""Where each pad meets the object, and the object's surface around that point."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From measured depth to the cloud of the object, by the labels that the ray caster knows."""
+"""From measured depth to the cloud of the object, by the labels of the ray caster."""
 
 from __future__ import annotations
 

@@ -60,30 +60,30 @@ def _timeline(job: Job, state: SampleState) -> None:
     config = job.scene.fingers.timeline
     if config is None:
         return
-    rest, close, held = (max(1, round(s * config.rate_hz)) for s in (config.rest_s, config.close_s, config.hold_s))
+    rest, close, hold = (max(1, round(s * config.rate_hz)) for s in (config.rest_s, config.close_s, config.hold_s))
     ramp = np.arange(1, close) / close
-    state.load = np.concatenate([np.zeros(rest), ramp, np.ones(held), ramp[::-1], np.zeros(rest)])
+    state.load = np.concatenate([np.zeros(rest), ramp, np.ones(hold), ramp[::-1], np.zeros(rest)])
     state.times = np.arange(len(state.load)) / config.rate_hz
-    state.hold_row = rest + len(ramp) + held - 1
+    state.hold_row = rest + len(ramp) + hold - 1
     low, high = state.readings
     state.series = low + state.load[:, None, None] * (high - low)
 
 
 def _slip(job: Job, state: SampleState) -> None:
-    """The object slides down through the fingers while it is held.
+    """The object slides down through the fingers during the hold.
 
-    The contact is solved once more where the slip ends, and what is felt goes from one to the other along the path.
+    The contact is solved once more where the slip ends, and the readings change from one solution to the other along the path.
     """
     config, timeline = job.scene.fingers.slip, job.scene.fingers.timeline
     if config is None or timeline is None:
         return
-    held = state.load == 1.0
-    path = slip_path(config, int(np.count_nonzero(held)), timeline.rate_hz, job.rng())
+    in_hold = state.load == 1.0
+    path = slip_path(config, int(np.count_nonzero(in_hold)), timeline.rate_hz, job.rng())
     if path[-1] == 0.0:
         return
     moved = np.stack([_felt_after(job, state, k, float(path[-1])) for k in range(2)])
     share = (path / path[-1])[:, None, None]
-    state.series[held] += share * (moved - state.readings[1])
+    state.series[in_hold] += share * (moved - state.readings[1])
 
 
 def _felt_after(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:

@@ -170,7 +170,7 @@ _DEPTH_EFFECTS = (
         modifies=keys("depth"),
     ),
 )
-# From a window to measured depth, whatever the window.
+# From a window to measured depth, for any window.
 
 EFFECTS = (
     Effect("window", _object_window, always("camera"), reads=keys("bodies"), writes=keys("window")),
@@ -182,4 +182,4 @@ FRAME_EFFECTS = (
     Effect("window", _whole_window, always("camera"), writes=keys("window")),
     *_DEPTH_EFFECTS,
 )
-"""What a camera gives: the whole image."""
+"""A camera image: the whole frame."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The BioTac SP fingertip: from contact to counts, and what the sensor adds to them.
 
-Each effect is a pure function of its settings, its input and, where it is random, a generator of its own.
+Each effect is a pure function of its settings, its input and, where it is random, a generator given as an argument.
 """
 
 from foretouch.simulation.fingertip.ageing import (

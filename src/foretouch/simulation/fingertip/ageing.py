@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the fingertip remembers: creep of the skin, drift with temperature, electrodes that died, slip."""
+"""Effects with memory: creep of the skin, drift with temperature, electrodes that died, slip."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SlipConfig(Settings):
 def creep(config: CreepConfig, series: Float64, rate_hz: float, start: Float64 | None = None) -> Float64:
     """The skin's late answer: y = (1 - share) x + share · z, with dz/dt = (x - z) / time.
 
-    A held load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
+    A constant load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
     relaxation and hysteresis are one effect.
 
     Args:

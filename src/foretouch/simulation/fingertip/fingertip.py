@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What distinguishes one fingertip from another: rest and gain, which inflation, wear and make decide.
+"""One fingertip: rest level and gain (which vary with inflation, wear and make), the PDC channel and the electrodes.
 
-How the static pressure of the liquid (PDC) follows the contact.
+**PDC**: how the static pressure of the liquid (PDC) follows the contact.
 
 The contact pushes liquid aside until, near 2 N, the skin meets the core and the core takes the load (BioTac product
 manual). With u the skin's displacement, b the depth at which skin meets core and n the contact's normal:
 
     V = Σ_cells min(u, b) · cell,          PDC = rest + gain · span · c · tanh(V / V_sat)
 
-c = (n · pad)^k, the share of liquid pressure where the skin is not held: its rim is clamped to the nail side.
+c = (n · pad)^k, the share of liquid pressure where the skin is free: its rim is clamped to the nail side.
 The electrodes do not enter: where the contact lies decides them, and hardly V.
 
-How the 24 electrodes see the skin move.
-
-The liquid between skin and core conducts; where the skin comes closer, the path narrows and the
+**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core conducts; where the skin comes closer, the path narrows and the
 impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, Syntouch). Here:
 
     s_e = Σ_cells w_e u (n · n_e)+ - V / A          how much closer the skin is at electrode e [m]
     Z_e = Z_rest,e · exp(gain_e · s_e / thinning)   a layer that thins ever more slowly
     E_e = 4095 / (1 + Z_e / 10 kOhm)                counts, the inverse of `foretouch.tactile.to_kohm`
 
-with u the skin's displacement, w_e a Gaussian about the electrode's place on the skin, n the contact's
+with u the skin's displacement, w_e a Gaussian about the electrode's position on the skin, n the contact's
 normal, n_e the electrode's, and V / A the even bulge by which the displaced liquid V lifts the skin's area A.
 """
 
@@ -100,7 +98,7 @@ class Finger:
 
 
 def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
-    """One fingertip of a kind; the same random numbers are drawn whatever the spreads."""
+    """One fingertip of a kind; the same random numbers are drawn for any spread."""
     rest = config.electrode_rest + config.electrode_rest_spread * rng.standard_normal(ELECTRODES)
     gain = config.electrode_gain * np.exp(config.electrode_gain_spread * rng.standard_normal(ELECTRODES))
     return Finger(config.pdc_rest, config.pdc_gain, np.clip(rest, _LOWEST_REST, _HIGHEST_REST), gain)

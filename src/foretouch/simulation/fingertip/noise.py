@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What time adds to steady counts: white noise, slow wander, and a scan slower than the messages.
 
-The defaults are fitted to recordings of a BioTac SP in steady touch at 100 Hz (see `statistics`). The
+The defaults are fitted to recordings of a BioTac SP in steady touch at 100 Hz (see `steady_noise`). The
 electrodes are sampled one after the other in a ring; each message takes what has been sampled since
 the last one, about 17 of 24, and repeats the rest: a block of about eight that moves on from row to row.
-
-How noisy steady counts are: one estimator for recordings and for the simulation.
+`steady_noise` estimates the noise of steady counts, for recordings and for the simulation alike.
 """
 
 from __future__ import annotations

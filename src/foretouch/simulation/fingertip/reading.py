@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a solved contact to what the fingertip reads: the road that all contacts take."""
+"""From a solved contact to what the fingertip reads: the one function for all contacts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed triangle meshes: what rays meet.
-
-Three ways to a closed surface: turning a profile, pushing a sphere outwards, rounding a box.
+"""Closed triangle meshes for ray casting, and three ways to generate them: by revolving a profile, by scaling the
+directions of a sphere, and by rounding a box.
 """
 
 from __future__ import annotations

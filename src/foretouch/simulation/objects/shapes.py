@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A family of shapes that no catalogue holds, for learning to generalise: superquadrics, vases and blobs.
-
-The shapes by name, each in a unit box: a scene scales them to the size of its object.
+"""The shapes of objects by name, each in a unit box: a scene scales them to the size of its object.
 
 P1 grasped cans and boxes, P2 a stuffed Minion, a flat ball, a sponge and a stuffed volleyball. None of their
-meshes is public; these are made here from formulas, with the features that a fingertip or a camera can tell.
-All stand upright along z.
+meshes is public; these are made here from formulas, with features that a fingertip or a camera can distinguish.
+All stand upright along z. Random superquadrics, vases and blobs (`random_shape`) serve to learn to generalise.
 """
 
 from __future__ import annotations
@@ -86,12 +84,12 @@ def _box() -> TriangleMesh:
 
 
 def _ball() -> TriangleMesh:
-    """A ball; an ellipsoid where the object's size says so."""
+    """A ball; an ellipsoid if the edges of the object differ."""
     return star_shaped(lambda d: np.full(len(d), 0.5))
 
 
 def _flat_ball() -> TriangleMesh:
-    """A ball that has lost its air: it bulges where it lies, and its top has caved in."""
+    """A deflated ball: it bulges near the table, and its top has caved in."""
 
     def radius(d: Float64) -> Float64:
         cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: typed, read from YAML, contradictions named."""
+"""Scenes: typed settings read from YAML; contradictions are refused with a reason."""
 
 from foretouch.simulation.scene.camera import CameraConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fingertips of a scene: pad, posture, and what each finger makes of its contact.
-
-How a scene is grasped: where by GeoGrasp, how hard or how deep by the hand.
-"""
+"""The fingertips of a scene (pad, posture, sensor), and how it is grasped (grasps by GeoGrasp, force or depth by the hand)."""
 
 from __future__ import annotations
 
@@ -91,7 +88,7 @@ class DriftConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SessionsConfig(Settings):
-    """Each object was recorded on a day of its own, and a fingertip's rest is another each day (inflation, wear).
+    """Each object was recorded on another day, and the rest level of a fingertip differs from day to day (inflation, wear).
 
     Between the eight objects of the public recordings, which have no tare, the lower end of PDC varies by 54 counts
     and the upper end of the electrodes by 50 to 80. That holds the touches of the objects too and so bounds the rest

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands on the table: objects, how they lie, what they are made of, and the clutter around them.
+"""Objects on the table: pose, material, clutter around them, and families of many objects.
 
-Many objects from one line: how a scene file asks for K objects whose shape, size and stiffness are drawn.
-
-A family is shorthand. It is drawn when the scene is read, so the scene itself holds each object in full, its hash
+A family asks in one line for K objects whose shape, size and stiffness are drawn. It is drawn when the scene is read, so the scene itself holds each object in full, its hash
 covers them all, and an object keeps what it drew however many grasps it gets.
 """
 
@@ -36,7 +34,7 @@ RESTS = ("upright", "side", "any")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig(Settings):
-    """How an object lies; each value is drawn uniformly from its range. The world's origin is on the table, z up."""
+    """Pose of an object on the table; each value is drawn uniformly from its range. The world's origin is on the table, z up."""
 
     x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
     y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
@@ -133,13 +131,13 @@ class ClutterConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class FamilyConfig(Settings):
-    """Objects of one kind. Each draws its own values once, whatever the seed of the scene."""
+    """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
     name: str = setting("obj", "Labels of the samples are this name and a number: obj_000, obj_001...")
     count: int = setting(10, "How many objects", minimum=1, maximum=10_000)
     seed: int = setting(0, "Decides what the objects draw", minimum=0, maximum=2**53)
     shapes: tuple[str, ...] = setting(
-        ("random",), "Shapes to draw from; each object of the shape random is a member of its own", choices=SHAPES
+        ("random",), "Shapes to draw from; each object of the shape random is a separate member", choices=SHAPES
     )
     rests: tuple[str, ...] = setting(("upright",), "What they rest on, to draw from", choices=RESTS)
     size_m: tuple[float, ...] = setting(
@@ -180,7 +178,7 @@ class FamiliesConfig(Settings):
 
 
 def draw_objects(family: FamilyConfig) -> list[ObjectConfig]:
-    """The members of a family; the first k are the same whatever its count."""
+    """The members of a family; the first k do not depend on its count."""
     return [_member(family, k) for k in range(family.count)]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene: what is there, read from YAML. A group that is absent is an effect that is off."""
+"""A scene read from YAML. A group that is absent switches its effect off."""
 
 from __future__ import annotations
 
