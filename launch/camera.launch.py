@@ -13,7 +13,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import foretouch_node, shared_arguments  # noqa: E402
+from foretouch_launch_helpers import foretouch_node, shared_arguments
 
 ARGUMENTS = shared_arguments("namespace", "params_file")
 

@@ -16,7 +16,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import SHARE, argument_values, foretouch_node, include, shared_arguments  # noqa: E402
+from foretouch_launch_helpers import SHARE, argument_values, foretouch_node, include, shared_arguments
 
 MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [

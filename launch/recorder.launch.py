@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import argument_values, foretouch_node, shared_arguments  # noqa: E402
+from foretouch_launch_helpers import argument_values, foretouch_node, shared_arguments
 
 PARAMETERS = {  # by argument
     "record": "record",

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import foretouch_node, include_perception, shared_arguments  # noqa: E402
+from foretouch_launch_helpers import foretouch_node, include_perception, shared_arguments
 
 ARGUMENTS = [
     DeclareLaunchArgument("path", description="Recording, cloud file, or folder of clouds or samples"),

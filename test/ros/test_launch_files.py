@@ -13,6 +13,7 @@ import pytest
 
 FOLDER = Path(__file__).parents[2] / "launch"
 SHARED = {"namespace": "/left", "params_file": ""}
+SHOWN = ["-p", "scene.path:=s.yaml", "-p", "scene.dwell_s:=2.0"]
 NODES = {  # values of the arguments, then executables with what is peculiar to each
     "camera": ({}, {"camera": {}}),
     "perception": (
@@ -26,11 +27,8 @@ NODES = {  # values of the arguments, then executables with what is peculiar to 
     "scene": (
         {"scene": "s.yaml", "dwell": "2", "fps": "4"},
         {
-            "hand": {"ros_arguments": ["-p", "scene.path:=s.yaml", "-p", "scene.dwell_s:=2.0"]},
-            "camera": {
-                "ros_arguments": ["-p", "scene.path:=s.yaml", "-p", "scene.dwell_s:=2.0", "-p", "source:=scene"]
-                + ["-p", "camera.fps:=4"]
-            },
+            "hand": {"ros_arguments": SHOWN},
+            "camera": {"ros_arguments": [*SHOWN, "-p", "source:=scene", "-p", "camera.fps:=4"]},
         },
     ),
 }
@@ -125,7 +123,9 @@ def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera
         return
     included = description.entities[len(module.ARGUMENTS)]
     assert included.source.parts[1:] == ["launch", "perception.launch.py"]
-    values = {key: value if isinstance(value, str) else value.perform(context) for key, value in included.launch_arguments}
+    values = {
+        key: value if isinstance(value, str) else value.perform(context) for key, value in included.launch_arguments
+    }
     assert values == {"camera": "false", "namespace": "/left", "params_file": "", "model": "m.json", "rviz": "true"}
 
 
@@ -147,4 +147,6 @@ def test_the_launch_file_of_the_recorder_names_parameters_that_it_has() -> None:
 def test_what_a_launch_file_needs_is_installed_beside_it() -> None:
     installed = {path.name for path in FOLDER.glob("*.*")}  # the pattern of setup.py
     assert "foretouch_launch_helpers.py" in installed
-    assert not any(name.endswith("launch.py") for name in installed if ".launch." not in name)  # `ros2 launch` lists such
+    assert not any(
+        name.endswith("launch.py") for name in installed if ".launch." not in name
+    )  # `ros2 launch` lists such

@@ -250,5 +250,5 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    level = logging.INFO if status.is_well else logging.WARNING
+    level = logging.INFO if status.is_ok else logging.WARNING
     _LOG.log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")

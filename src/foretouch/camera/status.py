@@ -44,7 +44,7 @@ class CameraStatus:
     since_frame_s: float | None = None
 
     @property
-    def is_well(self) -> bool:
+    def is_ok(self) -> bool:
         """Whether frames arrive, or none are to be expected yet or any more."""
         return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
 

@@ -60,7 +60,7 @@ def test_stopping_gives_up_what_waits_and_starting_again_works():
     worker.put("b")
     stopper = threading.Thread(target=worker.stop)
     stopper.start()
-    while not worker._stopping:
+    while not worker._queue.closed:
         pass
     go.set()
     stopper.join(5.0)
