@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth cameras: a RealSense that is plugged in, recorded, or fed with synthetic frames, on one code path."""
+"""Depth cameras: a RealSense that is connected, recorded, or fed with synthetic frames, on one code path."""
 
 from foretouch.camera.config import FilterConfig, RealSenseConfig, TimeoutConfig
 from foretouch.camera.deproject import Deprojector, pinhole_matrix

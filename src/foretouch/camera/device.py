@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a device comes from: the bus, a recording, or a program that feeds the library's software device."""
+"""Sources of a device: the USB bus, a recording, or a program that feeds the library's software device."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ __all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices
 
 
 class DeviceSource(Protocol):
-    """Something that a device can be asked of, again and again."""
+    """Provides a device each time that one is opened."""
 
     @property
     def reopens(self) -> bool:
-        """Whether opening a silent device again may mend it; a recording would only begin anew."""
+        """Whether opening a silent device again may help; a recording would only restart."""
 
     def find(self) -> Any:
-        """The `pyrealsense2.device`.
+        """Return the `pyrealsense2.device`.
 
         Raises:
-            CameraError: If it is not there now; it may be later.
+            CameraError: If it is not available now.
         """
 
     def present(self, device: Any) -> bool:
-        """Whether a device found earlier is still there."""
+        """Whether a device that was found is still available."""
 
     def ended(self, device: Any) -> bool:
-        """Whether it will never send another frame."""
+        """Whether it has sent its last frame."""
 
 
 class LiveSource:
@@ -77,7 +77,7 @@ class FileSource:
 
     Args:
         path: `.db3`, or `.bag` of older versions.
-        real_time: Whether it plays at its pace; if not, the reader sets the pace and no frame is lost.
+        real_time: Whether it plays in real time; if not, the reader sets the pace and no frame is lost.
 
     Raises:
         FileError: If there is no such file.
@@ -95,11 +95,11 @@ class FileSource:
         """See `DeviceSource`.
 
         Raises:
-            FileError: If it is no recording of the library's.
+            FileError: If it is not a RealSense recording.
         """
         rs = realsense()
         try:
-            # A context of its own: one context refuses to load the same file twice.
+            # Each time a new context: one context refuses to load the same file twice.
             playback = rs.context().load_device(str(self._path))
         except RuntimeError as err:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
@@ -116,7 +116,7 @@ class FileSource:
 
 
 def source_of(config: RealSenseConfig) -> DeviceSource:
-    """The source that the settings name.
+    """Make the source that the settings name.
 
     Raises:
         FileError: If they name a file that is absent.
@@ -136,7 +136,7 @@ def list_devices() -> list[str]:
 
 
 def describe(device: Any) -> str:
-    """Name and serial number, for people."""
+    """Name and serial number of a device."""
     info = realsense().camera_info
     return f"{_info(device, info.name)} {_info(device, info.serial_number)}".strip()
 

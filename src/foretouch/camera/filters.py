@@ -15,10 +15,7 @@ __all__ = ["FilterChain"]
 class FilterChain:
     """Runs the enabled filters in the order that the library recommends.
 
-    The temporal filter remembers earlier frames: one chain a stream.
-
-    Args:
-        config: Which filters, and how strong.
+    The temporal filter stores earlier frames, so that each stream needs a separate chain.
     """
 
     def __init__(self, config: FilterConfig) -> None:
@@ -31,20 +28,35 @@ class FilterChain:
         if smoothing and config.disparity:
             self._add(rs.disparity_transform(True))
         if config.spatial.enabled:
-            self._add(rs.spatial_filter(), _spatial_options(config, option))
+            self._add(
+                rs.spatial_filter(),
+                {
+                    option.filter_magnitude: config.spatial.magnitude,
+                    option.filter_smooth_alpha: config.spatial.smooth_alpha,
+                    option.filter_smooth_delta: config.spatial.smooth_delta,
+                    option.holes_fill: config.spatial.holes_fill,
+                },
+            )
         if config.temporal.enabled:
-            self._add(rs.temporal_filter(), _temporal_options(config, option))
+            self._add(
+                rs.temporal_filter(),
+                {
+                    option.filter_smooth_alpha: config.temporal.smooth_alpha,
+                    option.filter_smooth_delta: config.temporal.smooth_delta,
+                    option.holes_fill: config.temporal.persistence,
+                },
+            )
         if smoothing and config.disparity:
             self._add(rs.disparity_transform(False))
         if config.hole_filling.enabled:
             self._add(rs.hole_filling_filter(), {option.holes_fill: config.hole_filling.mode})
 
     def __len__(self) -> int:
-        """Number of processing blocks, the ways to disparity and back included."""
+        """Number of processing blocks, the conversions to disparity and back included."""
         return len(self._blocks)
 
     def process(self, frames: Any) -> Any:
-        """A frameset to a frameset; depth is filtered, colour only decimated where the library does so."""
+        """Filter the depth of a frameset; colour is only decimated, where the library does so."""
         for block in self._blocks:
             frames = block.process(frames).as_frameset()
         return frames
@@ -53,20 +65,3 @@ class FilterChain:
         for name, value in (options or {}).items():
             block.set_option(name, float(value))
         self._blocks.append(block)
-
-
-def _spatial_options(config: FilterConfig, option: Any) -> dict[Any, float]:
-    return {
-        option.filter_magnitude: config.spatial.magnitude,
-        option.filter_smooth_alpha: config.spatial.smooth_alpha,
-        option.filter_smooth_delta: config.spatial.smooth_delta,
-        option.holes_fill: config.spatial.holes_fill,
-    }
-
-
-def _temporal_options(config: FilterConfig, option: Any) -> dict[Any, float]:
-    return {
-        option.filter_smooth_alpha: config.temporal.smooth_alpha,
-        option.filter_smooth_delta: config.temporal.smooth_delta,
-        option.holes_fill: config.temporal.persistence,
-    }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one place where pyrealsense2 is imported, after what it needs."""
+"""The only import of pyrealsense2, after what it depends on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def realsense() -> Any:
     """The module `pyrealsense2`, safe to use beside ROS.
 
     pyrealsense2 2.56 and later crashes the process at exit (a segmentation fault) when `rclpy` is
-    imported after it. So `rclpy`, where it exists, is imported first, whether or not anyone needs it.
+    imported after it. So `rclpy`, where it is installed, is always imported first.
 
     Raises:
         MissingDependencyError: If pyrealsense2 or libusb is missing.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A RealSense camera that says what it is doing and comes back by itself.
+"""A RealSense camera that reports its state and reconnects by itself.
 
-Threads: one thread reads (and so drives the opening, the waiting and the reopening; there is no
-thread inside); any thread may ask for `status`, which is replaced as a whole and never changed.
+Threads: the thread that reads also opens, waits and reopens; any thread may read `status`, which is replaced as a
+whole and never changed.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def open_camera(
     source: DeviceSource | None = None,
     on_change: Callable[[CameraStatus], None] | None = None,
 ) -> RealSenseCamera:
-    """A camera as a context manager and an iterator of organised clouds.
+    """Make a camera, which is a context manager and an iterator of organised clouds.
 
     Args:
         config: The settings; defaults for None.
         source: Where the device comes from, instead of what the settings name.
-        on_change: Called by the reading thread when the state is another; logs it if None.
+        on_change: Called by the reading thread when the state changes; None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
@@ -50,7 +50,7 @@ def open_camera(
 
 
 class RealSenseCamera:
-    """See `open_camera`. A device that is absent, unplugged or silent is told by `status` and tried again."""
+    """See `open_camera`. A device that is absent, unplugged or silent is reported in `status` and tried again."""
 
     def __init__(
         self, config: RealSenseConfig, source: DeviceSource | None, on_change: Callable[[CameraStatus], None]
@@ -74,7 +74,7 @@ class RealSenseCamera:
         return self._config
 
     def reconfigure(self, config: RealSenseConfig) -> None:
-        """Take over other filters and timeouts, from any thread; the rest needs a new camera."""
+        """Apply new filters and timeouts, from any thread; other settings need a new camera."""
         self._config = self._config.replace(filters=config.filters, timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
         stream = self._stream
@@ -83,23 +83,23 @@ class RealSenseCamera:
 
     @property
     def status(self) -> CameraStatus:
-        """What it is doing, why, and the counts so far."""
-        heard = self._frame_at_s
-        since = None if heard is None else time.monotonic() - heard
+        """The state, its reason, and the counts so far."""
+        last = self._frame_at_s
+        since = None if last is None else time.monotonic() - last
         return dataclasses.replace(self._status, since_frame_s=since)
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """The next cloud.
+        """Return the next cloud.
 
         Args:
             timeout_s: Longest wait; opening a device may take longer [s].
 
         Returns:
-            The cloud, or None if there was none in time: `status` tells why.
+            The cloud, or None if there was none in time: `status` gives the reason.
 
         Raises:
             CameraError: If the camera does not offer what the settings ask for.
-            FileError: If the recording is none.
+            FileError: If the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self._status.state not in {"ended", "closed"}:
@@ -118,7 +118,7 @@ class RealSenseCamera:
         """Clouds until the recording ends or the camera is closed.
 
         Raises:
-            CameraError: If nothing came for `timeouts.give_up_s`.
+            CameraError: If no frame came for `timeouts.give_up_s`.
         """
         limit = self._config.timeouts.give_up_s
         last = time.monotonic()
@@ -131,10 +131,10 @@ class RealSenseCamera:
                 raise CameraError(f"no frame for {limit:g} s: {self._status.state}: {self._status.reason}")
 
     def close(self) -> None:
-        """Release the device; nothing can be read afterwards."""
+        """Release the device; afterwards nothing can be read."""
         self._release()
         if self._status.state != "ended":
-            self._tell("closed", "closed by the user")
+            self._set_state("closed", "closed by the user")
 
     def __enter__(self) -> Self:
         return self
@@ -142,11 +142,11 @@ class RealSenseCamera:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _try_to_open(self, patience_s: float) -> None:
-        """Open the device if the pause since the last attempt is over; else pause."""
+    def _try_to_open(self, timeout_s: float) -> None:
+        """Open the device if the pause since the last attempt is over; else wait."""
         pause = self._watchdog.next_attempt_s - time.monotonic()
         if pause > 0.0:
-            time.sleep(min(pause, patience_s, _SLICE_S))
+            time.sleep(min(pause, timeout_s, _SLICE_S))
             return
         try:
             self._device = self._source.find()
@@ -154,7 +154,7 @@ class RealSenseCamera:
             self._retry_later("absent", str(err))
             return
         try:
-            self._stream = FrameStream(self._device, self._config_of_this_opening())
+            self._stream = FrameStream(self._device, self._config_for_this_attempt())
         except RuntimeError as err:
             self._device = None
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
@@ -162,10 +162,10 @@ class RealSenseCamera:
         self._last_number = None
         self._watchdog.opened(time.monotonic())
         self._update(opened=self._status.opened + 1, device=describe(self._device))
-        self._tell("reconnecting", "opened, waiting for the first frame")
+        self._set_state("reconnecting", "opened, waiting for the first frame")
 
-    def _config_of_this_opening(self) -> RealSenseConfig:
-        """Each opening records to a file of its own: the library would start the same one anew."""
+    def _config_for_this_attempt(self) -> RealSenseConfig:
+        """Record to a new file each time: the library would overwrite the first one."""
         path, opened = Path(self._config.record_to), self._status.opened
         if not self._config.record_to or not opened:
             return self._config
@@ -187,45 +187,45 @@ class RealSenseCamera:
             cloud = stream.cloud(frames)
         except RuntimeError as err:
             self._drop("bad_frame")
-            self._on_silence(now, f"frames are refused by the library ({' '.join(str(err).split())})")
+            self._on_silence(now, f"the library refuses the frames ({' '.join(str(err).split())})")
             return None
         self._watchdog.frame(now)
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
-        self._tell("streaming", "")
+        self._set_state("streaming", "")
         return cloud
 
     def _on_silence(self, now: float, what: str) -> None:
-        """Decide what to make of having no cloud, and tell `what` there is instead."""
+        """Handle the lack of a cloud; `what` describes it in the reason."""
         silent_s = self._watchdog.silent_s(now)
-        # A recording that was only just started may not call itself playing yet.
+        # A recording may not be playing yet just after its start.
         if self._source.ended(self._device) and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
             self._on_end()
             return
-        verdict = self._watchdog.verdict(now)
-        told = f"{what} for {silent_s:.1f} s"
+        decision = self._watchdog.decide(now)
+        reason = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
             self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif verdict == "reopen" and self._source.reopens:
+        elif decision == "reopen" and self._source.reopens:
             self._release()
-            self._retry_later("reconnecting", f"{told}, opening it again")
-        elif verdict != "wait":
-            self._tell("stalled", told)
+            self._retry_later("reconnecting", f"{reason}, opening it again")
+        elif decision != "wait":
+            self._set_state("stalled", reason)
 
     def _on_end(self) -> None:
         self._release()
         if self._config.repeat:
-            self._tell("reconnecting", "the recording starts again")
+            self._set_state("reconnecting", "the recording restarts")
         else:
-            self._tell("ended", "the recording is over")
+            self._set_state("ended", "the recording has ended")
 
     def _retry_later(self, state: CameraState, reason: str) -> None:
         pause = self._watchdog.failed(time.monotonic())
         self._update(failures=self._watchdog.failures)
-        self._tell(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
+        self._set_state(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
 
     def _count_missed(self, number: int) -> None:
-        """Numbers skipped since the last depth frame are frames lost; an opening starts to count anew."""
+        """Count frames whose numbers were skipped since the last depth frame of this opening."""
         if self._last_number is not None and number > self._last_number + 1:
             self._drop("missed", number - self._last_number - 1)
         self._last_number = number
@@ -242,7 +242,7 @@ class RealSenseCamera:
     def _update(self, **changes: Any) -> None:
         self._status = dataclasses.replace(self._status, **changes)
 
-    def _tell(self, state: CameraState, reason: str) -> None:
+    def _set_state(self, state: CameraState, reason: str) -> None:
         changed = state != self._status.state
         self._update(state=state, reason=reason, failures=self._watchdog.failures)
         if changed:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live table of `foretouch run`: one row a node, and the last prediction. It draws and computes nothing else."""
+"""The live table of `foretouch run`: one row per node, and the last prediction. It only draws."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ __all__ = ["live_panel"]
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 _MAX_REASONS = 3
-_MAX_ROWS = 8  # of predictions; a planner's fifty would push the nodes off the screen
+_MAX_ROWS = 8  # of predictions, so that those of a planner do not push the nodes off the screen
 
 
 def live_panel(view: View, title: str) -> Panel:
-    """Everything an operator needs at a glance: what each node does and, where it does nothing, why."""
+    """Draw the state of each node with its problems, the answers so far, and the last prediction."""
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or "none yet"
-    parts: list[RenderableType] = [_nodes(view.nodes), *_complaints(view.nodes), Text(f"clouds answered: {answered}")]
+    parts: list[RenderableType] = [_nodes(view.nodes), *_problems(view.nodes), Text(f"clouds answered: {answered}")]
     parts += [Text(f"  {count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions[:_MAX_ROWS], _touches(view.nodes)))
@@ -57,14 +57,17 @@ def _nodes(nodes: dict[str, NodeView]) -> Table:
     return table
 
 
-def _complaints(nodes: dict[str, NodeView]) -> list[Text]:
-    """One line for each node that is not well."""
-    unwell = [(name, node) for name, node in nodes.items() if node.level]
-    return [Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, "")) for name, node in unwell]
+def _problems(nodes: dict[str, NodeView]) -> list[Text]:
+    """One line for each node with a warning or an error."""
+    return [
+        Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, ""))
+        for name, node in nodes.items()
+        if node.level
+    ]
 
 
 def _touches(nodes: dict[str, NodeView]) -> int:
-    """How many touches the predictor leans on, as it last reported."""
+    """Number of touches in the memory of the predictor, from its last report."""
     counts = [node.values["touches"] for node in nodes.values() if "touches" in node.values]
     return int(counts[0]) if counts else 0
 
@@ -81,7 +84,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     )
     for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
         table.add_column(name, justify="left" if name == "object" else "right")
-    table.add_column("leans on", min_width=14, overflow="fold")
+    table.add_column("based on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
@@ -116,12 +119,12 @@ def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
 
 
 def _rounded(milliseconds: str) -> str:
-    """Without decimals where they only take room."""
+    """Without decimals where the number is long."""
     return milliseconds.partition(".")[0] if len(milliseconds) > 5 else milliseconds
 
 
 def _span(intervals: list[Interval]) -> str:
-    """Least and greatest value of 24 electrodes, and the mean half width where there is one."""
+    """Smallest and largest value of 24 electrodes, and the mean half width if the model is calibrated."""
     values = [one.value for one in intervals]
     half = sum(one.upper - one.lower for one in intervals) / 2.0 / len(intervals)
     span = f"{min(values):.0f}…{max(values):.0f}"
@@ -133,7 +136,7 @@ def _short(name: str) -> str:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """In the order of the data's way."""
+    """Sort nodes in the order in which the data passes them."""
     short = _short(name)
     known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
     return (known.index(short) if short in known else len(known), short)
