@@ -3,22 +3,46 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.library import realsense
-from foretouch.errors import CameraError, FileError
+from foretouch.errors import CameraError, FileError, MissingDependencyError
+from foretouch.libusb import ensure_libusb
 
-__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "source_of"]
+__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "realsense", "source_of"]
 
 
-class DeviceSource(Protocol):
-    """Provides a device each time that one is opened."""
+@functools.cache
+def realsense() -> Any:
+    """The module `pyrealsense2`, safe to use beside ROS.
 
-    @property
-    def reopens(self) -> bool:
-        """Whether opening a silent device again may help; a recording would only restart."""
+    pyrealsense2 2.56 and later crashes the process at exit (a segmentation fault) when `rclpy` is
+    imported after it. So `rclpy`, where it is installed, is always imported first.
+
+    Raises:
+        MissingDependencyError: If pyrealsense2 or libusb is missing.
+    """
+    with contextlib.suppress(ImportError):
+        import rclpy  # noqa: F401
+    ensure_libusb()
+    try:
+        import pyrealsense2
+    except ImportError as err:
+        raise MissingDependencyError(f"pyrealsense2: {err}: pip install 'foretouch[camera]'") from err
+    return pyrealsense2
+
+
+class DeviceSource:
+    """Provides a device each time that one is opened.
+
+    Attributes:
+        reopens: Whether opening a silent device again may help; a recording would only restart.
+    """
+
+    reopens = True
 
     def find(self) -> Any:
         """Return the `pyrealsense2.device`.
@@ -26,22 +50,23 @@ class DeviceSource(Protocol):
         Raises:
             CameraError: If it is not available now.
         """
+        raise NotImplementedError
 
     def present(self, device: Any) -> bool:
         """Whether a device that was found is still available."""
+        raise NotImplementedError
 
-    def ended(self, device: Any) -> bool:
-        """Whether it has sent its last frame."""
+    def ended(self, device: Any) -> bool:  # noqa: ARG002
+        """Whether it has sent its last frame; never for live devices."""
+        return False
 
 
-class LiveSource:
+class LiveSource(DeviceSource):
     """A device on the USB bus.
 
     Args:
         serial: Its serial number; empty for the first depth camera found.
     """
-
-    reopens = True
 
     def __init__(self, serial: str = "") -> None:
         self._serial = serial
@@ -64,15 +89,11 @@ class LiveSource:
         """See `DeviceSource`."""
         return bool(device.is_connected())
 
-    def ended(self, device: Any) -> bool:  # noqa: ARG002
-        """Never."""
-        return False
-
     def _wanted(self) -> str:
         return f"camera {self._serial}" if self._serial else "camera"
 
 
-class FileSource:
+class FileSource(DeviceSource):
     """A file of the library's own recorder.
 
     Args:

@@ -7,27 +7,108 @@ whole and never changed.
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
-from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.config import RealSenseConfig, TimeoutConfig
 from foretouch.camera.device import DeviceSource, describe, source_of
-from foretouch.camera.filters import FilterChain
-from foretouch.camera.status import CameraState, CameraStatus, Watchdog
-from foretouch.camera.stream import FrameStream
+from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
-__all__ = ["RealSenseCamera", "open_camera"]
+__all__ = ["CameraState", "CameraStatus", "RealSenseCamera", "Watchdog", "open_camera"]
 
 _LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _START_OF_PLAY_S = 1.0
+
+CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraStatus:
+    """The state of a camera at one moment.
+
+    Attributes:
+        state: `streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such
+            device. `reconnecting`: it is being opened, or has sent nothing since. `ended`: the end of the recording.
+            `closed`: by the user.
+        reason: Why, as text; empty while streaming.
+        device: Name and serial number of the device; empty until one was opened.
+        received: Depth frames that the device made according to its frame numbers: delivered + the sum of dropped.
+        delivered: Clouds returned.
+        dropped: Lost frames by reason: `missed` (skipped frame numbers: lost before they reached us, or replaced by a
+            newer one), `no_colour` (no matching colour frame), `bad_frame` (refused by the library).
+        opened: How often a device was opened.
+        failures: Consecutive attempts without a frame.
+        since_frame_s: Age of the last frame [s]; None before the first.
+    """
+
+    state: CameraState = "reconnecting"
+    reason: str = "not opened yet"
+    device: str = ""
+    received: int = 0
+    delivered: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    opened: int = 0
+    failures: int = 0
+    since_frame_s: float | None = None
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether frames arrive, or none are expected yet or any more."""
+        return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
+
+
+class Watchdog:
+    """Decides from times alone whether to wait, to report the camera as stalled, or to open it again.
+
+    Attributes:
+        config: The timeouts; may be replaced.
+        failures: Consecutive attempts without a frame.
+        next_attempt_s: End of the pause after a failed attempt; all times are of one monotonic clock [s].
+    """
+
+    def __init__(self, config: TimeoutConfig) -> None:
+        self.config = config
+        self._last_frame_s = 0.0  # last frame, or the opening
+        self._streaming = False
+        self.failures = 0
+        self.next_attempt_s = 0.0
+
+    def opened(self, now_s: float) -> None:
+        """Note that a device was opened; its first frame may take longer."""
+        self._last_frame_s, self._streaming = now_s, False
+
+    def frame(self, now_s: float) -> None:
+        """Note a frame that a cloud could be made of."""
+        self._last_frame_s, self._streaming = now_s, True
+        self.failures = 0
+
+    def failed(self, now_s: float) -> float:
+        """Note a failed attempt; returns the pause before the next [s], twice the last one."""
+        pause = min(self.config.backoff_min_s * 2.0 ** min(self.failures, 60), self.config.backoff_max_s)
+        self.failures += 1
+        self.next_attempt_s = now_s + pause
+        return pause
+
+    def silent_s(self, now_s: float) -> float:
+        """Time since the last frame, or since the opening without one [s]."""
+        return now_s - self._last_frame_s
+
+    def decide(self, now_s: float) -> Literal["wait", "stalled", "reopen"]:
+        """Decide what to do with a device that is open and sends nothing."""
+        silent = self.silent_s(now_s)
+        if not self._streaming:
+            return "reopen" if silent > self.config.start_s else "wait"
+        if silent > self.config.reopen_s:
+            return "reopen"
+        return "stalled" if silent > self.config.stall_s else "wait"
 
 
 def open_camera(
@@ -86,7 +167,7 @@ class RealSenseCamera:
         """The state, its reason, and the counts so far."""
         last = self._frame_at_s
         since = None if last is None else time.monotonic() - last
-        return dataclasses.replace(self._status, since_frame_s=since)
+        return replace(self._status, since_frame_s=since)
 
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud.
@@ -240,7 +321,7 @@ class RealSenseCamera:
         self._stream = self._device = None
 
     def _update(self, **changes: Any) -> None:
-        self._status = dataclasses.replace(self._status, **changes)
+        self._status = replace(self._status, **changes)
 
     def _set_state(self, state: CameraState, reason: str) -> None:
         changed = state != self._status.state

@@ -11,21 +11,20 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from foretouch.bounded_queue import BoundedQueue
-from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.config import FilterConfig, RealSenseConfig
 from foretouch.camera.deproject import Deprojector
-from foretouch.camera.filters import FilterChain
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
 
-__all__ = ["ColourBuffer", "FrameStream", "Frames", "lens_of"]
+__all__ = ["ColourBuffer", "FilterChain", "FrameStream", "Frames", "lens_of"]
 
 _Frame = TypeVar("_Frame")
 _DEPTH_FRAMES = 1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show
@@ -181,6 +180,61 @@ class FrameStream:
             rule == "auto" and depth.get_frame_timestamp_domain() != realsense().timestamp_domain.hardware_clock
         )
         return round(depth.get_timestamp() * 1e6) if own else arrived_ns  # the library counts milliseconds
+
+
+class FilterChain:
+    """Runs the enabled filters in the order that the library recommends.
+
+    The temporal filter stores earlier frames, so that each stream needs a separate chain.
+    """
+
+    def __init__(self, config: FilterConfig) -> None:
+        rs = realsense()
+        option = rs.option
+        self._blocks: list[Any] = []
+        if config.decimation.enabled:
+            self._add(rs.decimation_filter(), {option.filter_magnitude: config.decimation.magnitude})
+        smoothing = config.spatial.enabled or config.temporal.enabled
+        if smoothing and config.disparity:
+            self._add(rs.disparity_transform(True))
+        if config.spatial.enabled:
+            self._add(
+                rs.spatial_filter(),
+                {
+                    option.filter_magnitude: config.spatial.magnitude,
+                    option.filter_smooth_alpha: config.spatial.smooth_alpha,
+                    option.filter_smooth_delta: config.spatial.smooth_delta,
+                    option.holes_fill: config.spatial.holes_fill,
+                },
+            )
+        if config.temporal.enabled:
+            self._add(
+                rs.temporal_filter(),
+                {
+                    option.filter_smooth_alpha: config.temporal.smooth_alpha,
+                    option.filter_smooth_delta: config.temporal.smooth_delta,
+                    option.holes_fill: config.temporal.persistence,
+                },
+            )
+        if smoothing and config.disparity:
+            self._add(rs.disparity_transform(False))
+        if config.hole_filling.enabled:
+            self._add(rs.hole_filling_filter(), {option.holes_fill: config.hole_filling.mode})
+
+    def __len__(self) -> int:
+        """Number of processing blocks, the conversions to disparity and back included."""
+        return len(self._blocks)
+
+    def process(self, frames: Any) -> Any:
+        """Filter the depth of a frameset; colour is only decimated, where the library does so."""
+        for block in self._blocks:
+            frames = block.process(frames).as_frameset()
+        return frames
+
+    def _add(self, block: Any, options: Mapping[Any, float] | None = None) -> None:
+        for name, value in (options or {}).items():
+            block.set_option(name, float(value))
+        self._blocks.append(block)
 
 
 class ColourBuffer(Generic[_Frame]):

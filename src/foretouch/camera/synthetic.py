@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.camera.library import realsense
+from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
 from foretouch.types import Float64
 
@@ -40,7 +40,7 @@ class SyntheticFrame(Protocol):
         """(3, 3) float64, intrinsics [px]."""
 
 
-class SyntheticCamera:
+class SyntheticCamera(DeviceSource):
     """A `DeviceSource` that can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
 
     Args:
@@ -53,8 +53,6 @@ class SyntheticCamera:
     Attributes:
         colour: Whether the colour sensor sends.
     """
-
-    reopens = True
 
     def __init__(
         self,
@@ -78,18 +76,14 @@ class SyntheticCamera:
         self._thread: threading.Thread | None = None
 
     def find(self) -> Any:
-        """See `foretouch.camera.device.DeviceSource`."""
+        """See `DeviceSource`."""
         if not self._plugged:
             raise CameraError("synthetic camera: is unplugged")
         return self._device
 
     def present(self, device: Any) -> bool:  # noqa: ARG002
-        """See `foretouch.camera.device.DeviceSource`."""
+        """See `DeviceSource`."""
         return self._plugged
-
-    def ended(self, device: Any) -> bool:  # noqa: ARG002
-        """Never."""
-        return False
 
     @property
     def number(self) -> int:

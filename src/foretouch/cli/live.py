@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["live_panel"]
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
+_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _MAX_REASONS = 3
 _MAX_ROWS = 8  # of predictions, so that those of a planner do not push the nodes off the screen
 
@@ -36,21 +37,25 @@ def live_panel(view: View, title: str) -> Panel:
     return Panel(Group(*parts), title=title, title_align="left")
 
 
+def _table(title: str | None, *columns: str) -> Table:
+    """An empty table of numbers, whose first column holds names."""
+    table = Table(title=title, title_justify="left", expand=True, box=SIMPLE_HEAD)
+    for name in columns:
+        table.add_column(name, justify="left" if name == columns[0] else "right")
+    return table
+
+
 def _nodes(nodes: dict[str, NodeView]) -> Table:
     table = Table(expand=True, box=SIMPLE_HEAD)
     for name in ("node", "state", "Hz", "received", "used", "dropped", "latency ms"):
         table.add_column(name, justify="left" if name in {"node", "state"} else "right", no_wrap=name != "dropped")
     for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         values = node.values
-        drops = [
-            f"{value} {key.removeprefix('dropped.')}" for key, value in values.items() if key.startswith("dropped.")
-        ]
+        drops = [f"{n} {key.removeprefix('dropped.')}" for key, n in values.items() if key.startswith("dropped.")]
         table.add_row(
             Text(_short(name), _LEVELS.get(node.level, "")),
             values.get("phase" if values.get("state") == "active" and "phase" in values else "state", ""),
-            values.get("rate_hz", ""),
-            values.get("received", ""),
-            values.get("used", ""),
+            *(values.get(key, "") for key in ("rate_hz", "received", "used")),
             " ".join(drops) or values.get("dropped", ""),
             " / ".join(_rounded(values.get(f"latency_ms.{p}", "–")) for p in ("p50", "p95")),
         )
@@ -76,14 +81,8 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     from foretouch.ros.messages.conversions import interval_text, reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
-    table = Table(
-        title=f"last prediction (counts){models and f' by {models}'}",
-        title_justify="left",
-        expand=True,
-        box=SIMPLE_HEAD,
-    )
-    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
-        table.add_column(name, justify="left" if name == "object" else "right")
+    title = f"last prediction (counts){models and f' by {models}'}"
+    table = _table(title, "object", "mm", *_MODALITIES)
     table.add_column("based on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
@@ -106,9 +105,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
 def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
     from foretouch.ros.messages.conversions import interval_text
 
-    table = Table(title="last grasp executed (counts)", title_justify="left", expand=True, box=SIMPLE_HEAD)
-    for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
-        table.add_column(name, justify="right" if name else "left")
+    table = _table("last grasp executed (counts)", "", *_MODALITIES)
     if not prediction.status:
         pressures = interval_text(prediction.pdc_th), interval_text(prediction.pdc_mf)
         table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))

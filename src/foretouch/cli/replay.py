@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import argparse
 
+from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
-from foretouch.cli.run import replay_fault
+from foretouch.cli.run import replay_fault, source_parameters
 from foretouch.errors import ForetouchError
 
 __all__ = ["add_arguments", "run"]
@@ -21,7 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")
-    parser.add_argument("--plane", metavar="a,b,c,d", help="table plane of clouds that hold one object each")
+    parser.add_argument(
+        "--plane",
+        type=four_numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 of clouds that hold one object each",
+    )
     parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--json", action="store_true", help="print the counts as a JSON object at the end")
@@ -29,16 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
-    from foretouch.cli.inputs import four_numbers
     from foretouch.ros.graph import Graph
 
-    parameters = {"path": arguments.path, "loop": arguments.loop, "restamp": arguments.restamp}
-    if arguments.topic:
-        parameters["topic"] = arguments.topic
-    if arguments.rate is not None:
-        parameters["rate_hz"] = arguments.rate
-    if arguments.plane:
-        parameters["table"] = four_numbers(arguments.plane)
+    parameters = source_parameters(arguments, arguments.path)
+    parameters |= {"loop": arguments.loop, "restamp": arguments.restamp}
     if arguments.no_wait:
         parameters["subscribers"] = 0
     with Graph({"replay": parameters}, namespace=arguments.namespace) as graph:

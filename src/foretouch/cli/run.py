@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
 from foretouch.errors import ForetouchError
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.replay import ReplayNode
 
-__all__ = ["add_arguments", "replay_fault", "replay_parameters", "run"]
+__all__ = ["add_arguments", "replay_fault", "run", "source_parameters"]
 
 _REFRESH_S = 0.2
 _DIAGNOSED_S = 1.2  # until every node has reported once more
@@ -49,7 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--dwell", type=float, metavar="S", help="time that each object of a scene stays on the table (default: 3)"
     )
     parser.add_argument("--count", type=int, metavar="N", help="end after N answered clouds")
-    parser.add_argument("--plane", metavar="a,b,c,d", help="table plane of clouds that hold one object each")
+    parser.add_argument(
+        "--plane",
+        type=four_numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 of clouds that hold one object each",
+    )
     parser.add_argument("--model", help="name of a released model, or path of a checkpoint")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
@@ -92,7 +98,7 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         for name, parameters in _scene_nodes(arguments).items():
             nodes.setdefault(name, {}).update(parameters)
         return nodes
-    nodes["replay"] = replay_parameters(arguments, arguments.source)
+    nodes["replay"] = _replay_parameters(arguments)
     return nodes
 
 
@@ -113,22 +119,24 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return nodes
 
 
-def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
+def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     """Parameters of the replay; without a rate, each file is played when the one before was answered."""
-    from foretouch.cli.inputs import four_numbers
     from foretouch.dataset.source import open_source
 
-    parameters: dict[str, Any] = {"path": str(Path(path).resolve())}
-    one_by_one = arguments.rate is None and open_source(path, arguments.topic).kind != "recording"
-    if one_by_one:
-        parameters |= {"lockstep": True, "rate_hz": 1000.0}
-    if arguments.rate is not None:
-        parameters["rate_hz"] = arguments.rate
-    if arguments.topic:
-        parameters["topic"] = arguments.topic
-    if arguments.plane:
-        parameters["table"] = four_numbers(arguments.plane)
-    return parameters
+    path = str(Path(arguments.source).resolve())
+    one_by_one = arguments.rate is None and open_source(arguments.source, arguments.topic).kind != "recording"
+    return {**({"lockstep": True, "rate_hz": 1000.0} if one_by_one else {}), **source_parameters(arguments, path)}
+
+
+def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
+    """Parameters of the replay for the options `--topic`, `--rate` and `--plane`."""
+    given = {
+        "path": path,
+        "topic": arguments.topic or None,
+        "rate_hz": arguments.rate,
+        "table": arguments.plane,
+    }
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def replay_fault(replay: ReplayNode | None) -> str | None:

@@ -51,7 +51,7 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
-    """Start nodes in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
+    """Start nodes by name in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
 
     Args:
         names: Of nodes.
@@ -80,11 +80,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
 
 
 def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
-    """Make nodes by name, not yet configured; `rclpy.init` must have been called.
-
-    Args:
-        names: Of nodes.
-        options: For rclpy's `Node`, such as `parameter_overrides`.
+    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
 
     Raises:
         ConfigError: If a parameter given at the start breaks a rule.

@@ -57,12 +57,9 @@ def cloud_to_msg(cloud: Cloud) -> PointCloud2:
 
 
 def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
-    """Convert the targets to `object_cloud`; without any, to a cloud without points.
+    """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
 
-    Args:
-        targets: Best first; their ids are integers.
-        frame_id: Frame of the scene's cloud.
-        nanoseconds: Its stamp [ns].
+    Frame and stamp [ns] are those of the scene's cloud.
     """
     coloured = bool(targets) and all(one.cloud.rgb is not None for one in targets)
     points = np.concatenate([_records(one, coloured=coloured) for one in targets] or [np.empty(0, _record())])
@@ -98,11 +95,7 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
 
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
-    """The reverse of `objects_to_msg`, in the same order; also reads any cloud of one object.
-
-    Args:
-        message: `object_cloud`.
-        plane: The table that they stand on.
+    """The reverse of `objects_to_msg`, in the same order, for objects on a table; also reads any cloud of one object.
 
     Raises:
         CloudError: As `cloud_from_msg`.

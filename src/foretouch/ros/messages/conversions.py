@@ -179,13 +179,7 @@ def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
 
 
 def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
-    """Convert the prediction for one grasp; the node adds model, age and further flags.
-
-    Args:
-        prediction: Of the model.
-        grasp: The message that the grasp came from.
-        header: Of the cloud.
-    """
+    """Convert the prediction for one grasp, with the header of the cloud; the node adds model, age and further flags."""
     if prediction.value is None:
         return refusal_to_msg(grasp, header, Status.REFUSED, prediction.reason)
     return TouchPredictionMsg(
@@ -228,12 +222,7 @@ def interval_text(interval: Interval) -> str:
 
 
 def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
-    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`.
-
-    Args:
-        message: The prediction.
-        touches: Number of touches that it was adapted to, 0 if unknown.
-    """
+    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`; the number is left out if it is 0."""
     name = {code: name for name, code in _REFERENCES.items()}[message.reference]
     return {"none": "cloud only", "touches": f"{touches or ''} touches".strip()}.get(name, name)
 
@@ -242,11 +231,7 @@ def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) ->
     """Make the message of a refused prediction: every value is NaN, with a status and a reason."""
     unknown = Touch.from_vector(np.full(TOUCH_SIZE, math.nan))
     return TouchPredictionMsg(
-        header=header,
-        grasp=grasp,
-        **_modalities(unknown, None, None),
-        status=status,
-        reason=reason,
+        header=header, grasp=grasp, **_modalities(unknown, None, None), status=status, reason=reason
     )
 
 

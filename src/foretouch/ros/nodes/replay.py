@@ -49,11 +49,9 @@ _INPUTS = frozenset({"executed_grasp"})  # in the graph's namespace, but publish
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
-    """Sort the topics of a recording into those that can be played and the others.
+    """Sort the topics of a recording, without that of the clouds, into those that can be played and the others.
 
-    Args:
-        topics: All but that of the clouds.
-        namespace: Of the graph: what its nodes published then must not be mixed with what they publish now.
+    What the nodes in `namespace` published then must not be mixed with what they publish now.
 
     Returns:
         The message class of each topic that can be played, and the reason for each other topic with messages.

@@ -138,14 +138,7 @@ class NodeStatus:
 
 
 def diagnostic_status(name: str, now: InputSummary, before: InputSummary | None, node: NodeStatus) -> DiagnosticStatus:
-    """Make the report of one node: a level, one line of text, and all numbers.
-
-    Args:
-        name: Fully qualified name of the node.
-        now: The counts.
-        before: Those of the last report: drops since then are a warning.
-        node: The rest.
-    """
+    """Make the report of one node: a level, one line of text, and all numbers; drops since `before` are a warning."""
     warnings = [*node.warnings, *_silence(now, node), *_drops(now, before)]
     if node.errors:
         level, message = DiagnosticStatus.ERROR, "; ".join(node.errors)

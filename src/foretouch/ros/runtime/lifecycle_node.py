@@ -52,7 +52,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
     Args:
         name: Of the node.
         config_class: Class of its settings; every field becomes a parameter.
-        options: For rclpy's `Node`; the namespace is `/foretouch` unless given here or on the command line.
+        options: For rclpy's `Node`; the namespace is `/foretouch` by default.
 
     Raises:
         ConfigError: If a parameter given at the start breaks a rule.

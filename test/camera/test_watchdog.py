@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from foretouch.camera.config import TimeoutConfig
-from foretouch.camera.status import Watchdog
+from foretouch.camera.realsense import Watchdog
 
 _TIMEOUTS = TimeoutConfig(start_s=5.0, stall_s=1.0, reopen_s=3.0, backoff_min_s=0.5, backoff_max_s=4.0)
 
