@@ -176,10 +176,10 @@ class FrameStream:
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
         """Hardware clocks count from when the camera was plugged in, so that they are not used by default."""
         rule = self._config.stamp
-        own = rule == "frame" or (
+        use_frame_stamp = rule == "frame" or (
             rule == "auto" and depth.get_frame_timestamp_domain() != realsense().timestamp_domain.hardware_clock
         )
-        return round(depth.get_timestamp() * 1e6) if own else arrived_ns  # the library counts milliseconds
+        return round(depth.get_timestamp() * 1e6) if use_frame_stamp else arrived_ns  # the library has ms
 
 
 class FilterChain:

@@ -132,9 +132,9 @@ def _ros() -> Iterator[Finding]:
     for name, why in (
         ("launch_ros", "launch files"),
         ("sensor_msgs_py", "comparison in tests"),
-        ("sr_robot_msgs", "Shadow's own messages"),
+        ("sr_robot_msgs", "the messages of Shadow"),
     ):
-        present = _succeeds(f"import {name}")
+        present = _failure(f"import {name}") is None
         yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
 
 
@@ -182,10 +182,6 @@ def _camera() -> Finding:
 def _tried(name: str, code: str, fix: str) -> Finding:
     message = _failure(code)
     return Finding(name, "ok", "yes") if message is None else Finding(name, "broken", message, fix)
-
-
-def _succeeds(code: str) -> bool:
-    return _failure(code) is None
 
 
 def _failure(code: str) -> str | None:

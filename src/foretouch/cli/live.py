@@ -102,14 +102,14 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     return table
 
 
-def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
+def _executed(prediction: TouchPrediction, readings: Felt) -> Table:
     from foretouch.ros.messages.conversions import interval_text
 
     table = _table("last grasp executed (counts)", "", *_MODALITIES)
     if not prediction.status:
         pressures = interval_text(prediction.pdc_th), interval_text(prediction.pdc_mf)
         table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))
-    for name, touch in (("read", felt.touch), ("tare", felt.tare)):
+    for name, touch in (("read", readings.touch), ("tare", readings.tare)):
         spans = tuple(f"{e.min():.0f}…{e.max():.0f}" for e in (touch.e_th, touch.e_mf))
         table.add_row(name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans)
     return table

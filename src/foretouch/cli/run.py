@@ -218,7 +218,7 @@ def _draw(graph: Graph, path: str) -> None:
     if found is None:
         warn(f"{path}: not drawn, because there was no prediction")
         return
-    prediction, felt = prediction_from_msg(found.prediction), found.felt
+    prediction, readings = prediction_from_msg(found.prediction), found.felt
     title = f"object {found.target.id}"
     if prediction.value is not None:
         title += f", predicted by {found.prediction.model} ({reference_text(found.prediction)})"
@@ -228,9 +228,9 @@ def _draw(graph: Graph, path: str) -> None:
         found.scene,
         found.target,
         prediction,
-        rest=None if felt is None else felt.tare,
-        read=None if felt is None else felt.touch,
-        title=title if felt is None else f"{title}; readings of the simulated hand",
+        rest=None if readings is None else readings.tare,
+        read=None if readings is None else readings.touch,
+        title=title if readings is None else f"{title}; readings of the simulated hand",
     )
     warn(f"wrote {path}")
 

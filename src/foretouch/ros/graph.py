@@ -53,7 +53,7 @@ class Graph:
         params_file: str | Path | None = None,
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
-        self._wanted = nodes
+        self._parameters = nodes
         self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": namespace}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
@@ -131,13 +131,13 @@ class Graph:
 
     def wait_for_answers(self, count: int) -> bool:
         """Wait until the monitor has received `count` answers; False once none has come for five seconds."""
-        seen, last = self.answered(), time.monotonic()
-        while seen < count:
+        answered, last = self.answered(), time.monotonic()
+        while answered < count:
             if time.monotonic() - last > _IDLE_S:
                 return False
             time.sleep(0.02)
-            if self.answered() > seen:
-                seen, last = self.answered(), time.monotonic()
+            if self.answered() > answered:
+                answered, last = self.answered(), time.monotonic()
         return True
 
     def close(self) -> None:
@@ -157,7 +157,7 @@ class Graph:
         rclpy.try_shutdown()
 
     def _make_nodes(self) -> None:
-        for name, parameters in self._wanted.items():
+        for name, parameters in self._parameters.items():
             (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
             self.nodes[name] = node
             self._executor.add_node(node)

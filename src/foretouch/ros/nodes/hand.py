@@ -45,32 +45,20 @@ _POLL_S = 0.01
 
 @dataclass(frozen=True, eq=False)
 class _Command:
-    """A grasp to execute.
+    """A grasp to execute."""
 
-    Attributes:
-        message: `GraspArray`; its first grasp is executed.
-        planned_ns: Stamp of the cloud that it was planned on [ns].
-        arrived: When it was accepted (`time.monotonic`) [s].
-    """
-
-    message: Any
-    planned_ns: int
-    arrived: float
+    message: Any  # GraspArray; its first grasp is executed
+    planned_ns: int  # stamp of the cloud that it was planned on
+    arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
 @dataclass(frozen=True, eq=False)
 class _RunningGrasp:
-    """A grasp that is being executed.
-
-    Attributes:
-        command: What was asked for.
-        course: Motion and readings of the hand, one row per message.
-        first: Number of the message of row 0.
-    """
+    """A grasp that is being executed."""
 
     command: _Command
-    course: Course
-    first: int = 0
+    course: Course  # motion and readings of the hand, one row per message
+    first: int = 0  # number of the message of row 0
 
 
 def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> ExecutedGrasp:
@@ -144,7 +132,7 @@ class HandNode(ForetouchNode[HandConfig]):
         """Read the scene, advertise, subscribe."""
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
-        at_rest = SimulatedHand(scene, self.config.course)  # each thread has its own
+        at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
         self._faults = MessageFaults(self.config.faults)
