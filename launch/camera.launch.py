@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The RealSense alone: `points` under the namespace.
+"""The RealSense camera alone: publishes `points` in the namespace.
 
 ros2 launch foretouch camera.launch.py params_file:=d415.yaml
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
+import sys
+from pathlib import Path
+
+from launch.actions import OpaqueFunction
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 
-ARGUMENTS = [
-    DeclareLaunchArgument("namespace", default_value="/foretouch", description="Of the node"),
-    DeclareLaunchArgument("params_file", default_value="", description="ROS parameters, YAML"),
-]
+sys.path.append(str(Path(__file__).resolve().parent))
+from foretouch_launch_helpers import foretouch_node, shared_arguments
+
+ARGUMENTS = shared_arguments("namespace", "params_file")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -21,13 +23,4 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def camera(context: LaunchContext) -> list[Node]:
-    params_file = LaunchConfiguration("params_file").perform(context)
-    return [
-        Node(
-            package="foretouch",
-            executable="foretouch_camera",
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[params_file] if params_file else [],
-            output="screen",
-        )
-    ]
+    return [foretouch_node(context, "camera")]

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder alone, beside a running graph: touches paired with grasps, into a dataset.
+"""The recorder alone, beside a running graph: records grasps and tactile readings to a dataset.
 
 ros2 launch foretouch recorder.launch.py record:=/data/session object:=can
 ros2 launch foretouch recorder.launch.py folder:=/data tactile:=/rh/tactile tactile_type:=sr_robot_msgs/BiotacAll
 """
 
+import sys
+from pathlib import Path
+
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+
+sys.path.append(str(Path(__file__).resolve().parent))
+from foretouch_launch_helpers import argument_values, foretouch_node, shared_arguments
 
 PARAMETERS = {  # by argument
     "record": "record",
@@ -18,16 +23,16 @@ PARAMETERS = {  # by argument
     "tactile": "tactile_topic",
     "tactile_type": "tactile.type",
 }
+DESCRIPTIONS = {
+    "record": "Dataset to record to; if empty, the service start_recording starts a recording",
+    "object": "Label of the object on the table, for `record`",
+    "folder": "Folder of recordings that are given by a relative path",
+    "tactile": "Topic of the tactile messages, if not the default",
+    "tactile_type": "Type of the tactile messages, if not foretouch_msgs/BiotacAll",
+}
 ARGUMENTS = [
-    DeclareLaunchArgument(
-        "record", default_value="", description="Dataset to record into; else start_recording begins"
-    ),
-    DeclareLaunchArgument("object", default_value="", description="Label of what lies on the table, for record"),
-    DeclareLaunchArgument("folder", default_value="", description="Where recordings with a relative path go"),
-    DeclareLaunchArgument("tactile", default_value="", description="Topic of the hand, if not /rh/tactile"),
-    DeclareLaunchArgument("tactile_type", default_value="", description="Its type, if not foretouch_msgs/BiotacAll"),
-    DeclareLaunchArgument("namespace", default_value="/foretouch", description="Of the graph"),
-    DeclareLaunchArgument("params_file", default_value="", description="ROS parameters, YAML"),
+    *(DeclareLaunchArgument(name, default_value="", description=text) for name, text in DESCRIPTIONS.items()),
+    *shared_arguments("namespace", "params_file"),
 ]
 
 
@@ -36,14 +41,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def recorder(context: LaunchContext) -> list[Node]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in (*PARAMETERS, "params_file")}
-    said = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}  # as texts, even "7"
-    return [
-        Node(
-            package="foretouch",
-            executable="foretouch_recorder",
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[*filter(None, [given["params_file"]]), said],
-            output="screen",
-        )
-    ]
+    given = argument_values(context, *PARAMETERS)
+    # Passed as strings, so that an object named 7 stays one.
+    parameters = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
+    return [foretouch_node(context, "recorder", parameters)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from foretouch.camera import RealSenseConfig, SyntheticCamera
 from foretouch.camera.config import DecimationConfig, FilterConfig, HoleFillingConfig, SpatialConfig, TemporalConfig
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 from foretouch.camera.stream import Frames, FrameStream, lens_of
 from foretouch.simulation import DepthImage, random_scene
 

@@ -21,12 +21,9 @@ from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_memory import TouchMemory
-from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
 __all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "SegmentedScene"]
-
-ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
-"""The table of a cloud that holds an object and nothing else: seen from straight above, as in the public recordings."""
 
 
 @dataclass(frozen=True, kw_only=True)

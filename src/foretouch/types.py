@@ -18,6 +18,7 @@ import numpy.typing as npt
 from foretouch.errors import CloudError, GraspError, TactileError
 
 __all__ = [
+    "ASSUMED_TABLE",
     "ELECTRODES",
     "TOUCH_SIZE",
     "Cloud",
@@ -127,6 +128,10 @@ class Plane:
     def height(self, xyz: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
         """Signed distance of points (..., 3) from the plane [m], positive on the normal's side."""
         return xyz @ self.normal.astype(xyz.dtype) + xyz.dtype.type(self.offset)
+
+
+ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
+"""The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ def test_settings_survive_the_way_to_plain_data_and_back() -> None:
     ("mapping", "message"),
     [
         ({"file": "a.db3", "serial": "1"}, "RealSenseConfig.file: 'a.db3' and serial '1' exclude each other"),
-        ({"file": "a.db3", "record_to": "b.db3"}, "record_to: 'b.db3': a recording is not recorded again"),
+        ({"file": "a.db3", "record_to": "b.db3"}, "record_to: 'b.db3': a recording cannot be recorded again"),
         ({"timeouts.stall_s": 5.0}, "TimeoutConfig.stall_s: 5.0 is above reopen_s, 3.0"),
         ({"timeouts.backoff_max_s": 0.1}, "TimeoutConfig.backoff_min_s: 0.5 is above backoff_max_s, 0.1"),
         ({"align": "both"}, "RealSenseConfig.align: 'both' is none of none, colour_to_depth, depth_to_colour"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foretouch.camera import Deprojector, pinhole_matrix
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 from foretouch.camera.stream import lens_of
 from foretouch.errors import CameraError, MissingDependencyError
 

@@ -12,8 +12,8 @@ import pytest
 
 from foretouch.camera import FilterConfig, RealSenseConfig, SyntheticCamera, open_camera
 from foretouch.camera.config import DecimationConfig, HoleFillingConfig, SpatialConfig, TemporalConfig
-from foretouch.camera.filters import FilterChain
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
+from foretouch.camera.stream import FilterChain
 from foretouch.config import setting_infos
 from foretouch.simulation import DepthImage
 from foretouch.types import Cloud

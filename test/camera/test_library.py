@@ -11,7 +11,7 @@ import pytest
 _SCRIPT = """
 import sys
 {first}
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 rs = realsense()
 names = list(sys.modules)
 assert names.index("rclpy") < names.index("pyrealsense2")
@@ -24,7 +24,7 @@ print(rs.software_device() is not None)
 @pytest.mark.parametrize("first", ["", "import rclpy"])
 def test_rclpy_is_imported_before_pyrealsense2_and_the_process_ends_cleanly(first: str) -> None:
     pytest.importorskip("rclpy")
-    pytest.importorskip("foretouch.camera.library").realsense()
+    pytest.importorskip("foretouch.camera.device").realsense()
     done = subprocess.run(
         [sys.executable, "-c", _SCRIPT.format(first=first)], capture_output=True, text=True, timeout=60, check=False
     )

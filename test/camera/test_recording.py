@@ -42,7 +42,7 @@ def test_a_recording_plays_back_bit_for_bit(
         played = {cloud.stamp_ns: cloud for cloud in camera}
         status = camera.status
     assert status.state == "ended"
-    assert status.reason == "the recording is over"
+    assert status.reason == "the recording has ended"
     assert status.device == "Synthetic D415 synthetic"
     assert list(played) == [cloud.stamp_ns for cloud in recorded]
     assert dict(status.dropped) == {}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 from foretouch.camera.stream import Frames, FrameStream
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage

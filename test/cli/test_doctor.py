@@ -12,21 +12,22 @@ from foretouch.cli import doctor
 Call = Callable[..., Any]
 
 
-def test_this_environment_is_well(call: Call) -> None:
+def test_this_environment_has_no_problem(call: Call) -> None:
     answer = call("doctor", "--json")
-    troubles = [
+    problems = [
         one for one in answer.records if one["state"] not in {"ok", "optional"} and one["name"] != "shared memory"
     ]
-    assert troubles == []
+    assert problems == []
+    assert all(one["mend"] == one["fix"] for one in answer.records)  # the old key stays
     assert {"Python", "torch", "open3d loads", "foretouch_msgs loads", "default model"} <= {
         one["name"] for one in answer.records
     }
 
 
-def test_another_version_is_a_mismatch_with_the_line_that_mends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_is_a_mismatch_with_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata, "version", lambda _: "0.1")
     found = doctor._pin("numpy", "2.4.6", None)
-    assert (found.state, found.mend) == ("mismatch", "pip install numpy==2.4.6")
+    assert (found.state, found.fix) == ("mismatch", "pip install numpy==2.4.6")
     assert "0.1" in found.found
 
 
@@ -38,5 +39,5 @@ def test_an_absent_package_is_missing_unless_only_an_extra_needs_it() -> None:
 
 
 def test_a_crash_of_a_library_does_not_end_the_doctor() -> None:
-    found = doctor._tried("it loads", "import os; os.abort()", "mend it")
-    assert (found.state, found.mend) == ("broken", "mend it")
+    found = doctor._tried("it loads", "import os; os.abort()", "fix it")
+    assert (found.state, found.fix) == ("broken", "fix it")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live table: value, half width, what a prediction leans on, and what is odd about it."""
+"""The live table: value, half width, what a prediction is based on, and its flags."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_value_half_width_touches_and_flags_fit_on_a_narrow_terminal() -> None:
     text = shown(TouchPrediction(GRASP, touch(), **bounds, reference="touches", flags=("unfamiliar",)))
     assert "2779 ± 60" in text
     assert "3000…3000" in text
-    assert "touches 3" in text
+    assert "3 touches" in text
     assert "unfamiliar" in text
     assert "by contact-v1" in text
 
@@ -49,4 +49,4 @@ def test_without_a_calibration_there_is_no_half_width() -> None:
     text = shown(TouchPrediction(GRASP, touch()))
     assert "2779" in text
     assert "±" not in text
-    assert "sight" in text
+    assert "cloud only" in text

@@ -110,3 +110,11 @@ def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> 
     assert process.returncode == 0, err
     assert 0 < last["answered"] < 200
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("command", [("run", "--source", "clouds"), ("replay", "clouds")])
+def test_a_plane_that_is_not_four_numbers_is_wrong_usage(command: tuple[str, ...], environment: dict[str, str]) -> None:
+    status, _, err = _run(environment, *command, "--plane", "0,0,1")
+    assert status == 2
+    assert "argument --plane" in err
+    assert "Traceback" not in err

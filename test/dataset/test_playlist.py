@@ -11,7 +11,7 @@ from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.dataset.cdr import read_header
-from foretouch.dataset.playlist import CLOUDS, Pace, Step, cloud_is_object, other_topics, steps
+from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.types import Cloud
 
@@ -27,14 +27,14 @@ def said(text: str) -> bytes:
     return bytes(STORE.serialize_cdr(STORE.types[STRING](text), STRING))
 
 
-def step_at(at_ns: int, topic: str = CLOUDS) -> Step:
-    return Step("", topic, at_ns, b"")
+def entry_at(at_ns: int, topic: str = CLOUDS) -> Entry:
+    return Entry("", topic, at_ns, b"")
 
 
 def test_files_become_stamped_messages(tmp_path):
     for number in (1, 2):
         write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
-    first, second = steps(open_source(tmp_path, frame_id="lens"))
+    first, second = entries(open_source(tmp_path, frame_id="lens"))
     assert read_header(first.data) == (STAMP_STEP_NS, "lens")
     content = STORE.deserialize_cdr(second.data, POINT_CLOUD_TYPE)
     np.testing.assert_array_equal(content.data.view("<f4"), np.full(15, 2.0))
@@ -44,7 +44,7 @@ def test_an_unreadable_file_is_a_refusal_in_its_place(tmp_path):
     for number in (1, 2, 3):
         write_cloud(tmp_path / f"{number}.npz", cloud_of(number))
     (tmp_path / "2.npz").write_bytes(b"no archive")
-    assert [bool(step.refusal) for step in steps(open_source(tmp_path))] == [False, True, False]
+    assert [bool(entry.refusal) for entry in entries(open_source(tmp_path))] == [False, True, False]
 
 
 def test_a_recording_is_played_byte_for_byte(tmp_path):
@@ -55,7 +55,7 @@ def test_a_recording_is_played_byte_for_byte(tmp_path):
         writer.write("/unwanted", STRING, 16, said("nothing"))
         writer.write_cloud(cloud_of(2, 20))
     source = open_source(tmp_path / "bag")
-    played = list(steps(source, ["/said"]))
+    played = list(entries(source, ["/said"]))
     assert [(s.topic, s.at_ns, s.stamped) for s in played] == [
         ("/said", 5, False), (CLOUDS, 10, True), ("/said", 15, False), (CLOUDS, 20, True),
     ]  # fmt: skip
@@ -69,7 +69,7 @@ def test_a_message_that_is_no_cdr_is_refused_and_the_rest_goes_on(tmp_path):
         writer.write_cloud(cloud_of(1, 10))
         writer.write("/foretouch/points", POINT_CLOUD_TYPE, 15, b"\0\1\0\0broken")
         writer.write_cloud(cloud_of(2, 20))
-    refusals = [step.refusal for step in steps(open_source(tmp_path / "bag"))]
+    refusals = [entry.refusal for entry in entries(open_source(tmp_path / "bag"))]
     assert refusals[0] == refusals[2] == ""
     assert "/foretouch/points[1]: truncated or damaged" in refusals[1]
 
@@ -83,8 +83,8 @@ def test_a_cloud_whose_sizes_do_not_add_up_is_played_as_recorded(tmp_path):
     data = bytes(STORE.serialize_cdr(content, POINT_CLOUD_TYPE))
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/points", POINT_CLOUD_TYPE, 0, data)
-    (step,) = steps(open_source(tmp_path / "bag"))
-    assert (step.refusal, step.data) == ("", data)
+    (entry,) = entries(open_source(tmp_path / "bag"))
+    assert (entry.refusal, entry.data) == ("", data)
 
 
 @pytest.mark.parametrize(("shape", "alone"), [((4, 6), False), ((24,), True)])
@@ -101,19 +101,19 @@ def test_recordings_hold_what_a_camera_saw(tmp_path):
 
 def test_recorded_times_are_kept():
     pace = Pace()
-    assert [pace.due_s(step_at(t)) for t in (5_000_000_000, 5_500_000_000, 6_000_000_000)] == [0.0, 0.5, 1.0]
+    assert [pace.due_s(entry_at(t)) for t in (5_000_000_000, 5_500_000_000, 6_000_000_000)] == [0.0, 0.5, 1.0]
     assert pace.length_ns == 1_500_000_000
     assert pace.length_s == 1.5
 
 
 def test_a_rate_paces_the_clouds_and_the_others_follow_them():
     pace = Pace(rate_hz=4.0)
-    times = [pace.due_s(step_at(t, topic)) for t, topic in ((0, "/a"), (1, CLOUDS), (2, "/a"), (9, CLOUDS), (9, "/a"))]
+    times = [pace.due_s(entry_at(t, topic)) for t, topic in ((0, "/a"), (1, CLOUDS), (2, "/a"), (9, CLOUDS), (9, "/a"))]
     assert times == [0.0, 0.0, 0.0, 0.25, 0.25]
     assert pace.length_s == 0.5
 
 
 def test_a_round_of_one_cloud_has_a_length():
     pace = Pace()
-    pace.due_s(step_at(7))
+    pace.due_s(entry_at(7))
     assert pace.length_ns == STAMP_STEP_NS

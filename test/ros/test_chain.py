@@ -12,7 +12,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_from_msg, plane_from_msg, stamp_ns
-from foretouch.ros.runtime.diagnostics import Snapshot
+from foretouch.ros.runtime.diagnostics import InputSummary
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 
@@ -182,10 +182,10 @@ def test_every_input_is_accounted_for(chain, scene_cloud):
     for stamp in range(1, 31):
         publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
     first = graph.nodes[0].statistics
-    settled: list[Snapshot] = []  # of one instant: the next cloud may be on its way
+    settled: list[InputSummary] = []  # of one instant: the next cloud may be on its way
 
     def all_answered() -> bool:
-        now = first.snapshot()
+        now = first.summary()
         if now.received > 0 and now.waiting == 0:
             settled.append(now)
         return bool(settled)

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as processes of their own, as a launch file starts them."""
 
+import ast
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.ros import executables
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import stamp_ns
 from foretouch_msgs.msg import Status, TouchPredictionArray
@@ -23,6 +26,21 @@ def start(name, *ros_arguments, domain=1, **popen):
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **popen
     )
+
+
+def test_one_table_lists_the_executables_of_the_package_and_of_setup():
+    (names,) = [
+        ast.literal_eval(line.value)
+        for line in ast.parse((Path(__file__).parents[2] / "setup.py").read_text(encoding="utf-8")).body
+        if isinstance(line, ast.Assign) and line.targets[0].id == "NODES"
+    ]
+    assert set(names) == set(executables.EXECUTABLES)
+    assert {name for nodes in executables.EXECUTABLES.values() for name in nodes} == set(executables.NODES)
+    for name, nodes in executables.EXECUTABLES.items():
+        entry_point = getattr(executables, name)
+        assert (entry_point.func, entry_point.args) == (executables.run, nodes)
+    with pytest.raises(AttributeError, match="no attribute 'toaster'"):
+        executables.toaster  # noqa: B018
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene seen by the camera node, grasped by the graph's own grasps, and felt by the hand."""
+"""A scene that the camera node publishes, the graph plans grasps on, and the simulated hand executes."""
 
 from __future__ import annotations
 
@@ -50,6 +50,6 @@ def test_the_hand_holds_what_the_camera_saw(graph, tmp_path) -> None:
 
 
 def test_faults_are_for_the_camera_of_a_scene() -> None:
-    with pytest.raises(ConfigError, match="faults: are put into the camera of a scene only, not device"):
+    with pytest.raises(ConfigError, match="faults: are supported by the camera of a scene only, not device"):
         CameraNodeConfig(faults=FaultConfig(drop_share=0.1))
     assert CameraNodeConfig(source="scene", faults=FaultConfig(drop_share=0.1)).faults.drop_share == 0.1

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth cameras: a RealSense that is plugged in, recorded, or fed with synthetic frames, on one code path."""
+"""Depth cameras: a RealSense that is connected, recorded, or fed with synthetic frames, on one code path."""
 
 from foretouch.camera.config import FilterConfig, RealSenseConfig, TimeoutConfig
 from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.camera.device import DeviceSource, FileSource, LiveSource, list_devices
-from foretouch.camera.realsense import RealSenseCamera, open_camera
-from foretouch.camera.status import CameraState, CameraStatus
+from foretouch.camera.realsense import CameraState, CameraStatus, RealSenseCamera, open_camera
 from foretouch.camera.synthetic import SyntheticCamera, SyntheticFrame
 
 __all__ = [

@@ -21,7 +21,7 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class DecimationConfig(Settings):
-    """Fewer pixels: the median or mean of each block."""
+    """Reduce the resolution: the median or mean of each block of pixels."""
 
     enabled: bool = setting(False, "Whether blocks of pixels are merged")
     magnitude: int = setting(2, "Side of a block", unit="px", minimum=1, maximum=8)
@@ -29,12 +29,12 @@ class DecimationConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SpatialConfig(Settings):
-    """Smoothing along rows and columns that keeps edges."""
+    """Smoothing along rows and columns that preserves edges."""
 
     enabled: bool = setting(False, "Whether each frame is smoothed")
     magnitude: int = setting(2, "Number of passes", minimum=1, maximum=5)
     smooth_alpha: float = setting(0.5, "Weight of the pixel itself; 1 does not smooth", minimum=0.25, maximum=1.0)
-    smooth_delta: int = setting(20, "Steps above this are edges and stay", minimum=1, maximum=50)
+    smooth_delta: int = setting(20, "Larger steps are edges and are preserved", minimum=1, maximum=50)
     holes_fill: int = setting(0, "Holes to fill: 0 none, 1 to 4 up to 2, 4, 8, 16 px, 5 all", minimum=0, maximum=5)
 
 
@@ -44,7 +44,7 @@ class TemporalConfig(Settings):
 
     enabled: bool = setting(False, "Whether frames are averaged over time")
     smooth_alpha: float = setting(0.4, "Weight of the new frame; 1 does not smooth", minimum=0.0, maximum=1.0)
-    smooth_delta: int = setting(20, "Steps above this are motion and stay", minimum=1, maximum=100)
+    smooth_delta: int = setting(20, "Larger steps are motion and are preserved", minimum=1, maximum=100)
     persistence: int = setting(
         3, "Reuse of the last valid value, the library's modes 0 (never) to 8", minimum=0, maximum=8
     )
@@ -52,7 +52,7 @@ class TemporalConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class HoleFillingConfig(Settings):
-    """Invented depth for pixels without one."""
+    """Depth for pixels without one, from their neighbours."""
 
     enabled: bool = setting(False, "Whether holes are filled")
     mode: int = setting(1, "From 0 the left, 1 the farthest, 2 the nearest neighbour", minimum=0, maximum=2)
@@ -66,23 +66,29 @@ class FilterConfig(Settings):
     spatial: SpatialConfig = field(default_factory=SpatialConfig)
     temporal: TemporalConfig = field(default_factory=TemporalConfig)
     hole_filling: HoleFillingConfig = field(default_factory=HoleFillingConfig)
-    disparity: bool = setting(True, "Whether the spatial and temporal filters work on disparity, where noise is even")
+    disparity: bool = setting(
+        True, "Whether the spatial and temporal filters work on disparity, where noise is uniform"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeoutConfig(Settings):
-    """When a silent camera is called stalled and how eagerly it is opened again."""
+    """When a camera without frames counts as stalled, and when it is opened again."""
 
-    start_s: float = setting(5.0, "A camera just opened may be silent so long", unit="s", minimum=0.1, maximum=60.0)
+    start_s: float = setting(5.0, "Longest time from opening to the first frame", unit="s", minimum=0.1, maximum=60.0)
     stall_s: float = setting(
-        1.0, "A streaming camera silent for longer is stalled", unit="s", minimum=0.05, maximum=60.0
+        1.0, "A streaming camera without a frame for longer is stalled", unit="s", minimum=0.05, maximum=60.0
     )
-    reopen_s: float = setting(3.0, "One silent for longer is opened again", unit="s", minimum=0.05, maximum=600.0)
+    reopen_s: float = setting(
+        3.0, "A camera without a frame for longer is opened again", unit="s", minimum=0.05, maximum=600.0
+    )
     backoff_min_s: float = setting(0.5, "Pause after the first failed attempt", unit="s", minimum=0.01, maximum=60.0)
-    backoff_max_s: float = setting(10.0, "Longest pause; each is twice the last", unit="s", minimum=0.01, maximum=600.0)
+    backoff_max_s: float = setting(
+        10.0, "Longest pause between attempts; each is twice the last", unit="s", minimum=0.01, maximum=600.0
+    )
     give_up_s: float = setting(
         0.0,
-        "Iterating ends with an error after so long without a frame; 0 never",
+        "Iteration fails after this time without a frame; 0 never",
         unit="s",
         minimum=0.0,
         maximum=86400.0,
@@ -97,7 +103,7 @@ class TimeoutConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RealSenseConfig(Settings):
-    """A RealSense depth camera, live or recorded, and what is done with its frames."""
+    """A RealSense depth camera, live or recorded, and the processing of its frames."""
 
     serial: str = setting("", "Serial number of the live device; empty for the first one found", read_only=True)
     file: str = setting("", "Recording (.db3 or .bag) to play instead of a live device", read_only=True)
@@ -107,20 +113,20 @@ class RealSenseConfig(Settings):
     fps: int = setting(30, "Frames per second of a live device", unit="Hz", minimum=1, maximum=300, read_only=True)
     align: str = setting(
         "none",
-        "Colour: not read; brought to the depth image; or the depth brought to the colour image",
+        "Colour: `none`, aligned to the depth image, or the depth aligned to the colour image",
         choices=("none", "colour_to_depth", "depth_to_colour"),
         read_only=True,
     )
     filters: FilterConfig = field(default_factory=FilterConfig)
     timeouts: TimeoutConfig = field(default_factory=TimeoutConfig)
-    real_time: bool = setting(True, "Whether a recording plays at its pace; if not, no frame is lost", read_only=True)
+    real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost", read_only=True)
     repeat: bool = setting(False, "Whether a recording starts again at its end", read_only=True)
     frame_id: str = setting(
         "", "Frame of the clouds; empty for the optical frame of the image they come from", read_only=True
     )
     stamp: str = setting(
         "auto",
-        "Time of a cloud: the frame's own, its arrival, or its own where that is a time of day",
+        "Stamp of a cloud: of the frame, of its arrival, or (`auto`) of the frame if that is wall-clock time",
         choices=("auto", "frame", "arrival"),
         read_only=True,
     )
@@ -130,10 +136,10 @@ class RealSenseConfig(Settings):
         if self.file and self.serial:
             raise ConfigError(f"RealSenseConfig.file: {self.file!r} and serial {self.serial!r} exclude each other")
         if self.file and self.record_to:
-            raise ConfigError(f"RealSenseConfig.record_to: {self.record_to!r}: a recording is not recorded again")
+            raise ConfigError(f"RealSenseConfig.record_to: {self.record_to!r}: a recording cannot be recorded again")
 
     @property
     def optical_frame(self) -> str:
-        """The frame of the clouds, named as realsense2_camera names it unless set."""
+        """The frame of the clouds; by default named as by realsense2_camera."""
         image = "color" if self.align == "depth_to_colour" else "depth"
         return self.frame_id or f"camera_{image}_optical_frame"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images to organised clouds, for every camera of this package: real, recorded or simulated.
+"""Depth images to organised clouds, for all cameras of this package: real, recorded or simulated.
 
 The direction of each pixel depends on the lens only, so it is computed once (in double precision,
-rounded once to float32) and every frame costs two multiplications a pixel. `librealsense` computes
+rounded once to float32) and each frame takes two multiplications per pixel. `librealsense` computes
 the same in float32 throughout; the two differ by float32 rounding only.
 """
 
@@ -20,18 +20,18 @@ from foretouch.types import Float32, Float64
 __all__ = ["Deprojector", "pinhole_matrix"]
 
 _MODELS = ("brown_conrady", "inverse_brown_conrady")
-_ITERATIONS = 10  # librealsense's number
+_ITERATIONS = 10  # as in librealsense
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """(3, 3) float64 intrinsics of square pixels and a centred axis; 65 degrees are the D415's.
+    """(3, 3) float64 intrinsics of square pixels and a centred axis; the D415 has 65 degrees.
 
     Args:
         width: [px]
         height: [px]
         hfov_deg: Horizontal field of view [deg]; f = W / (2 tan(HFOV / 2)).
     """
-    # Rounded to float32 as a device stores it, so that frames sent through one come out bit-equal.
+    # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
     focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
 
@@ -49,15 +49,10 @@ class Deprojector:
     y: Float32
 
     @classmethod
-    def pinhole(cls, matrix: Float64, width: int, height: int) -> Deprojector:
-        """Of a lens without distortion (see `of_lens`)."""
-        return cls.of_lens(matrix, width, height)
-
-    @classmethod
     def of_lens(
         cls, matrix: Float64, width: int, height: int, model: str = "none", coefficients: Sequence[float] = (0.0,) * 5
     ) -> Deprojector:
-        """Of a lens as librealsense describes it.
+        """Make the deprojector of a lens as librealsense describes it; by default without distortion.
 
         Args:
             matrix: (3, 3) float64 [px]: fx, fy on the diagonal, cx, cy in the last column.
@@ -77,8 +72,10 @@ class Deprojector:
             x, y = _undistort(x, y, np.asarray(coefficients, np.float64), scaled_shift=model == "inverse_brown_conrady")
         return cls(x.astype(np.float32, order="C"), y.astype(np.float32, order="C"))
 
+    pinhole = of_lens  # alias until merge
+
     def points(self, depth: npt.NDArray[np.uint16], scale_m: float = 0.001) -> Float32:
-        """Points of a depth image.
+        """Compute the points of a depth image.
 
         Args:
             depth: (H, W) uint16 distance along the optical axis; 0 where there is none.
@@ -103,14 +100,14 @@ class Deprojector:
 
 
 def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tuple[Float64, Float64]:
-    """Straight normalised coordinates of distorted ones by fixed-point iteration, as librealsense's rsutil.h.
+    """Undistort normalised coordinates by fixed-point iteration, as librealsense's rsutil.h does.
 
     Args:
         x: (H, W) float64.
         y: (H, W) float64.
         k: (5,) float64, k1, k2, p1, p2, k3.
-        scaled_shift: Whether the tangential shift takes the point times its radial factor. This is all that
-            the library's two models differ in.
+        scaled_shift: Whether the tangential shift is computed from the point times its radial factor. This is the
+            only difference between the library's two models.
     """
     straight_x, straight_y = x, y
     for _ in range(_ITERATIONS):

@@ -1,47 +1,72 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a device comes from: the bus, a recording, or a program that feeds the library's software device."""
+"""Sources of a device: the USB bus, a recording, or a program that feeds the library's software device."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from foretouch.camera.config import RealSenseConfig
-from foretouch.camera.library import realsense
-from foretouch.errors import CameraError, FileError
+from foretouch.errors import CameraError, FileError, MissingDependencyError
+from foretouch.libusb import ensure_libusb
 
-__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "source_of"]
+__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "realsense", "source_of"]
 
 
-class DeviceSource(Protocol):
-    """Something that a device can be asked of, again and again."""
+@functools.cache
+def realsense() -> Any:
+    """The module `pyrealsense2`, safe to use beside ROS.
 
-    @property
-    def reopens(self) -> bool:
-        """Whether opening a silent device again may mend it; a recording would only begin anew."""
+    pyrealsense2 2.56 and later crashes the process at exit (a segmentation fault) when `rclpy` is
+    imported after it. So `rclpy`, where it is installed, is always imported first.
+
+    Raises:
+        MissingDependencyError: If pyrealsense2 or libusb is missing.
+    """
+    with contextlib.suppress(ImportError):
+        import rclpy  # noqa: F401
+    ensure_libusb()
+    try:
+        import pyrealsense2
+    except ImportError as err:
+        raise MissingDependencyError(f"pyrealsense2: {err}: pip install 'foretouch[camera]'") from err
+    return pyrealsense2
+
+
+class DeviceSource:
+    """Provides a device each time that one is opened.
+
+    Attributes:
+        reopens: Whether opening a silent device again may help; a recording would only restart.
+    """
+
+    reopens = True
 
     def find(self) -> Any:
-        """The `pyrealsense2.device`.
+        """Return the `pyrealsense2.device`.
 
         Raises:
-            CameraError: If it is not there now; it may be later.
+            CameraError: If it is not available now.
         """
+        raise NotImplementedError
 
     def present(self, device: Any) -> bool:
-        """Whether a device found earlier is still there."""
+        """Whether a device that was found is still available."""
+        raise NotImplementedError
 
-    def ended(self, device: Any) -> bool:
-        """Whether it will never send another frame."""
+    def ended(self, device: Any) -> bool:  # noqa: ARG002
+        """Whether it has sent its last frame; never for live devices."""
+        return False
 
 
-class LiveSource:
+class LiveSource(DeviceSource):
     """A device on the USB bus.
 
     Args:
         serial: Its serial number; empty for the first depth camera found.
     """
-
-    reopens = True
 
     def __init__(self, serial: str = "") -> None:
         self._serial = serial
@@ -64,20 +89,16 @@ class LiveSource:
         """See `DeviceSource`."""
         return bool(device.is_connected())
 
-    def ended(self, device: Any) -> bool:  # noqa: ARG002
-        """Never."""
-        return False
-
     def _wanted(self) -> str:
         return f"camera {self._serial}" if self._serial else "camera"
 
 
-class FileSource:
+class FileSource(DeviceSource):
     """A file of the library's own recorder.
 
     Args:
         path: `.db3`, or `.bag` of older versions.
-        real_time: Whether it plays at its pace; if not, the reader sets the pace and no frame is lost.
+        real_time: Whether it plays in real time; if not, the reader sets the pace and no frame is lost.
 
     Raises:
         FileError: If there is no such file.
@@ -95,11 +116,11 @@ class FileSource:
         """See `DeviceSource`.
 
         Raises:
-            FileError: If it is no recording of the library's.
+            FileError: If it is not a RealSense recording.
         """
         rs = realsense()
         try:
-            # A context of its own: one context refuses to load the same file twice.
+            # Each time a new context: one context refuses to load the same file twice.
             playback = rs.context().load_device(str(self._path))
         except RuntimeError as err:
             raise FileError(self._path, f"not a RealSense recording: {err}") from err
@@ -116,7 +137,7 @@ class FileSource:
 
 
 def source_of(config: RealSenseConfig) -> DeviceSource:
-    """The source that the settings name.
+    """Make the source that the settings name.
 
     Raises:
         FileError: If they name a file that is absent.
@@ -136,7 +157,7 @@ def list_devices() -> list[str]:
 
 
 def describe(device: Any) -> str:
-    """Name and serial number, for people."""
+    """Name and serial number of a device."""
     info = realsense().camera_info
     return f"{_info(device, info.name)} {_info(device, info.serial_number)}".strip()
 

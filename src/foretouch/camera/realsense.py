@@ -1,33 +1,114 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A RealSense camera that says what it is doing and comes back by itself.
+"""A RealSense camera that reports its state and reconnects by itself.
 
-Threads: one thread reads (and so drives the opening, the waiting and the reopening; there is no
-thread inside); any thread may ask for `status`, which is replaced as a whole and never changed.
+Threads: the thread that reads also opens, waits and reopens; any thread may read `status`, which is replaced as a
+whole and never changed.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
-from foretouch.camera.config import RealSenseConfig
+from foretouch.camera.config import RealSenseConfig, TimeoutConfig
 from foretouch.camera.device import DeviceSource, describe, source_of
-from foretouch.camera.filters import FilterChain
-from foretouch.camera.status import CameraState, CameraStatus, Watchdog
-from foretouch.camera.stream import FrameStream
+from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
-__all__ = ["RealSenseCamera", "open_camera"]
+__all__ = ["CameraState", "CameraStatus", "RealSenseCamera", "Watchdog", "open_camera"]
 
 _LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _START_OF_PLAY_S = 1.0
+
+CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraStatus:
+    """The state of a camera at one moment.
+
+    Attributes:
+        state: `streaming`: frames arrive. `stalled`: the device is present but sends no frames. `absent`: no such
+            device. `reconnecting`: it is being opened, or has sent nothing since. `ended`: the end of the recording.
+            `closed`: by the user.
+        reason: Why, as text; empty while streaming.
+        device: Name and serial number of the device; empty until one was opened.
+        received: Depth frames that the device made according to its frame numbers: delivered + the sum of dropped.
+        delivered: Clouds returned.
+        dropped: Lost frames by reason: `missed` (skipped frame numbers: lost before they reached us, or replaced by a
+            newer one), `no_colour` (no matching colour frame), `bad_frame` (refused by the library).
+        opened: How often a device was opened.
+        failures: Consecutive attempts without a frame.
+        since_frame_s: Age of the last frame [s]; None before the first.
+    """
+
+    state: CameraState = "reconnecting"
+    reason: str = "not opened yet"
+    device: str = ""
+    received: int = 0
+    delivered: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    opened: int = 0
+    failures: int = 0
+    since_frame_s: float | None = None
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether frames arrive, or none are expected yet or any more."""
+        return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
+
+
+class Watchdog:
+    """Decides from times alone whether to wait, to report the camera as stalled, or to open it again.
+
+    Attributes:
+        config: The timeouts; may be replaced.
+        failures: Consecutive attempts without a frame.
+        next_attempt_s: End of the pause after a failed attempt; all times are of one monotonic clock [s].
+    """
+
+    def __init__(self, config: TimeoutConfig) -> None:
+        self.config = config
+        self._last_frame_s = 0.0  # last frame, or the opening
+        self._streaming = False
+        self.failures = 0
+        self.next_attempt_s = 0.0
+
+    def opened(self, now_s: float) -> None:
+        """Note that a device was opened; its first frame may take longer."""
+        self._last_frame_s, self._streaming = now_s, False
+
+    def frame(self, now_s: float) -> None:
+        """Note a frame that a cloud could be made of."""
+        self._last_frame_s, self._streaming = now_s, True
+        self.failures = 0
+
+    def failed(self, now_s: float) -> float:
+        """Note a failed attempt; returns the pause before the next [s], twice the last one."""
+        pause = min(self.config.backoff_min_s * 2.0 ** min(self.failures, 60), self.config.backoff_max_s)
+        self.failures += 1
+        self.next_attempt_s = now_s + pause
+        return pause
+
+    def silent_s(self, now_s: float) -> float:
+        """Time since the last frame, or since the opening without one [s]."""
+        return now_s - self._last_frame_s
+
+    def decide(self, now_s: float) -> Literal["wait", "stalled", "reopen"]:
+        """Decide what to do with a device that is open and sends nothing."""
+        silent = self.silent_s(now_s)
+        if not self._streaming:
+            return "reopen" if silent > self.config.start_s else "wait"
+        if silent > self.config.reopen_s:
+            return "reopen"
+        return "stalled" if silent > self.config.stall_s else "wait"
 
 
 def open_camera(
@@ -35,12 +116,12 @@ def open_camera(
     source: DeviceSource | None = None,
     on_change: Callable[[CameraStatus], None] | None = None,
 ) -> RealSenseCamera:
-    """A camera as a context manager and an iterator of organised clouds.
+    """Make a camera, which is a context manager and an iterator of organised clouds.
 
     Args:
         config: The settings; defaults for None.
         source: Where the device comes from, instead of what the settings name.
-        on_change: Called by the reading thread when the state is another; logs it if None.
+        on_change: Called by the reading thread when the state changes; None logs it.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
@@ -50,7 +131,7 @@ def open_camera(
 
 
 class RealSenseCamera:
-    """See `open_camera`. A device that is absent, unplugged or silent is told by `status` and tried again."""
+    """See `open_camera`. A device that is absent, unplugged or silent is reported in `status` and tried again."""
 
     def __init__(
         self, config: RealSenseConfig, source: DeviceSource | None, on_change: Callable[[CameraStatus], None]
@@ -74,7 +155,7 @@ class RealSenseCamera:
         return self._config
 
     def reconfigure(self, config: RealSenseConfig) -> None:
-        """Take over other filters and timeouts, from any thread; the rest needs a new camera."""
+        """Apply new filters and timeouts, from any thread; other settings need a new camera."""
         self._config = self._config.replace(filters=config.filters, timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
         stream = self._stream
@@ -83,23 +164,23 @@ class RealSenseCamera:
 
     @property
     def status(self) -> CameraStatus:
-        """What it is doing, why, and the counts so far."""
-        heard = self._frame_at_s
-        since = None if heard is None else time.monotonic() - heard
-        return dataclasses.replace(self._status, since_frame_s=since)
+        """The state, its reason, and the counts so far."""
+        last = self._frame_at_s
+        since = None if last is None else time.monotonic() - last
+        return replace(self._status, since_frame_s=since)
 
     def read(self, timeout_s: float) -> Cloud | None:
-        """The next cloud.
+        """Return the next cloud.
 
         Args:
             timeout_s: Longest wait; opening a device may take longer [s].
 
         Returns:
-            The cloud, or None if there was none in time: `status` tells why.
+            The cloud, or None if there was none in time: `status` gives the reason.
 
         Raises:
             CameraError: If the camera does not offer what the settings ask for.
-            FileError: If the recording is none.
+            FileError: If the file is not a recording.
         """
         deadline = time.monotonic() + timeout_s
         while self._status.state not in {"ended", "closed"}:
@@ -118,7 +199,7 @@ class RealSenseCamera:
         """Clouds until the recording ends or the camera is closed.
 
         Raises:
-            CameraError: If nothing came for `timeouts.give_up_s`.
+            CameraError: If no frame came for `timeouts.give_up_s`.
         """
         limit = self._config.timeouts.give_up_s
         last = time.monotonic()
@@ -131,10 +212,10 @@ class RealSenseCamera:
                 raise CameraError(f"no frame for {limit:g} s: {self._status.state}: {self._status.reason}")
 
     def close(self) -> None:
-        """Release the device; nothing can be read afterwards."""
+        """Release the device; afterwards nothing can be read."""
         self._release()
         if self._status.state != "ended":
-            self._tell("closed", "closed by the user")
+            self._set_state("closed", "closed by the user")
 
     def __enter__(self) -> Self:
         return self
@@ -142,11 +223,11 @@ class RealSenseCamera:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _try_to_open(self, patience_s: float) -> None:
-        """Open the device if the pause since the last attempt is over; else pause."""
+    def _try_to_open(self, timeout_s: float) -> None:
+        """Open the device if the pause since the last attempt is over; else wait."""
         pause = self._watchdog.next_attempt_s - time.monotonic()
         if pause > 0.0:
-            time.sleep(min(pause, patience_s, _SLICE_S))
+            time.sleep(min(pause, timeout_s, _SLICE_S))
             return
         try:
             self._device = self._source.find()
@@ -154,7 +235,7 @@ class RealSenseCamera:
             self._retry_later("absent", str(err))
             return
         try:
-            self._stream = FrameStream(self._device, self._config_of_this_opening())
+            self._stream = FrameStream(self._device, self._config_for_this_attempt())
         except RuntimeError as err:
             self._device = None
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
@@ -162,10 +243,10 @@ class RealSenseCamera:
         self._last_number = None
         self._watchdog.opened(time.monotonic())
         self._update(opened=self._status.opened + 1, device=describe(self._device))
-        self._tell("reconnecting", "opened, waiting for the first frame")
+        self._set_state("reconnecting", "opened, waiting for the first frame")
 
-    def _config_of_this_opening(self) -> RealSenseConfig:
-        """Each opening records to a file of its own: the library would start the same one anew."""
+    def _config_for_this_attempt(self) -> RealSenseConfig:
+        """Record to a new file each time: the library would overwrite the first one."""
         path, opened = Path(self._config.record_to), self._status.opened
         if not self._config.record_to or not opened:
             return self._config
@@ -187,45 +268,45 @@ class RealSenseCamera:
             cloud = stream.cloud(frames)
         except RuntimeError as err:
             self._drop("bad_frame")
-            self._on_silence(now, f"frames are refused by the library ({' '.join(str(err).split())})")
+            self._on_silence(now, f"the library refuses the frames ({' '.join(str(err).split())})")
             return None
         self._watchdog.frame(now)
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
-        self._tell("streaming", "")
+        self._set_state("streaming", "")
         return cloud
 
     def _on_silence(self, now: float, what: str) -> None:
-        """Decide what to make of having no cloud, and tell `what` there is instead."""
+        """Handle the lack of a cloud; `what` describes it in the reason."""
         silent_s = self._watchdog.silent_s(now)
-        # A recording that was only just started may not call itself playing yet.
+        # A recording may not be playing yet just after its start.
         if self._source.ended(self._device) and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
             self._on_end()
             return
-        verdict = self._watchdog.verdict(now)
-        told = f"{what} for {silent_s:.1f} s"
+        decision = self._watchdog.decide(now)
+        reason = f"{what} for {silent_s:.1f} s"
         if not self._source.present(self._device):
             self._release()
             self._retry_later("absent", f"{self._status.device}: was unplugged")
-        elif verdict == "reopen" and self._source.reopens:
+        elif decision == "reopen" and self._source.reopens:
             self._release()
-            self._retry_later("reconnecting", f"{told}, opening it again")
-        elif verdict != "wait":
-            self._tell("stalled", told)
+            self._retry_later("reconnecting", f"{reason}, opening it again")
+        elif decision != "wait":
+            self._set_state("stalled", reason)
 
     def _on_end(self) -> None:
         self._release()
         if self._config.repeat:
-            self._tell("reconnecting", "the recording starts again")
+            self._set_state("reconnecting", "the recording restarts")
         else:
-            self._tell("ended", "the recording is over")
+            self._set_state("ended", "the recording has ended")
 
     def _retry_later(self, state: CameraState, reason: str) -> None:
         pause = self._watchdog.failed(time.monotonic())
         self._update(failures=self._watchdog.failures)
-        self._tell(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
+        self._set_state(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
 
     def _count_missed(self, number: int) -> None:
-        """Numbers skipped since the last depth frame are frames lost; an opening starts to count anew."""
+        """Count frames whose numbers were skipped since the last depth frame of this opening."""
         if self._last_number is not None and number > self._last_number + 1:
             self._drop("missed", number - self._last_number - 1)
         self._last_number = number
@@ -240,9 +321,9 @@ class RealSenseCamera:
         self._stream = self._device = None
 
     def _update(self, **changes: Any) -> None:
-        self._status = dataclasses.replace(self._status, **changes)
+        self._status = replace(self._status, **changes)
 
-    def _tell(self, state: CameraState, reason: str) -> None:
+    def _set_state(self, state: CameraState, reason: str) -> None:
         changed = state != self._status.state
         self._update(state=state, reason=reason, failures=self._watchdog.failures)
         if changed:
@@ -250,5 +331,5 @@ class RealSenseCamera:
 
 
 def _log(status: CameraStatus) -> None:
-    level = logging.INFO if status.is_well else logging.WARNING
+    level = logging.INFO if status.is_ok else logging.WARNING
     _LOG.log(level, "camera: %s%s", status.state, f": {status.reason}" if status.reason else "")

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""librealsense's own software device, fed with frames that a program made.
+"""A software device of librealsense, fed with frames from a program in place of a D415.
 
-It stands where a D415 would: all that follows, from the library's syncer, filters and recorder to
-the cloud, is the code that a real camera runs.
+Everything behind it, from the library's filters and recorder to the cloud, is the code that a real camera uses.
 """
 
 from __future__ import annotations
@@ -15,49 +14,45 @@ from typing import Any, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.camera.library import realsense
+from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
 from foretouch.types import Float64
 
 __all__ = ["SyntheticCamera", "SyntheticFrame"]
 
-_BASELINE_MM = 55.0  # the D415's; the library's disparity filters ask for it
+_BASELINE_MM = 55.0  # of the D415; the library's disparity filters require it
 _DEPTH_UNIT_M = 0.001
 
 
 class SyntheticFrame(Protocol):
-    """What is fed, such as a `foretouch.simulation.DepthImage`."""
+    """A frame to feed, such as a `foretouch.simulation.DepthImage`."""
 
     @property
     def depth_mm(self) -> npt.NDArray[np.uint16]:
-        """(H, W) uint16 [mm], 0 where there is none."""
+        """(H, W) uint16 depth [mm], 0 where there is none."""
 
     @property
     def rgb(self) -> npt.NDArray[np.uint8]:
-        """(H, W, 3) uint8, in the same view."""
+        """(H, W, 3) uint8 colour of the same pixels."""
 
     @property
     def K(self) -> Float64:  # noqa: N802
         """(3, 3) float64, intrinsics [px]."""
 
 
-class SyntheticCamera:
-    """A `DeviceSource` that can be fed, paused, unplugged and plugged in again.
+class SyntheticCamera(DeviceSource):
+    """A `DeviceSource` that can be fed, paused, unplugged and plugged in again. As a context manager, it feeds itself.
 
     Args:
         frames: The n-th frame, or a sequence that is repeated; all of one size and lens.
         fps: Frames per second of `start` [Hz].
         serial: Its serial number.
-        stamp_ns: When the n-th frame was taken [ns since 1970], asked for once the frame is made, or None if the
-            frame gets lost; by default when it is fed. The library counts milliseconds in double precision.
+        stamp_ns: Returns the stamp of the n-th frame [ns since 1970], called after the frame is made, or None if the
+            frame is lost; by default the time of feeding. The library stores milliseconds in double precision.
 
     Attributes:
         colour: Whether the colour sensor sends.
-
-    Used as a context manager, it feeds from a thread of its own while inside.
     """
-
-    reopens = True
 
     def __init__(
         self,
@@ -81,26 +76,22 @@ class SyntheticCamera:
         self._thread: threading.Thread | None = None
 
     def find(self) -> Any:
-        """See `foretouch.camera.device.DeviceSource`."""
+        """See `DeviceSource`."""
         if not self._plugged:
             raise CameraError("synthetic camera: is unplugged")
         return self._device
 
     def present(self, device: Any) -> bool:  # noqa: ARG002
-        """See `foretouch.camera.device.DeviceSource`."""
+        """See `DeviceSource`."""
         return self._plugged
-
-    def ended(self, device: Any) -> bool:  # noqa: ARG002
-        """Never."""
-        return False
 
     @property
     def number(self) -> int:
-        """How many frames were fed."""
+        """Number of frames fed."""
         return self._number
 
     def feed(self) -> int:
-        """Feed one frame now; returns its number.
+        """Feed one frame now and return its number.
 
         Raises:
             CameraError: If the frame has another size than the first.
@@ -117,7 +108,7 @@ class SyntheticCamera:
             return number
 
     def start(self) -> None:
-        """Feed at the rate, from a thread."""
+        """Feed at `fps`, from a thread."""
         self._feeding.set()
         if self._thread is None:
             self._stopping.clear()
@@ -125,15 +116,15 @@ class SyntheticCamera:
             self._thread.start()
 
     def pause(self) -> None:
-        """Stay silent, as a stalled camera does, until `start`."""
+        """Send nothing until `start`, as a stalled camera does."""
         self._feeding.clear()
 
     def unplug(self) -> None:
-        """Be absent until `plug`."""
+        """Become absent until `plug`."""
         self._plugged = False
 
     def plug(self) -> None:
-        """Be there again."""
+        """Become present again."""
         self._plugged = True
 
     def close(self) -> None:
@@ -161,7 +152,7 @@ class SyntheticCamera:
         while not self._stopping.is_set():
             self._feeding.wait()
             self.feed()
-            # A frame that took too long to make delays the next ones; they are not made up for in a burst.
+            # A frame that took too long to make delays the next ones; these are not sent in a burst.
             due = max(due + 1.0 / self._fps, time.monotonic())
             self._stopping.wait(due - time.monotonic())
 
@@ -173,7 +164,7 @@ def _repeated(frames: Sequence[SyntheticFrame]) -> Callable[[int], SyntheticFram
 
 
 def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, list[Any], list[Any]]:
-    """A device with a depth and a colour sensor that share one view."""
+    """Make a device with a depth and a colour sensor that share one view."""
     rs = realsense()
     device = rs.software_device()
     device.register_info(rs.camera_info.name, "Synthetic D415")
@@ -185,10 +176,10 @@ def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any,
     colour = colour_sensor.add_video_stream(_video_stream(rs.stream.color, rs.format.rgb8, 3, intrinsics, fps))
     depth_sensor.add_read_only_option(rs.option.depth_units, _DEPTH_UNIT_M)
     depth_sensor.add_read_only_option(rs.option.stereo_baseline, _BASELINE_MM)
-    same_place = rs.extrinsics()
-    same_place.rotation, same_place.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
-    depth.register_extrinsics_to(colour, same_place)
-    colour.register_extrinsics_to(depth, same_place)
+    no_offset = rs.extrinsics()
+    no_offset.rotation, no_offset.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+    depth.register_extrinsics_to(colour, no_offset)
+    colour.register_extrinsics_to(depth, no_offset)
     device.create_matcher(rs.matchers.default)
     profiles = [profile.as_video_stream_profile() for profile in (depth, colour)]
     return device, [depth_sensor, colour_sensor], profiles

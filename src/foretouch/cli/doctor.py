@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch doctor`: what this machine lacks or has in another version, and the line that mends it.
+"""`foretouch doctor`: check dependencies and print the fixes.
 
-The pins are read from the installed package's own metadata, so they are written once, in setup.cfg.
+The required versions are read from the metadata of the installed package, so that they are declared only in setup.cfg.
 """
 
 from __future__ import annotations
@@ -24,51 +24,51 @@ __all__ = ["Finding", "add_arguments", "examine", "run"]
 
 State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?==([^;\s]+)(?:\s*;\s*extra == ['\"](\w+)['\"])?")
-_SHM_NEEDED_MB = 256  # three 64 MB segments and some room
+_SHM_NEEDED_MB = 256  # three segments of 64 MB and a reserve
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        name: What.
-        state: "ok", "mismatch" (works perhaps), "missing", "broken", or "optional" (absent, and only some need it).
-        found: What is there.
-        mend: The line that mends it, "" where nothing needs to.
+        name: What was checked.
+        state: "ok", "mismatch" (may work), "missing", "broken", or "optional" (absent, and needed by few).
+        found: What was found.
+        fix: The command that fixes it, else "".
     """
 
     name: str
     state: State
     found: str
-    mend: str = ""
+    fix: str = ""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """--json and --all."""
-    parser.add_argument("--json", action="store_true", help="one JSON object a finding")
-    parser.add_argument("--all", action="store_true", help="show what is well too")
+    """Declare the options."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object per check")
+    parser.add_argument("--all", action="store_true", help="also show the checks that passed")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if something is missing, broken or mismatched."""
+    """Return exit status 1 if something is missing, broken or of another version."""
     findings = list(examine())
-    troubles = [finding for finding in findings if finding.state not in {"ok", "optional"}]
+    problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:
         for finding in findings:
-            print_json(asdict(finding))
-        return int(bool(troubles))
+            print_json({**asdict(finding), "mend": finding.fix})  # `mend` is the old name of `fix`
+        return int(bool(problems))
     shown = findings if arguments.all else [f for f in findings if f.state != "ok"]
     if shown:
         print_table(
-            "foretouch doctor", ["what", "state", "found", "mend"], [[f.name, f.state, f.found, f.mend] for f in shown]
+            "foretouch doctor", ["check", "state", "found", "fix"], [[f.name, f.state, f.found, f.fix] for f in shown]
         )
-    print(f"{len(findings)} looked at, {len(troubles)} to mend")
-    return int(bool(troubles))
+    print(f"{len(findings)} checks, {len(problems)} to fix")
+    return int(bool(problems))
 
 
 def examine() -> Iterator[Finding]:
-    """All findings, cheapest first."""
+    """Run all checks, the fastest first."""
     yield _python()
     yield from _pins()
     yield from _imports()
@@ -86,7 +86,7 @@ def _python() -> Finding:
 
 
 def _pins() -> Iterator[Finding]:
-    """Every requirement of setup.cfg against what is installed."""
+    """Compare the requirements of setup.cfg with what is installed."""
     from_ros_install = bool(os.environ.get("ROS_DISTRO"))
     for line in metadata.requires("foretouch") or []:
         match = _REQUIREMENT.match(line)
@@ -110,14 +110,14 @@ def _pin(name: str, wanted: str, extra: str | None) -> Finding:
 
 
 def _imports() -> Iterator[Finding]:
-    """Libraries that can be installed and yet fail to load, each tried in a process of its own."""
+    """Import the libraries that may fail to load although they are installed, each in a separate process."""
     preload = "from foretouch.libusb import ensure_libusb; ensure_libusb()"
-    for name, code, mend in (
+    for name, code, fix in (
         ("open3d loads", f"{preload}; import open3d", "apt install libgl1 libgomp1 libusb-1.0-0"),
         ("torch loads", "import torch", "pip install --force-reinstall torch"),
         ("pyrealsense2 loads", f"{preload}; import pyrealsense2", "pip install 'foretouch[camera]'"),
     ):
-        yield _tried(name, code, mend)
+        yield _tried(name, code, fix)
 
 
 def _ros() -> Iterator[Finding]:
@@ -132,9 +132,9 @@ def _ros() -> Iterator[Finding]:
     for name, why in (
         ("launch_ros", "launch files"),
         ("sensor_msgs_py", "comparison in tests"),
-        ("sr_robot_msgs", "Shadow's own messages"),
+        ("sr_robot_msgs", "the messages of Shadow"),
     ):
-        present = _succeeds(f"import {name}")
+        present = _failure(f"import {name}") is None
         yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
 
 
@@ -145,12 +145,12 @@ def _shared_memory() -> Finding:
     except OSError:
         return Finding(name, "missing", "no /dev/shm", "docker run --ipc=host, or --shm-size=1g")
     state: State = "ok" if free_mb >= _SHM_NEEDED_MB else "mismatch"
-    mend = "" if state == "ok" else "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
-    return Finding(name, state, f"{free_mb:.0f} MB free", mend)
+    fix = "" if state == "ok" else "docker run --shm-size=1g; after a kill -9: rm /dev/shm/fastrtps_*"
+    return Finding(name, state, f"{free_mb:.0f} MB free", fix)
 
 
 def _models() -> Iterator[Finding]:
-    """The default model and the others that came with the package, each compared with its card."""
+    """Load the default model and the other released ones, and compare each with its card."""
     from foretouch.errors import ForetouchError
     from foretouch.models import DEFAULT_MODEL, available_models, load_model
 
@@ -161,7 +161,7 @@ def _models() -> Iterator[Finding]:
         except (ForetouchError, ImportError) as err:
             yield Finding(what, "broken", str(err), "pip install --force-reinstall foretouch")
             continue
-        intervals = "with intervals" if model.trust is not None else "without intervals, tare and touches"
+        intervals = "with intervals" if model.trust is not None else "without intervals and online adaptation"
         yield Finding(what, "ok", f"{model.name} {model.sha256[:12]} {intervals}")
 
 
@@ -179,17 +179,13 @@ def _camera() -> Finding:
     return Finding("RealSense", "ok", ", ".join(devices))
 
 
-def _tried(name: str, code: str, mend: str) -> Finding:
+def _tried(name: str, code: str, fix: str) -> Finding:
     message = _failure(code)
-    return Finding(name, "ok", "yes") if message is None else Finding(name, "broken", message, mend)
-
-
-def _succeeds(code: str) -> bool:
-    return _failure(code) is None
+    return Finding(name, "ok", "yes") if message is None else Finding(name, "broken", message, fix)
 
 
 def _failure(code: str) -> str | None:
-    """The last line of the error, or None: a crash of a native library must not end the doctor."""
+    """Run code in another process, which may crash; returns the last line of the error, else None."""
     done = subprocess.run(  # noqa: S603 - our own interpreter and code
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live table of `foretouch run`: one row a node, and the last prediction. It draws and computes nothing else."""
+"""The live table of `foretouch run`: one row per node, and the last prediction. It only draws."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 __all__ = ["live_panel"]
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
+_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _MAX_REASONS = 3
-_MAX_ROWS = 8  # of predictions; a planner's fifty would push the nodes off the screen
+_MAX_ROWS = 8  # of predictions, so that those of a planner do not push the nodes off the screen
 
 
 def live_panel(view: View, title: str) -> Panel:
-    """Everything an operator needs at a glance: what each node does and, where it does nothing, why."""
+    """Draw the state of each node with its problems, the answers so far, and the last prediction."""
     answered = ", ".join(f"{count} {name}" for name, count in view.answers.most_common()) or "none yet"
-    parts: list[RenderableType] = [_nodes(view.nodes), *_complaints(view.nodes), Text(f"clouds answered: {answered}")]
+    parts: list[RenderableType] = [_nodes(view.nodes), *_problems(view.nodes), Text(f"clouds answered: {answered}")]
     parts += [Text(f"  {count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     if view.last is not None and view.last.predictions:
         parts.append(_predictions(view.last.predictions[:_MAX_ROWS], _touches(view.nodes)))
@@ -36,35 +37,42 @@ def live_panel(view: View, title: str) -> Panel:
     return Panel(Group(*parts), title=title, title_align="left")
 
 
+def _table(title: str | None, *columns: str) -> Table:
+    """An empty table of numbers, whose first column holds names."""
+    table = Table(title=title, title_justify="left", expand=True, box=SIMPLE_HEAD)
+    for name in columns:
+        table.add_column(name, justify="left" if name == columns[0] else "right")
+    return table
+
+
 def _nodes(nodes: dict[str, NodeView]) -> Table:
     table = Table(expand=True, box=SIMPLE_HEAD)
     for name in ("node", "state", "Hz", "received", "used", "dropped", "latency ms"):
         table.add_column(name, justify="left" if name in {"node", "state"} else "right", no_wrap=name != "dropped")
     for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         values = node.values
-        drops = [
-            f"{value} {key.removeprefix('dropped.')}" for key, value in values.items() if key.startswith("dropped.")
-        ]
+        drops = [f"{n} {key.removeprefix('dropped.')}" for key, n in values.items() if key.startswith("dropped.")]
         table.add_row(
             Text(_short(name), _LEVELS.get(node.level, "")),
             values.get("phase" if values.get("state") == "active" and "phase" in values else "state", ""),
-            values.get("rate_hz", ""),
-            values.get("received", ""),
-            values.get("used", ""),
+            *(values.get(key, "") for key in ("rate_hz", "received", "used")),
             " ".join(drops) or values.get("dropped", ""),
             " / ".join(_rounded(values.get(f"latency_ms.{p}", "–")) for p in ("p50", "p95")),
         )
     return table
 
 
-def _complaints(nodes: dict[str, NodeView]) -> list[Text]:
-    """One line for each node that is not well."""
-    unwell = [(name, node) for name, node in nodes.items() if node.level]
-    return [Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, "")) for name, node in unwell]
+def _problems(nodes: dict[str, NodeView]) -> list[Text]:
+    """One line for each node with a warning or an error."""
+    return [
+        Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, ""))
+        for name, node in nodes.items()
+        if node.level
+    ]
 
 
 def _touches(nodes: dict[str, NodeView]) -> int:
-    """How many touches the predictor leans on, as it last reported."""
+    """Number of touches in the memory of the predictor, from its last report."""
     counts = [node.values["touches"] for node in nodes.values() if "touches" in node.values]
     return int(counts[0]) if counts else 0
 
@@ -73,15 +81,9 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     from foretouch.ros.messages.conversions import interval_text, reference_text
 
     models = " ".join(sorted({one.model for one in predictions if one.model}))
-    table = Table(
-        title=f"last prediction (counts){models and f' by {models}'}",
-        title_justify="left",
-        expand=True,
-        box=SIMPLE_HEAD,
-    )
-    for name in ("object", "mm", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
-        table.add_column(name, justify="left" if name == "object" else "right")
-    table.add_column("leans on", min_width=14, overflow="fold")
+    title = f"last prediction (counts){models and f' by {models}'}"
+    table = _table(title, "object", "mm", *_MODALITIES)
+    table.add_column("based on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
         width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
@@ -100,28 +102,26 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     return table
 
 
-def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
+def _executed(prediction: TouchPrediction, readings: Felt) -> Table:
     from foretouch.ros.messages.conversions import interval_text
 
-    table = Table(title="last grasp executed (counts)", title_justify="left", expand=True, box=SIMPLE_HEAD)
-    for name in ("", "PDC_TH", "PDC_MF", "E_TH", "E_MF"):
-        table.add_column(name, justify="right" if name else "left")
+    table = _table("last grasp executed (counts)", "", *_MODALITIES)
     if not prediction.status:
         pressures = interval_text(prediction.pdc_th), interval_text(prediction.pdc_mf)
         table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))
-    for name, touch in (("read", felt.touch), ("tare", felt.tare)):
+    for name, touch in (("read", readings.touch), ("tare", readings.tare)):
         spans = tuple(f"{e.min():.0f}…{e.max():.0f}" for e in (touch.e_th, touch.e_mf))
         table.add_row(name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans)
     return table
 
 
 def _rounded(milliseconds: str) -> str:
-    """Without decimals where they only take room."""
+    """Without decimals where the number is long."""
     return milliseconds.partition(".")[0] if len(milliseconds) > 5 else milliseconds
 
 
 def _span(intervals: list[Interval]) -> str:
-    """Least and greatest value of 24 electrodes, and the mean half width where there is one."""
+    """Smallest and largest value of 24 electrodes, and the mean half width if the model is calibrated."""
     values = [one.value for one in intervals]
     half = sum(one.upper - one.lower for one in intervals) / 2.0 / len(intervals)
     span = f"{min(values):.0f}…{max(values):.0f}"
@@ -133,7 +133,7 @@ def _short(name: str) -> str:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """In the order of the data's way."""
+    """Sort nodes in the order in which the data passes them."""
     short = _short(name)
     known = ["camera", "replay", "segmentation", "grasp", "touch_predictor", "hand", "markers"]
     return (known.index(short) if short in known else len(known), short)

@@ -1,50 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch replay`: play a recording or a folder into a graph that runs elsewhere, as if a camera did."""
+"""`foretouch replay`: play a recording or a folder into a graph that runs elsewhere, in place of a camera."""
 
 from __future__ import annotations
 
 import argparse
 
+from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
-from foretouch.cli.run import replay_fault
+from foretouch.cli.run import replay_fault, source_parameters
 from foretouch.errors import ForetouchError
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to play, how fast, and where."""
+    """Declare the options."""
     parser.add_argument("path", metavar="PATH", help="a recording, a folder of clouds or samples, or a file")
-    parser.add_argument("--topic", help="which topic of a recording holds the clouds")
+    parser.add_argument("--topic", help="topic of the clouds in a recording")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="clouds a second (default: recorded times; 10 for files)"
+        "--rate", type=float, metavar="HZ", help="clouds per second (default: recorded times; 10 for files)"
     )
-    parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
+    parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")
-    parser.add_argument("--plane", metavar="a,b,c,d", help="table of clouds that hold one object each")
-    parser.add_argument("--no-wait", action="store_true", help="play even if nobody listens")
-    parser.add_argument("--namespace", help="of the graph (default: /foretouch)")
-    parser.add_argument("--json", action="store_true", help="a last line with the counts")
+    parser.add_argument(
+        "--plane",
+        type=four_numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 of clouds that hold one object each",
+    )
+    parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
+    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
+    parser.add_argument("--json", action="store_true", help="print the counts as a JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if the replay could not begin or broke off."""
-    from foretouch.cli.inputs import four_numbers
+    """Return exit status 1 if the replay could not start or failed."""
     from foretouch.ros.graph import Graph
 
-    parameters = {"path": arguments.path, "loop": arguments.loop, "restamp": arguments.restamp}
-    if arguments.topic:
-        parameters["topic"] = arguments.topic
-    if arguments.rate is not None:
-        parameters["rate_hz"] = arguments.rate
-    if arguments.plane:
-        parameters["table"] = four_numbers(arguments.plane)
+    parameters = source_parameters(arguments, arguments.path)
+    parameters |= {"loop": arguments.loop, "restamp": arguments.restamp}
     if arguments.no_wait:
         parameters["subscribers"] = 0
     with Graph({"replay": parameters}, namespace=arguments.namespace) as graph:
         replay = graph.replay
         if replay is None or not graph.started:
-            raise ForetouchError(f"{arguments.path}: the replay did not begin; its log tells why")
+            raise ForetouchError(f"{arguments.path}: the replay did not start; see its log")
         try:
             replay.ended.wait()
         except KeyboardInterrupt:
@@ -59,7 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
             print_json(counts)
         else:
             warn(f"{arguments.path}: {replay.outcome}, {graph.played()} clouds played")
-        fault = replay_fault(replay)
-        if fault is not None:
+        if (fault := replay_fault(replay)) is not None:
             warn(f"{arguments.path}: {fault}")
         return int(fault is not None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch run`: a source, the whole graph and a live table in one terminal."""
+"""`foretouch run`: a source of clouds, the whole graph and a live table in one terminal."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
 from foretouch.errors import ForetouchError
 
@@ -17,45 +18,55 @@ if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.replay import ReplayNode
 
-__all__ = ["add_arguments", "replay_fault", "replay_parameters", "run"]
+__all__ = ["add_arguments", "replay_fault", "run", "source_parameters"]
 
 _REFRESH_S = 0.2
-_DIAGNOSED_S = 1.2  # by then every node has reported once more, all that it did
+_DIAGNOSED_S = 1.2  # until every node has reported once more
 _SCENE_FILES = (".yaml", ".yml")
-_SCENE_FPS = 5  # leaves a small machine time for the rest of the graph
+_SCENE_FPS = 5  # so that a small computer has time for the rest of the graph
 _LONGEST_GRASP_S = 10.0
-_NEAR_M = 0.1  # of the middle of a scene's object, to what is seen of it
-_PATIENT = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy machine renders slowly
+_TOLERANCE_M = 0.1  # between the middle of a scene's object and its visible part
+_TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where the clouds come from, and what is made of the answers."""
+    """Declare the options."""
     parser.add_argument(
         "--source",
         required=True,
         metavar="DIR|FILE|SCENE|camera",
-        help="clouds or samples, a recording, a scene (.yaml) with a simulated camera and hand, or the RealSense",
+        help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
+        " or `camera`, the RealSense",
     )
-    parser.add_argument("--topic", help="which topic of a recording holds the clouds")
+    parser.add_argument("--topic", help="topic of the clouds in a recording")
     parser.add_argument("--serial", help="serial number of the camera")
     parser.add_argument(
         "--rate",
         type=float,
         metavar="HZ",
-        help="clouds a second (default: recorded times; files one by one; 5 of a scene)",
+        help="clouds per second (default: recorded times; files one by one; scenes at 5)",
     )
-    parser.add_argument("--dwell", type=float, metavar="S", help="how long each object of a scene stays (default: 3)")
-    parser.add_argument("--count", type=int, metavar="N", help="end after so many answered clouds")
-    parser.add_argument("--plane", metavar="a,b,c,d", help="table of clouds that hold one object each")
-    parser.add_argument("--model", help="name of a shipped model, or path of a checkpoint")
+    parser.add_argument(
+        "--dwell", type=float, metavar="S", help="time that each object of a scene stays on the table (default: 3)"
+    )
+    parser.add_argument("--count", type=int, metavar="N", help="end after N answered clouds")
+    parser.add_argument(
+        "--plane",
+        type=four_numbers,
+        metavar="a,b,c,d",
+        help="table ax+by+cz+d=0 of clouds that hold one object each",
+    )
+    parser.add_argument("--model", help="name of a released model, or path of a checkpoint")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
-    parser.add_argument("--namespace", help="of the graph (default: /foretouch)")
-    parser.add_argument("--picture", metavar="PNG", help="draw the last prediction at the end")
-    parser.add_argument("--json", action="store_true", help="one JSON object a cloud, and a last line with the counts")
+    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
+    parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a node did not start, a cloud went unanswered, or none gave a prediction."""
+    """Return exit status 1 if a node did not start, a cloud was not answered, or there was no prediction at all."""
     from foretouch.ros.graph import Graph
 
     nodes = _nodes(arguments)
@@ -65,13 +76,16 @@ def run(arguments: argparse.Namespace) -> int:
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     with graph:
         if not graph.started:
-            raise ForetouchError("; ".join(_refusals(graph)) or "a node did not start; its log tells why")
+            states = "; ".join(
+                f"{n}: {node.state_name}" for n, node in graph.nodes.items() if node.state_name != "active"
+            )
+            raise ForetouchError(f"a node did not start; see its log ({states})")
         complete = _watch(graph, arguments)
         return _finish(graph, arguments, complete=complete)
 
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Node names with the parameters that the options stand for; the source last, when all others listen."""
+    """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
     from foretouch.ros.executables import PERCEPTION
 
     nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
@@ -84,62 +98,64 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         for name, parameters in _scene_nodes(arguments).items():
             nodes.setdefault(name, {}).update(parameters)
         return nodes
-    nodes["replay"] = replay_parameters(arguments, arguments.source)
+    nodes["replay"] = _replay_parameters(arguments)
     return nodes
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """A hand and a camera before one scene, whose first object is there from now on."""
+    """Parameters of a hand and a camera for one scene, which starts now."""
     from foretouch.simulation.show import ShowConfig, middle_of
 
     show = ShowConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
-    scene = show.load()  # a mistake in it is told before anything starts
+    scene = show.load()  # so that an error in it is reported before anything starts
     shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
     fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
-    nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_PATIENT, **shown}}
-    if scene.clutter is not None:  # nothing is known of how clutter feels, so only the object is grasped
+    nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown}}
+    if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
         point = middle_of(scene).tolist()
-        nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _NEAR_M}
+        nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _TOLERANCE_M}
     return nodes
 
 
-def replay_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
-    """Parameters of the replay: files are played one by one, as fast as they are answered, unless a rate is given."""
-    from foretouch.cli.inputs import four_numbers
+def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Parameters of the replay; without a rate, each file is played when the one before was answered."""
     from foretouch.dataset.source import open_source
 
-    parameters: dict[str, Any] = {"path": str(Path(path).resolve())}
-    one_by_one = arguments.rate is None and open_source(path, arguments.topic).kind != "recording"
-    if one_by_one:
-        parameters |= {"lockstep": True, "rate_hz": 1000.0}
-    if arguments.rate is not None:
-        parameters["rate_hz"] = arguments.rate
-    if arguments.topic:
-        parameters["topic"] = arguments.topic
-    if arguments.plane:
-        parameters["table"] = four_numbers(arguments.plane)
-    return parameters
+    path = str(Path(arguments.source).resolve())
+    one_by_one = arguments.rate is None and open_source(arguments.source, arguments.topic).kind != "recording"
+    return {**({"lockstep": True, "rate_hz": 1000.0} if one_by_one else {}), **source_parameters(arguments, path)}
+
+
+def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
+    """Parameters of the replay for the options `--topic`, `--rate` and `--plane`."""
+    given = {
+        "path": path,
+        "topic": arguments.topic or None,
+        "rate_hz": arguments.rate,
+        "table": arguments.plane,
+    }
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def replay_fault(replay: ReplayNode | None) -> str | None:
-    """What was wrong with the source, in words; None if all of it was played."""
+    """Describe why the source was not played completely; None if it was."""
     if replay is None:
         return None
     if replay.outcome == "failed":
-        return f"broke off: {replay.reason}"
+        return f"failed: {replay.reason}"
     return f"{replay.unreadable} entries could not be read" if replay.unreadable else None
 
 
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
-    """Draw until the source has ended and is answered, enough is answered, or Ctrl-C; False if answers are missing."""
+    """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
     replay, count = graph.replay, arguments.count
 
     def ended() -> bool:
         return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
 
-    title = f"foretouch run: {arguments.source} (Ctrl-C ends it)"
+    title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
     try:
         if arguments.json or not sys.stdout.isatty():
             while not ended():
@@ -147,12 +163,12 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
         else:
             _draw_until(ended, graph, title)
     except KeyboardInterrupt:
-        graph.stop_source()  # or answers would still come after the counts
+        graph.stop_source()  # or answers would still arrive after the counts
         return True
     if replay is None or not replay.ended.is_set():
         graph.stop_source()
     graph.wait_for_hand(_LONGEST_GRASP_S)
-    # A live source does not wait to be answered: what it sent too fast is counted by the nodes as dropped.
+    # A live source does not wait for answers: the nodes count what they had to drop.
     return replay is None or graph.wait_for_answers(graph.played())
 
 
@@ -168,17 +184,12 @@ def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
-    """The last words: a table or a line of counts, and the picture."""
+    """Print the table or the counts, and save the picture."""
     time.sleep(_DIAGNOSED_S)
     view = graph.monitor.view()
     answered, played = sum(view.answers.values()), graph.played()
     if arguments.json:
-        counts = {
-            "played": played,
-            "answered": answered,
-            "answers": dict(view.answers),
-            "reasons": dict(view.reasons),
-        }
+        counts = {"played": played, "answered": answered, "answers": dict(view.answers), "reasons": dict(view.reasons)}
         print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
     else:
         from rich.console import Console
@@ -205,33 +216,29 @@ def _draw(graph: Graph, path: str) -> None:
 
     found = graph.monitor.last_drawable()
     if found is None:
-        warn(f"{path}: not drawn, for there was no prediction")
+        warn(f"{path}: not drawn, because there was no prediction")
         return
-    prediction, felt = prediction_from_msg(found.prediction), found.felt
+    prediction, readings = prediction_from_msg(found.prediction), found.felt
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        title += f", predicted by {found.prediction.model} from {reference_text(found.prediction)}"
+        title += f", predicted by {found.prediction.model} ({reference_text(found.prediction)})"
         title += "".join(f", {flag}" for flag in prediction.flags)
     save_touch_picture(
         path,
         found.scene,
         found.target,
         prediction,
-        rest=None if felt is None else felt.tare,
-        read=None if felt is None else felt.touch,
-        title=title if felt is None else f"{title}; read by the simulated hand",
+        rest=None if readings is None else readings.tare,
+        read=None if readings is None else readings.touch,
+        title=title if readings is None else f"{title}; readings of the simulated hand",
     )
     warn(f"wrote {path}")
-
-
-def _refusals(graph: Graph) -> list[str]:
-    return [f"{name}: {node.state_name}" for name, node in graph.nodes.items() if node.state_name != "active"]
 
 
 def _print_answer(message: Any) -> None:
     from foretouch.cli.predict import prediction_record
     from foretouch.ros.messages.conversions import prediction_from_msg, stamp_ns
-    from foretouch.ros.messages.status import status_name
+    from foretouch.ros.messages.requests import status_name
 
     print_json(
         {

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay publishes, and when: any source as a sequence of serialised messages.
+"""The playlist of a replay: any source as a sequence of serialised messages, each with the time at which it is due.
 
-The clouds come first in importance: they are paced, checked and counted. The other topics of a
-recording go along, each message between the clouds it was recorded between.
+The clouds are paced, checked and counted. Each message of the other topics of a recording is played between the
+same clouds as it was recorded.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from foretouch.dataset.bag_writer import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
 
-__all__ = ["CLOUDS", "Pace", "Step", "cloud_is_object", "other_topics", "steps"]
+__all__ = ["CLOUDS", "Entry", "Pace", "cloud_is_object", "entries", "other_topics"]
 
 CLOUDS = ""
-"""Stands for the topic of the clouds, which the player names."""
+"""Stands for the topic of the clouds, which the replay chooses."""
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Entry:
     """One message to publish.
 
     Attributes:
-        name: Where it comes from, for people.
+        name: Where it comes from, for error messages.
         topic: As recorded, or `CLOUDS`.
-        at_ns: When it was recorded; differences count [ns].
-        data: CDR with its encapsulation header; empty where the entry cannot be read.
+        at_ns: When it was recorded; only differences are used [ns].
+        data: CDR with its encapsulation header; empty if the entry cannot be read.
         stamped: Whether it begins with a `std_msgs/Header`.
-        refusal: Why it cannot be read, or "".
+        refusal: Why it cannot be read, else "".
     """
 
     name: str
@@ -42,19 +42,19 @@ class Step:
     refusal: str = ""
 
 
-def steps(source: Source, topics: Collection[str] = ()) -> Iterator[Step]:
-    """The messages of a source in order.
+def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
+    """Iterate over the messages of a source in order.
 
     Args:
         source: Files, samples or a recording.
-        topics: Those of a recording to be played beside its clouds.
+        topics: Of a recording, to be played with its clouds.
 
     Yields:
-        Clouds of a recording exactly as they were recorded, even where their sizes do not add up: to refuse them is
-        up to whoever is tested by them. A message that is no valid CDR, and a file that cannot be read, is a `refusal`.
+        Clouds of a recording exactly as they were recorded, even where their sizes do not add up: the subscribers
+        must refuse these. A message that is not valid CDR, or a file that cannot be read, is a `refusal`.
 
     Raises:
-        FileError: Where a recording breaks off.
+        FileError: Where a recording is cut off.
     """
     if source.kind == "recording":
         yield from _recorded(source, topics)
@@ -62,13 +62,13 @@ def steps(source: Source, topics: Collection[str] = ()) -> Iterator[Step]:
     for item in source:
         try:
             cloud = item.cloud
-            yield Step(item.name, CLOUDS, cloud.stamp_ns, serialize_cloud(cloud))
+            yield Entry(item.name, CLOUDS, cloud.stamp_ns, serialize_cloud(cloud))
         except ForetouchError as err:
-            yield Step(item.name, CLOUDS, 0, b"", refusal=str(err))
+            yield Entry(item.name, CLOUDS, 0, b"", refusal=str(err))
 
 
 def other_topics(source: Source) -> tuple[Topic, ...]:
-    """The topics of a recording beside that of its clouds; none of other sources."""
+    """The topics of a recording other than that of its clouds; none for other sources."""
     if source.kind != "recording":
         return ()
     with Recording(source.path) as recording:
@@ -76,10 +76,10 @@ def other_topics(source: Source) -> tuple[Topic, ...]:
 
 
 def cloud_is_object(source: Source) -> bool:
-    """Whether the clouds hold one object each and nothing else, so that there is nothing to segment.
+    """Whether each cloud holds exactly one object, so that there is nothing to segment.
 
-    Samples are such clouds by their nature. Files are taken for scenes where the first that can be
-    read is organised like an image, else for objects; recordings for what a camera saw.
+    This is true of samples, and of files if the first readable one is not organised like an image. Recordings hold
+    clouds of a camera.
     """
     if source.kind != "clouds":
         return source.kind == "samples"
@@ -92,10 +92,10 @@ def cloud_is_object(source: Source) -> bool:
 
 
 class Pace:
-    """When the steps of one round are due.
+    """When the entries of one round are due.
 
     Args:
-        rate_hz: Clouds a second; 0 keeps the times of the recording. Other topics follow the cloud before them.
+        rate_hz: Clouds per second; 0 keeps the times of the recording. Other topics follow the cloud before them.
     """
 
     def __init__(self, rate_hz: float = 0.0) -> None:
@@ -104,19 +104,19 @@ class Pace:
         self._first_ns: int | None = None
         self._last_ns = 0
 
-    def due_s(self, step: Step) -> float:
-        """Time from the start of the round at which to publish the step [s]; call it once a step, in order."""
+    def due_s(self, entry: Entry) -> float:
+        """Time from the start of the round at which to publish the entry [s]; must be called once per entry, in order."""
         if self._first_ns is None:
-            self._first_ns = step.at_ns
-        self._last_ns = max(self._last_ns, step.at_ns)
-        self._clouds += step.topic == CLOUDS
+            self._first_ns = entry.at_ns
+        self._last_ns = max(self._last_ns, entry.at_ns)
+        self._clouds += entry.topic == CLOUDS
         if self._rate_hz > 0.0:
             return max(self._clouds - 1, 0) / self._rate_hz
-        return max(step.at_ns - self._first_ns, 0) * 1e-9
+        return max(entry.at_ns - self._first_ns, 0) * 1e-9
 
     @property
     def length_ns(self) -> int:
-        """Time of the recording until the next round would begin, one mean step after the last cloud [ns]."""
+        """Recorded duration of a round, which ends one mean period after the last cloud [ns]."""
         if self._first_ns is None or self._clouds < 2:
             return STAMP_STEP_NS
         span = self._last_ns - self._first_ns
@@ -124,11 +124,11 @@ class Pace:
 
     @property
     def length_s(self) -> float:
-        """The same as played [s]."""
+        """Played duration of a round [s]."""
         return self._clouds / self._rate_hz if self._rate_hz > 0.0 else self.length_ns * 1e-9
 
 
-def _recorded(source: Source, topics: Collection[str]) -> Iterator[Step]:
+def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
     with Recording(source.path) as recording:
         clouds = recording.cloud_topic(source.topic)
         stamped = {topic.name: topic.stamped for topic in recording.topics}
@@ -137,7 +137,7 @@ def _recorded(source: Source, topics: Collection[str]) -> Iterator[Step]:
             topic = CLOUDS if message.topic == clouds else message.topic
             refusal = _refusal(recording, message)
             data = b"" if refusal else message.data
-            yield Step(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
+            yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
 
 
 def _refusal(recording: Recording, message: Message) -> str:

@@ -23,7 +23,7 @@ from foretouch.errors import CloudError, DatasetError, FileError, GraspError
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation
-from foretouch.types import ELECTRODES, Cloud, Float64, Grasp, GraspSample, Plane, Touch
+from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, GraspSample, Touch
 
 __all__ = [
     "CLOUD_FILE",
@@ -41,7 +41,6 @@ CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
 TOUCH_FILE: Final = "tactile.tac"
 
-_TABLE: Final = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 _HAND: Final = GeoGraspConfig(tip_mm=25.0)
 _EXTRA: Final = ("PAC0", "PAC1", "TAC", "TDC")
 _FINGER_SIZE: Final = ELECTRODES + 5
@@ -145,7 +144,7 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
         if not np.isfinite(contact).all():
             raise FileError(path, f"{contact.tolist()} is not finite", field=name)
     try:
-        axis, _ = object_axis(cloud, _TABLE, _HAND)
+        axis, _ = object_axis(cloud, ASSUMED_TABLE, _HAND)
     except CloudError as err:
         raise FileError(path.with_name(CLOUD_FILE), str(err)) from err
     try:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One `main` a node, and `perception` for segmentation, grasp and touch predictor in one process.
+"""The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
 
-Threads: one executor thread delivers messages, and every node does its slow work in threads of its own (see
-`worker` for topics and `offload` for services and actions), so that a cloud in work delays neither the next one
-nor a service, a parameter or a lifecycle request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the
-three nodes of `perception` do work at the same time. `ros2 run` and the launch files start these.
+Threads: one executor thread delivers messages, and every node does its slow work in separate threads (see
+`runtime.workers`), so that a cloud in work delays neither the next one nor a service, a parameter or a lifecycle
+request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the three nodes of `perception`
+work in parallel.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -22,83 +23,42 @@ from foretouch.ros.runtime.environment import prepare_environment
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
-__all__ = [
-    "PERCEPTION",
-    "camera",
-    "grasp",
-    "hand",
-    "make_nodes",
-    "perception",
-    "recorder",
-    "replay",
-    "run",
-    "segmentation",
-    "spin",
-    "touch_predictor",
-]
+__all__ = ["EXECUTABLES", "NODES", "PERCEPTION", "make_nodes", "run", "spin"]
 
-_CLASSES = {
-    "camera": ("foretouch.ros.nodes.camera", "CameraNode"),
-    "segmentation": ("foretouch.ros.nodes.segmentation", "SegmentationNode"),
-    "grasp": ("foretouch.ros.nodes.grasp", "GraspNode"),
-    "touch_predictor": ("foretouch.ros.nodes.touch_predictor", "TouchPredictorNode"),
-    "replay": ("foretouch.ros.nodes.replay", "ReplayNode"),
-    "hand": ("foretouch.ros.nodes.hand", "HandNode"),
-    "recorder": ("foretouch.ros.nodes.recorder", "RecorderNode"),
+NODES = {
+    "camera": "foretouch.ros.nodes.camera:CameraNode",
+    "segmentation": "foretouch.ros.nodes.segmentation:SegmentationNode",
+    "grasp": "foretouch.ros.nodes.grasp:GraspNode",
+    "touch_predictor": "foretouch.ros.nodes.touch_predictor:TouchPredictorNode",
+    "replay": "foretouch.ros.nodes.replay:ReplayNode",
+    "hand": "foretouch.ros.nodes.hand:HandNode",
+    "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
 }
+"""Module and class of each node by name."""
+
 PERCEPTION = ("segmentation", "grasp", "touch_predictor")
-_POLL_S = 0.2  # between looks at whether the nodes have ended
+EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
+"""Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
+
+_POLL_S = 0.2  # between checks whether the nodes have ended
 
 
-def camera() -> int:
-    """`foretouch_camera`."""
-    return run("camera")
-
-
-def segmentation() -> int:
-    """`foretouch_segmentation`."""
-    return run("segmentation")
-
-
-def grasp() -> int:
-    """`foretouch_grasp`."""
-    return run("grasp")
-
-
-def touch_predictor() -> int:
-    """`foretouch_touch_predictor`."""
-    return run("touch_predictor")
-
-
-def replay() -> int:
-    """`foretouch_replay`; ends when there is nothing more to play."""
-    return run("replay")
-
-
-def hand() -> int:
-    """`foretouch_hand`."""
-    return run("hand")
-
-
-def recorder() -> int:
-    """`foretouch_recorder`."""
-    return run("recorder")
-
-
-def perception() -> int:
-    """`foretouch_perception`."""
-    return run(*PERCEPTION)
+def __getattr__(name: str) -> Callable[[], int]:
+    """Return the entry point of an executable, such as `foretouch.ros.executables:camera`."""
+    if name not in EXECUTABLES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return partial(run, *EXECUTABLES[name])
 
 
 def run(*names: str, args: Sequence[str] | None = None) -> int:
-    """Start nodes in this process and serve until Ctrl-C or shutdown.
+    """Start nodes by name in this process and serve until Ctrl-C, shutdown, or until each has ended by itself.
 
     Args:
         names: Of nodes.
         args: Command line with ROS arguments; `sys.argv` if None.
 
     Returns:
-        Exit status: 0, or 1 after a known error, which is told in one line on stderr.
+        Exit status: 0, or 1 after a known error, which is printed in one line on stderr.
     """
     prepare_environment()
     import rclpy
@@ -120,11 +80,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
 
 
 def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
-    """Nodes by name, not yet configured; `rclpy.init` has been called.
-
-    Args:
-        names: Of nodes.
-        options: For rclpy's `Node`, such as `parameter_overrides`.
+    """Make nodes by name, not yet configured, with options of rclpy's `Node`; `rclpy.init` must have been called.
 
     Raises:
         ConfigError: If a parameter given at the start breaks a rule.
@@ -132,9 +88,8 @@ def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
     nodes: list[ForetouchNode[Any]] = []
     try:
         for name in names:
-            module, class_name = _CLASSES[name]
-            make: Callable[..., ForetouchNode[Any]] = getattr(import_module(module), class_name)
-            nodes.append(make(**options))
+            module, _, class_name = NODES[name].partition(":")
+            nodes.append(getattr(import_module(module), class_name)(**options))
     except ForetouchError:
         for node in nodes:
             node.destroy_node()
@@ -165,13 +120,13 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
 
 
 def _interrupt(number: int, _: FrameType | None) -> None:
-    """Both signals end the process in order; rclpy's own handler pulls the graph away from under the threads."""
-    signal.signal(number, signal.SIG_DFL)  # a second one is not to be argued with
+    """End the process in order; rclpy's own handler would invalidate the context that the threads still use."""
+    signal.signal(number, signal.SIG_DFL)  # a second signal ends it at once
     raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:
-    """A parameter that reaches all nodes of a process needs to be known to one of them only."""
+    """Warn of parameters that none of the nodes has: each is given to all nodes of the process."""
     for node in nodes:
         for name in sorted(node.unknown_parameters()):
             if not any(other.has_parameter(name) for other in nodes):

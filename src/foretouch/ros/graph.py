@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph in one process, with somebody watching: what `foretouch run` and `foretouch replay` stand on.
+"""Several nodes in one process, for the commands `run`, `replay` and `record`.
 
-Threads: the executor spins in the background, so that the caller's thread is free to draw and to take Ctrl-C.
+Threads: the executor spins in the background, so that the caller's thread is free to draw and to handle Ctrl-C.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.ros.executables import make_nodes
 from foretouch.ros.runtime.environment import prepare_environment
@@ -23,22 +23,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Graph"]
 
-_QUIET_S = 0.1  # for messages under way: rclpy's shutdown breaks callbacks that it meets
-_IDLE_S = 5.0  # without another answer, the rest is not coming
+_QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
+_IDLE_S = 5.0  # longest time between two answers
+_SOURCES = ("replay", "camera")
 
 
 class Graph:
-    """Nodes, spun while the context is open.
+    """Nodes that run while the context is open.
 
     Args:
-        nodes: Names of nodes (see `foretouch.ros.executables`), each with its parameters.
-        namespace: Of the graph; None for the default.
+        nodes: Parameters of each node by name (see `foretouch.ros.executables`).
+        namespace: Of the nodes; None for the default.
         params_file: ROS parameter file, or None.
         monitor: Options of `MonitorNode`.
 
     Attributes:
         nodes: By name, while the context is open.
-        monitor: Likewise.
+        monitor: While the context is open.
 
     Raises:
         ConfigError: On entering, if a parameter breaks a rule.
@@ -52,7 +53,7 @@ class Graph:
         params_file: str | Path | None = None,
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
-        self._wanted = nodes
+        self._parameters = nodes
         self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": namespace}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
@@ -86,42 +87,35 @@ class Graph:
 
     @property
     def started(self) -> bool:
-        """Whether every node that starts itself did."""
+        """Whether all nodes with `autostart` are active."""
         return all(node.state_name == "active" for node in self.nodes.values() if node.config.autostart)
 
     @property
     def replay(self) -> ReplayNode | None:
-        """The replay, where it is one of the nodes."""
-        from foretouch.ros.nodes.replay import ReplayNode
-
-        node = self.nodes.get("replay")
-        return node if isinstance(node, ReplayNode) else None
-
-    def played(self) -> int:
-        """Clouds published by the replay or the camera; 0 without one."""
-        sources = [self.nodes[name] for name in ("replay", "camera") if name in self.nodes]
-        return sum(node.statistics.snapshot().used for node in sources)
-
-    def stop_source(self) -> None:
-        """Publish no more clouds."""
-        for name in ("replay", "camera"):
-            if name in self.nodes:
-                self.nodes[name].stop()
+        """The replay, if it is one of the nodes."""
+        return cast("ReplayNode | None", self.nodes.get("replay"))
 
     @property
     def hand(self) -> HandNode | None:
-        """The simulated hand, where it is one of the nodes."""
-        from foretouch.ros.nodes.hand import HandNode
+        """The simulated hand, if it is one of the nodes."""
+        return cast("HandNode | None", self.nodes.get("hand"))
 
-        node = self.nodes.get("hand")
-        return node if isinstance(node, HandNode) else None
+    def played(self) -> int:
+        """Clouds published by the replay or the camera; 0 without one."""
+        return sum(self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes)
+
+    def stop_source(self) -> None:
+        """Publish no more clouds."""
+        for name in _SOURCES:
+            if name in self.nodes:
+                self.nodes[name].stop()
 
     def executed(self) -> dict[str, int]:
         """Grasps that the simulated hand has executed, by outcome."""
         return {} if self.hand is None else dict(self.hand.executed)
 
     def wait_for_hand(self, timeout_s: float) -> bool:
-        """Let the simulated hand finish what it does and take nothing more; False if it takes longer."""
+        """Let the simulated hand finish its grasp and start no other; False if it takes longer."""
         hand, end = self.hand, time.monotonic() + timeout_s
         if hand is not None:
             hand.set_parameters(list(_parameters({"automatic": False})))
@@ -132,22 +126,22 @@ class Graph:
         return True
 
     def answered(self) -> int:
-        """Arrays of touch seen by the monitor."""
+        """Arrays of predictions received by the monitor."""
         return sum(self.monitor.view().answers.values())
 
     def wait_for_answers(self, count: int) -> bool:
-        """Wait until the monitor saw that many answers; False once none has come for five seconds."""
-        seen, last = self.answered(), time.monotonic()
-        while seen < count:
+        """Wait until the monitor has received `count` answers; False once none has come for five seconds."""
+        answered, last = self.answered(), time.monotonic()
+        while answered < count:
             if time.monotonic() - last > _IDLE_S:
                 return False
             time.sleep(0.02)
-            if self.answered() > seen:
-                seen, last = self.answered(), time.monotonic()
+            if self.answered() > answered:
+                answered, last = self.answered(), time.monotonic()
         return True
 
     def close(self) -> None:
-        """End the work of every node, the last of the road first, and leave the graph."""
+        """Stop and destroy all nodes, the last one started first."""
         import rclpy
 
         for node in reversed(self.nodes.values()):
@@ -163,7 +157,7 @@ class Graph:
         rclpy.try_shutdown()
 
     def _make_nodes(self) -> None:
-        for name, parameters in self._wanted.items():
+        for name, parameters in self._parameters.items():
             (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
             self.nodes[name] = node
             self._executor.add_node(node)

@@ -124,9 +124,9 @@ def test_an_absent_device_is_told_and_tried_again(graph):
 def test_counts_add_up(graph):
     said = reports(graph)
     node = start(graph)
-    graph.until(lambda: node.statistics.snapshot().used >= 5)
+    graph.until(lambda: node.statistics.summary().used >= 5)
     node.trigger_deactivate()
-    snapshot = node.statistics.snapshot()
+    snapshot = node.statistics.summary()
     assert snapshot.received == snapshot.used + sum(snapshot.dropped.values())
     assert snapshot.waiting == 0
     assert said

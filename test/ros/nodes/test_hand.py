@@ -87,7 +87,7 @@ def test_a_grasp_is_felt_when_and_as_strongly_as_the_hand_says(graph, scene_file
             expected = [(touch.pdc_th, touch.e_th), (touch.pdc_mf, touch.e_mf)]
             for finger, (pdc, electrodes) in zip(("TH", "MF"), expected, strict=True):
                 np.testing.assert_array_equal(counts_from_msg(message, finger), [pdc, *electrodes])
-    assert node.statistics.snapshot().used == 1
+    assert node.statistics.summary().used == 1
     assert node.notes()["executed.success"] == "1"
 
 
@@ -151,7 +151,7 @@ def test_a_grasp_beside_the_object_fails_and_says_why(graph, scene_file) -> None
     graph.until(lambda: told)
     assert (told[0].success, stamp_ns(told[0].contact), stamp_ns(told[0].release)) == (False, 0, 0)
     assert stamp_ns(told[0].start) > 0
-    assert dict(node.statistics.snapshot().dropped) == {"misses": 1}
+    assert dict(node.statistics.summary().dropped) == {"misses": 1}
     counts = [tuple(counts_from_msg(m, "TH")) for m in tactile]
     assert len(set(counts)) == 1
 
@@ -197,8 +197,8 @@ def test_grasps_of_another_frame_are_refused(graph, scene_file) -> None:
     send = graph.talk(GraspArray, "grasps")
     graph.matched("grasps")
     send.publish(grasps(planned(config), "elsewhere", time.time_ns(), frame="map"))
-    graph.until(lambda: node.statistics.snapshot().dropped)
-    assert dict(node.statistics.snapshot().dropped) == {"refused": 1}
+    graph.until(lambda: node.statistics.summary().dropped)
+    assert dict(node.statistics.summary().dropped) == {"refused": 1}
     assert not told
     send.publish(grasps(planned(config), "here", time.time_ns()))
     graph.until(lambda: told)
@@ -212,7 +212,7 @@ def test_stopping_in_the_middle_of_a_grasp_tells_nothing_of_it(graph, scene_file
     send.publish(grasps(planned(config), "broken off", time.time_ns()))
     graph.until(lambda: node.phase == "hold")
     node.trigger_deactivate()
-    assert (node.phase, dict(node.statistics.snapshot().dropped)) == ("idle", {"stopped": 1})
+    assert (node.phase, dict(node.statistics.summary().dropped)) == ("idle", {"stopped": 1})
     node.trigger_activate()
     send.publish(grasps(planned(config), "whole", time.time_ns()))
     graph.until(lambda: told)

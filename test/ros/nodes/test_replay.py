@@ -71,7 +71,7 @@ def test_every_cloud_is_played_once_in_order_as_recorded(graph, tmp_path, rng):
     for one, other in zip(read, clouds, strict=True):
         np.testing.assert_array_equal(one.xyz, other.xyz)
     assert (node.outcome, dict(node.played)) == ("finished", {"/foretouch/points": len(clouds)})
-    snapshot = node.statistics.snapshot()
+    snapshot = node.statistics.summary()
     assert (snapshot.received, snapshot.used, snapshot.waiting) == (5, 5, 0)
 
 
@@ -119,7 +119,7 @@ def test_other_topics_go_along_and_the_unknown_are_named(graph, tmp_path, rng):
     assert node.played == {"/foretouch/points": 3, "/said": 3}
     notes = node.notes()
     assert notes["left_out./secret"] == "type nobodys_msgs/msg/Secret is not installed (3 messages)"
-    assert notes["left_out./foretouch/remark"] == "under /foretouch this graph publishes itself (3 messages)"
+    assert notes["left_out./foretouch/remark"] == "this graph publishes under /foretouch itself (3 messages)"
 
 
 def test_a_looped_replay_goes_on_in_time(graph, tmp_path, rng):
@@ -165,7 +165,7 @@ def test_folders_of_objects_go_behind_the_segmentation(graph, tmp_path, rng):
         assert table.header == cloud.header
         assert table.header.frame_id == "camera_depth_optical_frame"
         assert list(table.plane.coef) == [0.0, 0.0, -1.0, 1.0]
-    snapshot = node.statistics.snapshot()
+    snapshot = node.statistics.summary()
     assert (snapshot.received, snapshot.used, dict(snapshot.dropped)) == (3, 2, {"unreadable": 1})
     assert node.unreadable == 1
 
@@ -251,7 +251,7 @@ def test_which_topics_are_playable():
     )
     assert classes == {known: PointCloud2}
     assert reasons == {
-        "/rosout": "tells of nodes that run (7 messages)",
+        "/rosout": "reports on running nodes (7 messages)",
         "/foretouch/executed_grasp": "type foretouch_msgs/msg/ExecutedGrasp had other fields when it was recorded"
         " (1 messages)",
     }

@@ -44,7 +44,7 @@ def test_without_autostart_it_waits_and_walks_through_its_states(graph, scene_cl
     graph.matched("points")
     graph.matched("table")
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=1)))
-    graph.until(lambda: node.statistics.snapshot().dropped == {"inactive": 1})
+    graph.until(lambda: node.statistics.summary().dropped == {"inactive": 1})
     assert change(graph, Transition.TRANSITION_ACTIVATE)
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=2)))
     graph.until(lambda: heard)
@@ -66,7 +66,7 @@ def test_it_can_be_configured_again_after_cleaning_up(graph, scene_cloud):
     graph.matched("table")
     publisher.publish(cloud_to_msg(scene_cloud()))
     graph.until(lambda: heard)
-    graph.until(lambda: node.statistics.snapshot().used == 1)  # counted just after it was published
+    graph.until(lambda: node.statistics.summary().used == 1)  # counted just after it was published
 
 
 def test_a_transition_that_does_not_exist_is_refused(graph):
@@ -80,7 +80,7 @@ def test_a_best_effort_camera_is_heard(graph, scene_cloud):
     publisher = graph.talk(PointCloud2, "points", reliable=False)
     graph.matched("points")
     publisher.publish(cloud_to_msg(scene_cloud()))
-    graph.until(lambda: node.statistics.snapshot().used == 1)
+    graph.until(lambda: node.statistics.summary().used == 1)
 
 
 def test_mismatched_qos_is_told_in_diagnostics(graph):

@@ -60,7 +60,7 @@ def test_stopping_gives_up_what_waits_and_starting_again_works():
     worker.put("b")
     stopper = threading.Thread(target=worker.stop)
     stopper.start()
-    while not worker._stopping:
+    while not worker._queue.closed:
         pass
     go.set()
     stopper.join(5.0)
@@ -76,3 +76,12 @@ def test_stopping_gives_up_what_waits_and_starting_again_works():
 
 def test_stopping_what_never_started_is_harmless():
     Worker("idle", 1, print, print).stop()
+
+
+def test_what_comes_after_the_end_is_counted_as_stopped():
+    dropped = []
+    worker = Worker("w", 2, print, lambda item, reason: dropped.append((item, reason)))
+    worker.start()
+    worker.stop()
+    worker.put("late")
+    assert dropped == [("late", "stopped")]

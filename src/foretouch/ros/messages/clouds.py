@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`sensor_msgs/PointCloud2` to clouds and back, and the layout of `object_cloud`.
 
-`object_cloud` holds the points of all targets, one after the other, best first. Beside x, y, z (and rgb)
-each point carries `label` (UINT32, the object's id), `row` and `column` (UINT16, its place in the image
-it was cut from), so that later steps can tell the objects apart and search neighbours by pixel. A cloud
+`object_cloud` holds the points of all targets, one after the other, best first. Besides x, y, z (and rgb)
+each point has `label` (UINT32, the object's id), `row` and `column` (UINT16, its pixel in the image that
+it was cut from), so that later steps can separate the objects and search neighbours by pixel. A cloud
 without these fields is one object without an image.
 """
 
@@ -30,7 +30,7 @@ __all__ = ["cloud_from_msg", "cloud_to_msg", "object_to_msg", "objects_from_msg"
 
 
 def cloud_from_msg(message: PointCloud2) -> Cloud:
-    """A cloud; its arrays are read-only views of the message where the layout allows.
+    """Convert a cloud; its arrays are read-only views of the message where the layout allows.
 
     Raises:
         CloudError: If the sizes do not add up, or x, y or z is missing or of another type.
@@ -40,7 +40,7 @@ def cloud_from_msg(message: PointCloud2) -> Cloud:
 
 
 def cloud_to_msg(cloud: Cloud) -> PointCloud2:
-    """A message of 12 bytes a point, 16 with colour."""
+    """Convert a cloud to a message of 12 bytes per point, 16 with colour."""
     layout, data = encode(cloud)
     message = PointCloud2(
         header=header_to_msg(cloud.frame_id, cloud.stamp_ns),
@@ -57,12 +57,9 @@ def cloud_to_msg(cloud: Cloud) -> PointCloud2:
 
 
 def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: int) -> PointCloud2:
-    """The targets as `object_cloud`; without any, a cloud without points.
+    """Convert the targets, whose ids are integers, to `object_cloud`; without any, to a cloud without points.
 
-    Args:
-        targets: Best first; their ids are whole numbers.
-        frame_id: Frame of the scene's cloud.
-        nanoseconds: Its stamp [ns].
+    Frame and stamp [ns] are those of the scene's cloud.
     """
     coloured = bool(targets) and all(one.cloud.rgb is not None for one in targets)
     points = np.concatenate([_records(one, coloured=coloured) for one in targets] or [np.empty(0, _record())])
@@ -77,17 +74,12 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     )
     data = array.array("B")
     data.frombytes(points.view(np.uint8).data)
-    message.data = data  # an array.array is taken over as it is; NumPy's would be looked at byte by byte
+    message.data = data  # an array.array is stored as it is; a NumPy array would be checked byte by byte
     return message
 
 
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
-    """One object with the indices of its points.
-
-    Args:
-        segment: The object.
-        target: Whether it gets grasps.
-    """
+    """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     indices = array.array("I")
     indices.frombytes(segment.pixels.astype(np.uint32).view(np.uint8).data)
     low, high = segment.bounds
@@ -103,11 +95,7 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
 
 
 def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
-    """The reverse of `objects_to_msg`, in the same order; also any cloud of one object.
-
-    Args:
-        message: `object_cloud`.
-        plane: The table that they stand on.
+    """The reverse of `objects_to_msg`, in the same order, for objects on a table; also reads any cloud of one object.
 
     Raises:
         CloudError: As `cloud_from_msg`.
@@ -171,14 +159,14 @@ def _fields(record: np.dtype[Any]) -> list[PointField]:
     codes = {"<f4": PointField.FLOAT32, "<u4": PointField.UINT32, "<u2": PointField.UINT16}
     fields = []
     for name, (kind, offset, *_) in (record.fields or {}).items():
-        # PCL and RViz expect packed colours to be called a float.
+        # PCL and RViz expect packed colours to be declared as floats.
         datatype = PointField.FLOAT32 if name == "rgb" else codes[kind.str]
         fields.append(PointField(name=name, offset=offset, datatype=datatype, count=1))
     return fields
 
 
 def _field(message: PointCloud2, name: str) -> npt.NDArray[Any] | None:
-    """One of our own whole-number fields of an unorganised cloud, or None where it is absent."""
+    """One of our integer fields of an unorganised cloud, or None where it is absent."""
     kinds = {PointField.UINT32: "u4", PointField.UINT16: "u2"}
     field = next((f for f in message.fields if f.name == name), None)
     if field is None:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of grasps, planes and predictions to the core's types and back: pure functions, no node.
-
-Clouds are converted in `clouds`.
-"""
+"""Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ _REFERENCES: dict[Reference, int] = {
 
 
 def stamp_ns(stamp: Time) -> int:
-    """A stamp in integer nanoseconds."""
+    """Convert a stamp to integer nanoseconds."""
     return int(stamp.sec) * _SECOND_NS + int(stamp.nanosec)
 
 
@@ -64,29 +61,29 @@ def stamp_to_msg(nanoseconds: int) -> Time:
 
 
 def duration_to_msg(seconds: float) -> Duration:
-    """A time span, which may be negative."""
+    """Convert a time span [s], which may be negative."""
     sec, nanosec = divmod(round(seconds * _SECOND_NS), _SECOND_NS)
     return Duration(sec=int(np.clip(sec, -(2**31), 2**31 - 1)), nanosec=nanosec)
 
 
 def header_to_msg(frame_id: str, nanoseconds: int) -> Header:
-    """Frame and stamp."""
+    """Make a header of a frame and a stamp [ns]."""
     return Header(frame_id=frame_id, stamp=stamp_to_msg(nanoseconds))
 
 
 def point_to_msg(point: Float64) -> Point:
-    """(3,) [m]."""
+    """Convert a point (3,) [m]."""
     x, y, z = map(float, point)
     return Point(x=x, y=y, z=z)
 
 
 def plane_to_msg(plane: Plane | None) -> PlaneMsg:
-    """Four zeros stand for no plane."""
+    """Convert a plane; four zeros stand for none."""
     return PlaneMsg(coef=np.zeros(4) if plane is None else plane.coefficients)
 
 
 def plane_from_msg(message: PlaneMsg) -> Plane | None:
-    """The plane, or None for four zeros.
+    """Convert a plane; None for four zeros.
 
     Raises:
         CloudError: If a number is not finite, or only the normal is zero.
@@ -95,13 +92,13 @@ def plane_from_msg(message: PlaneMsg) -> Plane | None:
         return None
     plane = Plane.from_coefficients(message.coef)
     exact = np.asarray(message.coef, np.float64)
-    # A unit normal must survive as it is: dividing it by its length once more may move its last bit.
+    # A unit normal must stay as it is: dividing it by its length again may change its last bit.
     unit = abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12
     return Plane(exact[:3], float(exact[3])) if unit else plane
 
 
 def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> GraspMsg:
-    """A grasp; `pose` is redundant and there for those who move hands."""
+    """Convert a grasp; `pose` is redundant and meant for those who move the hand."""
     x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
     return GraspMsg(
         id=grasp.id,
@@ -117,7 +114,7 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
 
 
 def has_orientation(message: GraspMsg) -> bool:
-    """Whether the grasp says how the hand is turned."""
+    """Whether the message holds a rotation of the hand."""
     q = message.pose.orientation
     return any((q.x, q.y, q.z, q.w)) or bool(np.any(message.rotation))
 
@@ -177,18 +174,12 @@ def _rotation_of(message: GraspMsg) -> Float64:
 
 
 def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
-    """The pose of the hand as planners take it."""
+    """The pose of the hand in the form that planners use."""
     return PoseStamped(header=header, pose=grasp.pose)
 
 
 def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
-    """What the model said of one grasp; model, age and further flags are the node's to add.
-
-    Args:
-        prediction: Of the model.
-        grasp: The message that the grasp came from.
-        header: Of the cloud.
-    """
+    """Convert the prediction for one grasp, with the header of the cloud; the node adds model, age and further flags."""
     if prediction.value is None:
         return refusal_to_msg(grasp, header, Status.REFUSED, prediction.reason)
     return TouchPredictionMsg(
@@ -202,7 +193,7 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
 
 
 def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
-    """What a subscriber received, as the core knows it; values are float32, and NaN bounds become None.
+    """Convert a received prediction; values are float32, and NaN bounds become None.
 
     Raises:
         GraspError: As `grasp_from_msg`.
@@ -224,37 +215,28 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
 
 
 def interval_text(interval: Interval) -> str:
-    """Value and half width as a person reads them, `2779 ± 60`; the value alone where nothing is calibrated."""
+    """Value and half width as text, `2779 ± 60`; only the value where the model is not calibrated."""
     if math.isnan(interval.lower):
         return f"{interval.value:.0f}"
     return f"{interval.value:.0f} ± {(interval.upper - interval.lower) / 2.0:.0f}"
 
 
 def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
-    """What a prediction leans on, as a person reads it: `sight`, `tare`, `touches 3`.
-
-    Args:
-        message: The prediction.
-        touches: How many, 0 where that is not known.
-    """
+    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`; the number is left out if it is 0."""
     name = {code: name for name, code in _REFERENCES.items()}[message.reference]
-    return {"none": "sight", "touches": f"touches {touches}" if touches else "touches"}.get(name, name)
+    return {"none": "cloud only", "touches": f"{touches or ''} touches".strip()}.get(name, name)
 
 
 def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:
-    """A prediction that was not made: every value is NaN, beside a status and a reason."""
+    """Make the message of a refused prediction: every value is NaN, with a status and a reason."""
     unknown = Touch.from_vector(np.full(TOUCH_SIZE, math.nan))
     return TouchPredictionMsg(
-        header=header,
-        grasp=grasp,
-        **_modalities(unknown, None, None),
-        status=status,
-        reason=reason,
+        header=header, grasp=grasp, **_modalities(unknown, None, None), status=status, reason=reason
     )
 
 
 def _modalities(value: Touch, lower: Touch | None, upper: Touch | None) -> dict[str, Any]:
-    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; bounds that are not known become NaN."""
+    """The fields pdc_th, pdc_mf, e_th and e_mf of a message; unknown bounds become NaN."""
     unknown = np.full(TOUCH_SIZE, math.nan)
     columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
     rows = np.stack(columns, axis=1).tolist()

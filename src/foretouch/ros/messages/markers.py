@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What RViz shows: objects, contacts, the hand, and the electrodes coloured by predicted touch. Pure functions.
+"""Markers for RViz: objects, contacts, the hand, and the electrodes coloured by predicted touch. Pure functions.
 
-Every marker lives for a second and has a stable id, so that what is no longer said fades by itself.
+Every marker has a stable id and a lifetime of one second, so that outdated ones disappear.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPredi
 __all__ = ["fingertip_rotation", "object_markers", "touch_markers"]
 
 _LIFETIME = Duration(sec=1)
-_CONTACT_M = 0.012  # diameter of a contact's ball
+_CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
 _ELECTRODE_M = 0.003
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
@@ -33,7 +33,7 @@ _AXES = (ColorRGBA(r=1.0, a=1.0), ColorRGBA(g=1.0, a=1.0), ColorRGBA(b=1.0, a=1.
 
 
 def object_markers(message: ObjectArray) -> MarkerArray:
-    """A translucent box around each object, green for the targets, and its id."""
+    """Draw a translucent box around each object, green for targets, and its id."""
     markers = []
     for number, one in enumerate(message.objects):
         box = _marker(message.header, "objects", number, Marker.CUBE, _TARGET if one.target else _OTHER)
@@ -47,13 +47,13 @@ def object_markers(message: ObjectArray) -> MarkerArray:
 def touch_markers(
     prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True, touches: int = 0
 ) -> MarkerArray:
-    """Contacts, hand frame, the 48 electrodes of one prediction, and in words its pressures and what they lean on.
+    """Draw contacts, hand frame and the 48 electrodes of one prediction, and write its pressures and what it is based on.
 
     Args:
-        prediction: One that was made; a refusal gives no marker.
-        ranges: An electrode at its upper end is green, at its lower end red: compression lowers the count.
+        prediction: A refused one gives no marker.
+        ranges: An electrode at the upper end of its range is green, at the lower end red: compression lowers the count.
         thumb_takes_g1: Which finger touches g1.
-        touches: In memory, for a prediction that leans on them.
+        touches: Number of touches that it was adapted to.
     """
     if prediction.status != Status.OK:
         return MarkerArray()
@@ -74,14 +74,14 @@ def touch_markers(
     thumb, finger = (grasp.g1, grasp.g2) if thumb_takes_g1 else (grasp.g2, grasp.g1)
     markers.append(_electrodes(header, "thumb", grasp, thumb, prediction.e_th, ranges.of("E_TH")))
     markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
-    markers.append(_words(prediction, grasp, touches))
+    markers.append(_text(prediction, grasp, touches))
     return MarkerArray(markers=markers)
 
 
 def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
-    """How a fingertip is drawn at a contact: its pad faces the other contact, its tip points away from the camera.
+    """Orientation in which a fingertip is drawn: its pad faces the other contact, its tip points away from the camera.
 
-    Where the finger really points depends on the hand; P2's data say only where it touches.
+    The true orientation depends on the hand; P2's data hold contacts only.
 
     Args:
         grasp: The grasp.
@@ -107,7 +107,7 @@ def _electrodes(
     values: list[Interval],
     limits: tuple[float, float],
 ) -> Marker:
-    """One list of 24 balls; the pad's surface, where its electrodes lie lowest, is put on the contact."""
+    """Draw 24 spheres; the lowest electrodes, on the surface of the pad, are at the contact."""
     marker = _marker(header, namespace, 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))
     marker.scale = Vector3(x=_ELECTRODE_M, y=_ELECTRODE_M, z=_ELECTRODE_M)
     positions = electrode_positions() + 0.5 * _ELECTRODE_M * electrode_normals()
@@ -120,8 +120,8 @@ def _electrodes(
     return marker
 
 
-def _words(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
-    """Pressures with half widths, the reference and the flags above the hand; in yellow where something is flagged."""
+def _text(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
+    """Write pressures with half widths, reference and flags above the hand, in yellow if there is a flag."""
     colour = _FLAGGED if prediction.flags else ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
     label = _marker(prediction.header, "prediction", 0, Marker.TEXT_VIEW_FACING, colour)
     label.pose.position = point_to_msg(grasp.midpoint - [0.0, _AXIS_M + 0.02, 0.0])  # y points down
@@ -132,7 +132,7 @@ def _words(prediction: TouchPrediction, grasp: Grasp, touches: int) -> Marker:
 
 
 def _heat(drop: float) -> ColorRGBA:
-    """Green without a drop, over yellow, to red at the full range."""
+    """Colour from green (no drop) over yellow to red (the full range)."""
     return ColorRGBA(r=float(min(1.0, 2.0 * drop)), g=float(min(1.0, 2.0 - 2.0 * drop)), b=0.1, a=1.0)
 
 

@@ -1,25 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that others sent, read or refused with the status that answers them."""
+"""Inputs from other nodes: read, or refused with the status that the answer gets; and the plan of grasps that answers."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
-from foretouch.errors import CloudError
-from foretouch.pipeline import FoundObject
+from foretouch.errors import CloudError, ForetouchError
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import cloud_from_msg, objects_from_msg
-from foretouch.ros.messages.conversions import plane_from_msg
-from foretouch.ros.messages.status import RefusalError
+from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg, stamp_ns
 from foretouch.types import Cloud, Plane
-from foretouch_msgs.msg import Status, TablePlane
+from foretouch_msgs.msg import GraspArray, Status, TablePlane
 
-__all__ = ["check_frames", "read_cloud", "read_plane", "read_table", "read_targets"]
+__all__ = [
+    "RefusalError",
+    "check_frames",
+    "plan_targets",
+    "read_cloud",
+    "read_plane",
+    "read_table",
+    "read_targets",
+    "status_code",
+    "status_name",
+]
+
+_CODES: dict[str, int] = {
+    "ok": Status.OK,
+    "initial_points": Status.INITIAL_POINTS,
+    "bad_request": Status.BAD_REQUEST,
+    "bad_cloud": Status.BAD_CLOUD,
+    "empty_cloud": Status.EMPTY_CLOUD,
+    "too_few_points": Status.TOO_FEW_POINTS,
+    "unknown_frame": Status.UNKNOWN_FRAME,
+    "no_plane": Status.NO_PLANE,
+    "no_object": Status.NO_OBJECT,
+    "no_target": Status.NO_TARGET,
+    "no_grasp": Status.NO_GRASP,
+    "bad_grasp": Status.BAD_GRASP,
+    "bad_plane": Status.BAD_PLANE,
+    "refused": Status.REFUSED,
+    "no_model": Status.NO_MODEL,
+    "failed": Status.FAILED,
+}
+_NAMES = {code: name for name, code in _CODES.items()}
+
+
+def status_code(name: str) -> int:
+    """The number in `foretouch_msgs/Status` of a status of the core; FAILED for one without a number."""
+    return _CODES.get(name, Status.FAILED)
+
+
+def status_name(code: int) -> str:
+    """The reverse of `status_code`, for logs and diagnostics."""
+    return _NAMES.get(code, f"status {code}")
+
+
+class RefusalError(ForetouchError):
+    """An input cannot be answered.
+
+    Args:
+        status: Of `foretouch_msgs/Status`, not OK.
+        reason: Why, as text.
+    """
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
+        self.reason = reason
 
 
 def read_cloud(message: PointCloud2) -> Cloud:
-    """A cloud.
+    """Convert a cloud.
 
     Raises:
         RefusalError: BAD_CLOUD, if its sizes do not add up.
@@ -31,7 +86,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
 
 
 def read_targets(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
-    """The objects in a cloud of objects, at least one.
+    """Convert a cloud of objects, which must hold at least one.
 
     Raises:
         RefusalError: BAD_CLOUD or EMPTY_CLOUD.
@@ -46,7 +101,7 @@ def read_targets(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
 
 
 def read_plane(message: PlaneMsg) -> Plane:
-    """A plane.
+    """Convert a plane.
 
     Raises:
         RefusalError: BAD_PLANE, if a number is not finite or all are zero.
@@ -61,14 +116,10 @@ def read_plane(message: PlaneMsg) -> Plane:
 
 
 def read_table(message: TablePlane, header: Header) -> Plane:
-    """The table of a cloud.
-
-    Args:
-        message: The table.
-        header: Of the cloud.
+    """Convert the table of the cloud with a header.
 
     Raises:
-        RefusalError: What the table says is missing, BAD_PLANE, or UNKNOWN_FRAME.
+        RefusalError: The status and reason of a table that was not found, BAD_PLANE, or UNKNOWN_FRAME.
     """
     if message.status != Status.OK:
         raise RefusalError(message.status, message.reason)
@@ -77,7 +128,7 @@ def read_table(message: TablePlane, header: Header) -> Plane:
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
-    """Whether what comes with a cloud is in its frame.
+    """Check that a message, called `name` in the reason, is in the frame of its cloud.
 
     Raises:
         RefusalError: UNKNOWN_FRAME.
@@ -86,3 +137,28 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
         raise RefusalError(
             Status.UNKNOWN_FRAME, f"{name}: frame {header.frame_id!r} is not the cloud's, {cloud.frame_id!r}"
         )
+
+
+def plan_targets(pipeline: Pipeline, targets: Sequence[FoundObject], header: Header) -> GraspArray:
+    """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
+
+    Args:
+        pipeline: Its grasp settings are used.
+        targets: At least one.
+        header: Of the cloud.
+
+    Returns:
+        Status OK if any target has a grasp, else that of the first target; the reasons of all that have none.
+    """
+    plans = [(target, pipeline.plan(target)) for target in targets]
+    grasps = []
+    for target, plan in plans:
+        for rank, grasp in enumerate(plan.grasps):
+            message = grasp_to_msg(grasp, status_code(plan.status), plan.reason)
+            message.id = message.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
+            message.object_id = target.id
+            grasps.append(message)
+    reasons = [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
+    answered = [plan.status for _, plan in plans if plan.grasps]
+    status = min(map(status_code, answered)) if answered else status_code(plans[0][1].status)
+    return GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes `points` from a RealSense that is plugged in, recorded or synthetic.
+"""Publishes `points` from a RealSense that is connected, recorded or simulated.
 
 Threads: one thread reads the camera (and so opens, waits for and reopens it) and publishes; the
-executor's callbacks only look at its status.
+executor's callbacks only read its status.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from foretouch.types import Cloud
 
 __all__ = ["CameraNode", "CameraNodeConfig", "SyntheticConfig"]
 
-_READ_S = 0.1  # longest wait before the thread looks whether it should end
-_PERIOD_S = 1.0  # of the synthetic scene's motion
-_MOST_FRAMES = 30  # of that motion, held in memory
+_READ_S = 0.1  # longest wait before the thread checks whether it should end
+_PERIOD_S = 1.0  # of the motion in the synthetic scene
+_MAX_FRAMES = 30  # of that motion, kept in memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticConfig(Settings):
-    """The scene before a synthetic camera."""
+    """The scene in front of a synthetic camera."""
 
-    seed: int = setting(0, "Decides the scene", minimum=0, maximum=2**31 - 1, read_only=True)
+    seed: int = setting(0, "Seed of the random scene", minimum=0, maximum=2**31 - 1, read_only=True)
     n_objects: int = setting(3, "Objects on the table", minimum=0, maximum=8, read_only=True)
-    moving: bool = setting(True, "Whether an object swings to and fro", read_only=True)
+    moving: bool = setting(True, "Whether an object swings", read_only=True)
     noise_m: float = setting(
         0.0, "Standard deviation of the depth at 1 m", unit="m", minimum=0.0, maximum=0.05, read_only=True
     )
@@ -53,7 +53,7 @@ class CameraNodeConfig(NodeConfig):
 
     source: str = setting(
         "device",
-        "`device` (as the settings of `camera` say), `synthetic`, `scene`, or a recording's path",
+        "`device` (see `camera`), `synthetic`, `scene` (see `scene`), or the path of a recording",
         read_only=True,
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
@@ -64,14 +64,16 @@ class CameraNodeConfig(NodeConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.source != "scene" and self.faults != FaultConfig():
-            raise ConfigError(f"CameraNodeConfig.faults: are put into the camera of a scene only, not {self.source}")
+            raise ConfigError(
+                f"CameraNodeConfig.faults: are supported by the camera of a scene only, not {self.source}"
+            )
 
 
 class CameraNode(ForetouchNode[CameraNodeConfig]):
-    """Publishes organised clouds and tells in /diagnostics what the camera is doing.
+    """Publishes organised clouds, and the state of the camera in /diagnostics.
 
     Attributes:
-        synthetic: The feeder where `source` is `synthetic` or `scene`; it can be paused and unplugged.
+        synthetic: The software device where `source` is `synthetic` or `scene`; it can be paused and unplugged.
     """
 
     def __init__(self, name: str = "camera", **options: Any) -> None:
@@ -81,10 +83,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
-        self._size: dict[str, int] = {}  # of the image, where a scene decides it
+        self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(name, CameraNodeConfig, **options)
 
-    # Hooks of the base.
+    # Hooks of the base class.
 
     def setup(self) -> None:
         """Render the scene of a synthetic camera and advertise the topic."""
@@ -97,10 +99,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._points = self.advertise(PointCloud2, "points")
 
     def start(self) -> None:
-        """Make the camera and read it from a thread."""
+        """Open the camera and read it from a thread."""
         self._failure = ""
         self._stopping.clear()
-        self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._tell)
+        self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._log_status)
         if self.synthetic is not None:
             self.synthetic.start()
         self._thread = threading.Thread(target=self._run, args=(self._camera,), name="camera", daemon=True)
@@ -119,11 +121,11 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             self.synthetic.close()
 
     def teardown(self) -> None:
-        """Forget the scene."""
+        """Release the scene."""
         self.synthetic = None
 
     def config_changed(self, config: CameraNodeConfig) -> None:
-        """Filters and timeouts may change while it streams."""
+        """Apply new filters and timeouts while it streams."""
         camera = self._camera
         if camera is not None:
             camera.reconfigure(config.camera.replace(**self._size))
@@ -134,11 +136,11 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         return camera is not None and camera.status.state == "ended"
 
     def errors(self) -> tuple[str, ...]:
-        """A camera that is absent, stalled or being reopened, and why."""
+        """State and reason of a camera that is absent, stalled or being reopened."""
         if self._failure:
             return (self._failure,)
         camera = self._camera
-        if camera is None or camera.status.is_well:
+        if camera is None or camera.status.is_ok:
             return ()
         return (f"{camera.status.state}: {camera.status.reason}",)
 
@@ -162,40 +164,40 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
     # The thread.
 
     def _run(self, camera: RealSenseCamera) -> None:
-        told: Counter[str] = Counter()
+        counted: Counter[str] = Counter()
         while not self._stopping.is_set() and camera.status.state != "ended":
             try:
                 cloud = camera.read(_READ_S)
-            except ForetouchError as err:  # the settings ask for what there is not: trying again is vain
+            except ForetouchError as err:  # the device does not offer what the settings ask for: do not try again
                 self._fail(str(err))
                 return
-            except Exception as err:  # noqa: BLE001  a thread that ends silently would leave everybody waiting
+            except Exception as err:  # noqa: BLE001  the end of a thread must be reported
                 self._fail(f"{type(err).__name__}: {err}")
                 return
-            self._count_drops(camera.status.dropped, told)
+            self._count_drops(camera.status.dropped, counted)
             if cloud is not None:
                 self._publish(cloud)
 
     def _publish(self, cloud: Cloud) -> None:
-        arrived = self.statistics.arrive()
+        arrived = self.statistics.receive()
         age_s = self.age_s(cloud.stamp_ns)
         self._points.publish(cloud_to_msg(cloud))
         self.statistics.use(arrived, age_s)
 
-    def _count_drops(self, dropped: Mapping[str, int], told: Counter[str]) -> None:
+    def _count_drops(self, dropped: Mapping[str, int], counted: Counter[str]) -> None:
         for reason, count in dropped.items():
-            for _ in range(count - told[reason]):
-                self.statistics.arrive()
+            for _ in range(count - counted[reason]):
+                self.statistics.receive()
                 self.statistics.drop(reason)
-            told[reason] = count
+            counted[reason] = count
 
     def _fail(self, reason: str) -> None:
         self._failure = reason
         self.get_logger().error(reason)
 
-    def _tell(self, status: CameraStatus) -> None:
+    def _log_status(self, status: CameraStatus) -> None:
         text = f"camera {status.state}" + (f": {status.reason}" if status.reason else "")
-        if status.is_well:
+        if status.is_ok:
             self.get_logger().info(text)
         else:
             self.get_logger().warning(text)
@@ -211,6 +213,6 @@ def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
     camera, scene = config.camera, config.synthetic
     rng = np.random.default_rng(scene.seed)
     depth_scene = random_scene(rng, camera.width, camera.height, scene.n_objects)
-    count = min(_MOST_FRAMES, max(1, round(_PERIOD_S * camera.fps))) if scene.moving else 1
+    count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps))) if scene.moving else 1
     frames = swinging(depth_scene, count, rng=rng, noise_m=scene.noise_m)
     return SyntheticCamera(frames, camera.fps)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`object_cloud` + `table` -> `grasps`: where two fingers could take each target."""
+"""`object_cloud` + `table` -> `grasps`: where two fingers can grasp each target."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from std_msgs.msg import Header
 
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.plans import plan_targets
-from foretouch.ros.messages.requests import read_table, read_targets
-from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode
-from foretouch.ros.runtime.warm_up import tabletop
+from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
+from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 __all__ = ["GraspNode", "GraspNodeConfig"]
@@ -39,14 +37,14 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         self._pipeline = Pipeline(PipelineConfig(grasp=self.config.grasp))
 
     def setup(self) -> None:
-        """Outputs before inputs, so that no answer is lost."""
+        """Advertise before subscribing, so that no answer is lost."""
         self._grasps = self.advertise(GraspArray, "grasps")
-        for target in self._pipeline.see(tabletop()).targets:
+        for target in self._pipeline.see(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super().setup()
 
     def config_changed(self, config: GraspNodeConfig) -> None:
-        """Use the new settings from the next cloud on."""
+        """Apply the new settings from the next cloud on."""
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp))
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
@@ -57,5 +55,5 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         return message.status, message.reason
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
-        """There is no grasp."""
+        """Publish that there is no grasp."""
         self._grasps.publish(GraspArray(header=header, status=status, reason=reason))

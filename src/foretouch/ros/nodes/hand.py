@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A grasp that the simulated hand executes, from the order to the report. No node, no thread.
+"""A simulated Shadow Hand: executes grasps on the objects of a scene and publishes the readings of its fingertips.
 
-A simulated Shadow Hand: takes grasps on the objects of a scene and sends what its fingertips read.
+Tactile messages are published at 100 Hz while the node is active, at rest and during every grasp. The contact is
+computed for the pose that the object had at the stamp of the cloud that the grasp was planned on; a simulated camera
+with the same `scene` parameters shows it in that pose.
 
-`/rh/tactile` goes on at 100 Hz as long as the node is active: at rest, and through every grasp that it executes.
-The contact is solved for the object as it lay at the stamp of the cloud that the grasp was planned on; a camera
-that is given the same scene (`scene.*`) sees it lie there.
-
-Threads: the executor's callbacks keep the newest grasps; one thread sends, by the stamps that each message is due
-at; another solves contacts, so that a hard one delays no message.
+Threads: the executor's callbacks store the newest grasps; one thread publishes each message when it is due; another
+computes contacts, so that a slow computation delays no message.
 """
 
 from __future__ import annotations
@@ -37,48 +35,35 @@ from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
-__all__ = ["Execution", "HandConfig", "HandNode", "Order", "executed_to_msg"]
+__all__ = ["HandConfig", "HandNode"]
+
+_GRASPING = ("TH", "MF")  # in the order of a course's fingers
+_LATE_NS = 1_000_000_000  # messages that are later than this are left out
+_DEPTH = 100
+_POLL_S = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
-    """A grasp to execute.
+class _Command:
+    """A grasp to execute."""
 
-    Attributes:
-        message: `GraspArray`; its first grasp is meant.
-        planned_ns: Stamp of the cloud that it was planned on [ns].
-        arrived: When it was taken (`time.monotonic`) [s].
-    """
-
-    message: Any
-    planned_ns: int
-    arrived: float
+    message: Any  # GraspArray; its first grasp is executed
+    planned_ns: int  # stamp of the cloud that it was planned on
+    arrived: float  # when it was accepted (`time.monotonic`) [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Execution:
-    """A course under way.
+class _RunningGrasp:
+    """A grasp that is being executed."""
 
-    Attributes:
-        order: What was asked for.
-        course: What the hand does, a row a message.
-        first: Number of the message that is row 0.
-    """
-
-    order: Order
-    course: Course
-    first: int = 0
+    command: _Command
+    course: Course  # motion and readings of the hand, one row per message
+    first: int = 0  # number of the message of row 0
 
 
-def executed_to_msg(execution: Execution, first_ns: int, period_ns: int) -> ExecutedGrasp:
-    """What was done.
-
-    Args:
-        execution: Of the grasp.
-        first_ns: Stamp of the message that was row 0 [ns].
-        period_ns: Between two messages [ns].
-    """
-    course, planned = execution.course, execution.order.message
+def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> ExecutedGrasp:
+    """Report a grasp; `first_ns` is the stamp of row 0 and `period_ns` the time between two messages [ns]."""
+    course, planned = running.course, running.command.message
     times = {
         name: stamp_to_msg(0 if row is None else first_ns + row * period_ns)
         for name, row in (("start", course.start), ("contact", course.contact), ("release", course.release))
@@ -90,12 +75,6 @@ def executed_to_msg(execution: Execution, first_ns: int, period_ns: int) -> Exec
     return ExecutedGrasp(header=header, grasp_id=grasp_id, achieved=achieved, success=course.success, **times)
 
 
-_GRASPING = ("TH", "MF")  # in the order of a course's fingers
-_LATE_NS = 1_000_000_000  # beyond this, messages are left out rather than made up for
-_DEPTH = 100
-_POLL_S = 0.01
-
-
 @dataclass(frozen=True, kw_only=True)
 class HandConfig(NodeConfig):
     """Settings of the simulated hand."""
@@ -103,9 +82,9 @@ class HandConfig(NodeConfig):
     scene: ShowConfig = field(default_factory=ShowConfig)
     course: CourseConfig = field(default_factory=CourseConfig)
     faults: FaultConfig = field(default_factory=FaultConfig)
-    automatic: bool = setting(True, "Whether the best of the newest grasps is taken whenever the hand is idle")
+    automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
-        ("MF", "TH"), "Fingers that carry a BioTac; the others send zeros", choices=FINGERS, read_only=True
+        ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGERS, read_only=True
     )
     tactile_frame: str = setting("rh_tactile", "Frame of the tactile messages", read_only=True)
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
@@ -113,15 +92,15 @@ class HandConfig(NodeConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not set(_GRASPING) <= set(self.biotacs):
-            raise ConfigError(f"HandConfig.biotacs: {list(self.biotacs)} lacks TH or MF, which grasp")
+            raise ConfigError(f"HandConfig.biotacs: {list(self.biotacs)} lacks TH or MF, which the hand grasps with")
 
 
 class HandNode(ForetouchNode[HandConfig]):
     """The hand as a lifecycle node.
 
     Attributes:
-        phase: `idle`, or what `Course.phase` says of the grasp under way.
-        executed: Grasps by outcome: `success`, or the reason of the failure.
+        phase: `idle`, or the phase of the current grasp (`Course.phase`).
+        executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
     """
 
     def __init__(self, name: str = "hand", **options: Any) -> None:
@@ -129,10 +108,10 @@ class HandNode(ForetouchNode[HandConfig]):
         self.executed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._newest: GraspArray | None = None
-        self._taken_ns = -1  # stamp of the cloud whose grasp was taken last
+        self._accepted_ns = -1  # stamp of the cloud of the last accepted grasp
         self._busy = False
-        self._ready: Execution | None = None
-        self._current: Execution | None = None
+        self._ready: _RunningGrasp | None = None
+        self._current: _RunningGrasp | None = None
         self._repeats = 0
         self._late = 0
         self._began = time.monotonic()
@@ -144,36 +123,36 @@ class HandNode(ForetouchNode[HandConfig]):
 
     @property
     def busy(self) -> bool:
-        """Whether a grasp is being executed or made ready."""
+        """Whether a grasp is being executed or computed."""
         return self._busy
 
-    # Hooks of the base.
+    # Hooks of the base class.
 
     def setup(self) -> None:
         """Read the scene, advertise, subscribe."""
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
-        at_rest = SimulatedHand(scene, self.config.course)  # each thread has its own
+        at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
         self._faults = MessageFaults(self.config.faults)
-        self._solver: Worker[Order] = Worker("hand-contact", 1, self._solve, lambda _, why: self._give_up(why))
+        self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
         self._tactile = self.advertise(BiotacAll, "/rh/tactile", depth=_DEPTH)
-        self._told = self.advertise(ExecutedGrasp, "executed_grasp", depth=_DEPTH)
+        self._executed_publisher = self.advertise(ExecutedGrasp, "executed_grasp", depth=_DEPTH)
         self._service = self.create_service(
-            Trigger, "execute_grasp", self._execute, callback_group=MutuallyExclusiveCallbackGroup()
+            Trigger, "execute_grasp", self._on_execute, callback_group=MutuallyExclusiveCallbackGroup()
         )
-        self.subscribe(GraspArray, "grasps", self._take)
+        self.subscribe(GraspArray, "grasps", self._on_grasps)
 
     def start(self) -> None:
-        """Send, from a thread."""
+        """Start to publish from a thread."""
         self._stopping.clear()
         self._solver.start()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Break off; a grasp under way is not told of."""
+        """Stop; a grasp that is being executed is not reported."""
         self._stopping.set()
         if self._thread is not None:
             self._solver.stop()
@@ -181,22 +160,22 @@ class HandNode(ForetouchNode[HandConfig]):
             self._thread = None
             if self._ready is not None or self._current is not None:
                 self._ready = self._current = None
-                self._give_up("stopped")
+                self._drop("stopped")
 
     def teardown(self) -> None:
-        """Forget scene and grasps."""
+        """Release the scene and the grasps."""
         if self._hand is not None:
             self.destroy_service(self._service)
         self._hand = self._newest = None
         self._resting.clear()
 
     def config_changed(self, config: HandConfig) -> None:
-        """Faults may come and go while it runs."""
+        """Apply new message faults."""
         if self._hand is not None:
             self._faults.config = config.faults
 
     def notes(self) -> dict[str, str]:
-        """What the hand is doing, and what became of grasps and messages."""
+        """Phase of the hand, and counts of grasps and messages."""
         faults = self._faults if self._hand is not None else MessageFaults(self.config.faults)
         return {
             "phase": self.phase,
@@ -207,20 +186,20 @@ class HandNode(ForetouchNode[HandConfig]):
             **{f"executed.{outcome}": str(count) for outcome, count in self.executed.items()},
         }
 
-    # Which grasp.
+    # Commands.
 
-    def _take(self, message: GraspArray) -> None:
+    def _on_grasps(self, message: GraspArray) -> None:
         with self._lock:
             self._newest = message
         if self.config.automatic:
-            self._order()
+            self._accept()
 
-    def _execute(self, _request: Any, response: Any) -> Any:
-        response.success, response.message = self._order()
+    def _on_execute(self, _request: Any, response: Any) -> Any:
+        response.success, response.message = self._accept()
         return response
 
-    def _order(self) -> tuple[bool, str]:
-        """Take the best of the newest grasps; whether it was taken, and its id or why not."""
+    def _accept(self) -> tuple[bool, str]:
+        """Start the best of the newest grasps; returns whether it was accepted, and its id or the reason."""
         with self._lock:
             newest = self._newest
             if self.state_name != "active":
@@ -230,13 +209,13 @@ class HandNode(ForetouchNode[HandConfig]):
             if newest is None or not newest.grasps:
                 return False, "there is no grasp"
             planned_ns = stamp_ns(newest.header.stamp)
-            if planned_ns <= self._taken_ns:
+            if planned_ns <= self._accepted_ns:
                 return False, "there is no new grasp"
-            self._busy, self._taken_ns = True, planned_ns
-        self._solver.put(Order(newest, planned_ns, self.statistics.arrive()))
+            self._busy, self._accepted_ns = True, planned_ns
+        self._solver.put(_Command(newest, planned_ns, self.statistics.receive()))
         return True, newest.grasps[0].id
 
-    def _give_up(self, reason: str) -> None:
+    def _drop(self, reason: str) -> None:
         self.statistics.drop(reason)
         self._idle()
 
@@ -245,32 +224,32 @@ class HandNode(ForetouchNode[HandConfig]):
         with self._lock:
             self._busy = False
 
-    # Contact, in the solver's thread.
+    # Contacts, computed in the solver's thread.
 
-    def _solve(self, order: Order) -> None:
-        header = order.message.header
+    def _solve(self, command: _Command) -> None:
+        header = command.message.header
         try:
             if header.frame_id != self.config.frame_id:
                 raise ConfigError(f"grasps: frame {header.frame_id!r} is not the camera's, {self.config.frame_id!r}")
-            self._ready = Execution(order, self._course(order))
+            self._ready = _RunningGrasp(command, self._course(command))
         except ForetouchError as err:
             self.get_logger().warning(str(err))
-            self._give_up("refused")
-        except Exception as err:  # noqa: BLE001  a thread that ends silently would leave everybody waiting
+            self._drop("refused")
+        except Exception as err:  # noqa: BLE001  the end of a thread must be reported
             self.get_logger().error(f"{type(err).__name__}: {err}")
-            self._give_up("failed")
+            self._drop("failed")
 
-    def _course(self, order: Order) -> Course:
+    def _course(self, command: _Command) -> Course:
         assert self._hand is not None  # noqa: S101  setup made it
-        grasp = grasp_from_msg(order.message.grasps[0])
-        slot = self.config.scene.slot(order.planned_ns)
+        grasp = grasp_from_msg(command.message.grasps[0])
+        slot = self.config.scene.slot(command.planned_ns)
         self._repeats += 1
         return self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
 
-    # Messages, in the sender's thread.
+    # Messages, published by the sender's thread.
 
     def _run(self) -> None:
-        while self.state_name != "active":  # until then nothing goes out
+        while self.state_name != "active":  # a lifecycle publisher is silent until then
             if self._stopping.wait(_POLL_S):
                 return
         period_ns = round(1e9 / self.config.course.rate_hz)
@@ -280,12 +259,12 @@ class HandNode(ForetouchNode[HandConfig]):
             if self._stopping.wait(max(0.0, due - time.monotonic())):
                 return
             missed = int((time.monotonic() - due) / (period_ns * 1e-9))
-            if missed * period_ns > _LATE_NS:  # the machine slept: what is long past is left out
+            if missed * period_ns > _LATE_NS:  # the machine was suspended
                 self._late += missed
                 number += missed
             try:
                 self._send(number, start_ns, period_ns)
-            except Exception as err:  # noqa: BLE001  a thread that ends silently would leave everybody waiting
+            except Exception as err:  # noqa: BLE001  the end of a thread must be reported
                 if self.context.ok():
                     self.get_logger().error(f"{type(err).__name__}: {err}")
                 return
@@ -299,7 +278,7 @@ class HandNode(ForetouchNode[HandConfig]):
         current = self._current
         if current is not None and number - current.first >= len(current.course.counts) - 1:
             self._current = None
-            self._tell(current, start_ns + current.first * period_ns, period_ns)
+            self._finish(current, start_ns + current.first * period_ns, period_ns)
 
     def _fingers(self, number: int) -> dict[str, Any]:
         """(25,) counts of each finger that has a BioTac."""
@@ -311,20 +290,20 @@ class HandNode(ForetouchNode[HandConfig]):
         if current is not None:
             row = min(number - current.first, len(current.course.counts) - 1)
             grasping, self.phase = current.course.counts[row], current.course.phase(row)
-        # A finger that does not grasp is one more of the middle finger's make.
+        # A finger that does not grasp reads as a middle finger at rest.
         return {
             **dict(zip(_GRASPING, grasping, strict=True)),
             **{name: pair[1] for name, pair in zip(self._idle_fingers, idle, strict=True)},
         }
 
-    def _tell(self, execution: Execution, first_ns: int, period_ns: int) -> None:
-        """Publish what was done, and be idle again."""
-        course = execution.course
+    def _finish(self, running: _RunningGrasp, first_ns: int, period_ns: int) -> None:
+        """Report the grasp and become idle."""
+        course = running.course
         self.executed[course.reason or "success"] += 1
         if course.success:
-            self.statistics.use(execution.order.arrived, (first_ns - execution.order.planned_ns) * 1e-9)
+            self.statistics.use(running.command.arrived, (first_ns - running.command.planned_ns) * 1e-9)
         else:
-            self.get_logger().warning(f"grasp {execution.order.message.grasps[0].id}: {course.message}")
+            self.get_logger().warning(f"grasp {running.command.message.grasps[0].id}: {course.message}")
             self.statistics.drop(course.reason)
         self._idle()
-        self._told.publish(executed_to_msg(execution, first_ns, period_ns))
+        self._executed_publisher.publish(_executed_to_msg(running, first_ns, period_ns))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`points` -> `objects`, `table`, `object_cloud`: what stands on the table, and which of it is meant."""
+"""`points` -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import plane_to_msg, stamp_ns
 from foretouch.ros.messages.markers import object_markers
-from foretouch.ros.messages.requests import read_cloud
-from foretouch.ros.messages.status import RefusalError, status_code
-from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode
-from foretouch.ros.runtime.warm_up import tabletop
+from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
+from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 __all__ = ["SegmentationNode", "SegmentationNodeConfig"]
@@ -32,11 +30,11 @@ class SegmentationNodeConfig(ProcessingConfig):
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
-    frames: tuple[str, ...] = setting((), "Frames that clouds may come in; any that has a name if empty")
+    frames: tuple[str, ...] = setting((), "Accepted frames of the clouds; if empty, every frame that has a name")
 
 
 class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
-    """Sees the table and the objects (`Pipeline.see`)."""
+    """Finds the table and the objects (`Pipeline.segment`)."""
 
     _objects: LifecyclePublisher[Any]
     _table: LifecyclePublisher[Any]
@@ -48,47 +46,46 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._pipeline = _pipeline(self.config)
 
     def setup(self) -> None:
-        """Outputs before inputs, so that no answer is lost."""
+        """Advertise before subscribing, so that no answer is lost."""
         self._objects = self.advertise(ObjectArray, "objects")
         self._table = self.advertise(TablePlane, "table")
         self._object_cloud = self.advertise(PointCloud2, "object_cloud")
         self._markers = self.advertise(MarkerArray, "markers")
-        self._pipeline.see(tabletop())
+        self._pipeline.see(warm_up_cloud())
         super().setup()
 
     def config_changed(self, config: SegmentationNodeConfig) -> None:
-        """Use the new settings from the next cloud on."""
+        """Apply the new settings from the next cloud on."""
         self._pipeline = _pipeline(config)
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Segment one cloud."""
         self._check_frame(header.frame_id)
         cloud = read_cloud(messages["points"])
-        sight = self._pipeline.see(cloud)
-        status = status_code(sight.status)
-        self._publish(header, sight, cloud.xyz.shape, status)
-        return status, sight.reason
+        scene = self._pipeline.see(cloud)
+        status = status_code(scene.status)
+        self._publish(header, scene, cloud.xyz.shape, status)
+        return status, scene.reason
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Nothing was seen."""
+        """Publish that nothing was found."""
         self._objects.publish(ObjectArray(header=header, status=status, reason=reason))
         self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
         self._object_cloud.publish(objects_to_msg((), header.frame_id, stamp_ns(header.stamp)))
 
-    def _publish(self, header: Header, sight: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
-        found = sight.segmentation
-        plane = plane_to_msg(found.plane)
-        # What the grasp node waits for goes first.
-        self._table.publish(TablePlane(header=header, plane=plane, status=status, reason=sight.reason))
-        self._object_cloud.publish(objects_to_msg(sight.targets, header.frame_id, stamp_ns(header.stamp)))
-        chosen = {target.id for target in sight.targets}
+    def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
+        plane = plane_to_msg(scene.segmentation.plane)
+        # First what the grasp node waits for.
+        self._table.publish(TablePlane(header=header, plane=plane, status=status, reason=scene.reason))
+        self._object_cloud.publish(objects_to_msg(scene.targets, header.frame_id, stamp_ns(header.stamp)))
+        chosen = {target.id for target in scene.targets}
         objects = ObjectArray(
             header=header,
             height=shape[0] if len(shape) == 3 else 1,
             width=shape[-2],
-            objects=[object_to_msg(one, target=str(one.id) in chosen) for one in found.objects],
+            objects=[object_to_msg(one, target=str(one.id) in chosen) for one in scene.segmentation.objects],
             status=status,
-            reason=sight.reason,
+            reason=scene.reason,
         )
         self._objects.publish(objects)
         if self._markers.get_subscription_count():
@@ -97,7 +94,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     def _check_frame(self, frame_id: str) -> None:
         allowed = self.config.frames
         if not frame_id:
-            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so nobody could place the answer")
+            raise RefusalError(Status.UNKNOWN_FRAME, "header.frame_id: is empty, so the answer would have no frame")
         if allowed and frame_id not in allowed:
             raise RefusalError(Status.UNKNOWN_FRAME, f"header.frame_id: {frame_id!r} is none of {', '.join(allowed)}")
 

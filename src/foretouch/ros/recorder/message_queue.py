@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands between the executor's callbacks and the thread that writes: a queue that never blocks and counts all."""
+"""The queue of messages that the recorder has received and not yet written."""
 
 from __future__ import annotations
 
-import threading
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
+
+from foretouch.bounded_queue import BoundedQueue
 
 __all__ = ["Arrival", "MessageQueue"]
 
@@ -19,7 +20,7 @@ class Arrival:
         data: CDR.
         received_ns: When the middleware received it [ns].
         sent_ns: When it was published [ns].
-        sequence: Of its publisher; None where the middleware tells none.
+        sequence: Sequence number of its publisher; None where the middleware has none.
     """
 
     topic: str
@@ -29,65 +30,36 @@ class Arrival:
     sequence: int | None
 
 
-class MessageQueue:
-    """Messages on their way to the file, bounded in memory; what does not fit is counted, the oldest are kept.
+class MessageQueue(BoundedQueue[Arrival]):
+    """Serialised messages between the executor's callbacks and the thread that writes them, with counts by topic.
+
+    It never blocks a callback. Its memory is bounded: the oldest messages are kept, so that the file has one gap only.
 
     Args:
         most_bytes: That may wait.
     """
 
     def __init__(self, most_bytes: int) -> None:
-        self._most = most_bytes
-        self._changed = threading.Condition()
-        self._arrivals: deque[Arrival] = deque()
-        self._bytes = 0
-        self._waiting: Counter[str] = Counter()
+        super().__init__(most_bytes, when_full="reject", size_of=lambda arrival: len(arrival.data), on_drop=self._count)
         self._refused: Counter[str] = Counter()
         self._late: Counter[str] = Counter()
-        self._closed = False
-
-    def put(self, arrival: Arrival) -> None:
-        """Take a message in; returns at once."""
-        with self._changed:
-            if self._closed:
-                self._late[arrival.topic] += 1  # the session's accounts are complete
-            elif self._bytes + len(arrival.data) > self._most:
-                self._refused[arrival.topic] += 1
-            else:
-                self._arrivals.append(arrival)
-                self._bytes += len(arrival.data)
-                self._waiting[arrival.topic] += 1
-                if len(self._arrivals) == 1:
-                    self._changed.notify()
 
     def take(self, timeout_s: float) -> tuple[list[Arrival], Counter[str]]:
-        """What has come, waiting for the first for so long; and what did not fit since the last call, by topic."""
+        """All messages that wait (see `get_all`), and how many were rejected since the last call, by topic."""
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._arrivals) or self._closed, timeout_s)
-            arrivals, refused = list(self._arrivals), self._refused
-            self._arrivals.clear()
-            self._waiting.clear()
-            self._refused, self._bytes = Counter(), 0
+            arrivals, refused = self.get_all(timeout_s), self._refused
+            self._refused = Counter()
             return arrivals, refused
 
-    def close(self) -> None:
-        """Take nothing in any more; what is there can still be taken out."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-
-    @property
-    def closed(self) -> bool:
-        """Whether it takes nothing in any more."""
-        with self._changed:
-            return self._closed
-
     def late(self) -> Counter[str]:
-        """Messages that came when it was closed already, by topic."""
+        """Messages that came after `close`, by topic."""
         with self._changed:
             return Counter(self._late)
 
     def waiting(self) -> Counter[str]:
-        """Messages that wait, those included that did not fit and are not yet told, by topic."""
+        """Messages that wait, and those rejected since the last `take`, by topic."""
         with self._changed:
-            return self._waiting + self._refused
+            return Counter(arrival.topic for arrival in self._items) + self._refused
+
+    def _count(self, arrival: Arrival, _reason: str) -> None:
+        (self._late if self.closed else self._refused)[arrival.topic] += 1

@@ -1,2 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node is built on: lifecycle, parameters, worker threads, synchronised inputs and diagnostics."""
+"""What every node is built on. Nothing is imported here, since `environment` must run before NumPy and rclpy are loaded.
+
+environment          environment variables that are set before anything else is imported
+lifecycle_node       ForetouchNode: lifecycle, parameters, QoS and diagnostics
+processing_node      ProcessingNode: matches its inputs by stamp and answers every cloud in a thread
+parameters           ROS parameters made from settings
+diagnostics          counts, rates and latencies of a node's inputs, and its report in /diagnostics
+workers              threads for topics, services and actions
+"""

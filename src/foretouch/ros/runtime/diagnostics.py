@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node tells of itself in /diagnostics: rate, ages, latencies, and where every input went.
-
-`Snapshot` as `diagnostic_msgs/DiagnosticStatus`: a level, one line for people, and the numbers.
-"""
+"""What a node reports in /diagnostics: its state, rate, ages and latencies, and what became of every input."""
 
 from __future__ import annotations
 
@@ -15,28 +12,25 @@ from dataclasses import dataclass, field
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-__all__ = ["Health", "Snapshot", "Statistics", "diagnostic_status"]
+__all__ = ["InputStatistics", "InputSummary", "NodeStatus", "diagnostic_status"]
 
-
-_WINDOW = 300  # latest inputs that quantiles and rates are taken over: ten seconds at 30 Hz
+_WINDOW = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
-class Snapshot:
-    """Counts since the start and quantiles over the latest inputs.
-
-    received = used + sum(dropped) + waiting.
+class InputSummary:
+    """Counts since the start, received = used + sum(dropped) + waiting, and quantiles over the latest inputs.
 
     Attributes:
         received: Inputs that arrived; messages of several topics that belong to one cloud are one input.
         used: Inputs that were answered.
-        dropped: Inputs that were not, by reason.
+        dropped: Inputs that will not be answered, by reason.
         waiting: Inputs not yet answered.
-        lost: Messages that the middleware lost before they arrived; no part of `received`.
-        rate_hz: Answers a second over the latest inputs.
-        input_age_ms: p50 and p95 from the stamp of an input to the start of the work, None before the first.
-        latency_ms: p50 and p95 from arrival to publication, None before the first.
-        idle_s: Since the last arrival, None before the first.
+        lost: Messages that the middleware lost before they arrived; not part of `received`.
+        rate_hz: Answers per second over the latest inputs [Hz].
+        input_age_ms: p50 and p95 from the stamp of an input to the start of the work [ms]; None before the first.
+        latency_ms: p50 and p95 from arrival to publication [ms]; None before the first.
+        idle_s: Time since the last arrival [s]; None before the first.
     """
 
     received: int
@@ -50,7 +44,7 @@ class Snapshot:
     idle_s: float | None
 
 
-class Statistics:
+class InputStatistics:
     """Counts inputs and keeps the latest times. Thread-safe."""
 
     def __init__(self) -> None:
@@ -64,8 +58,8 @@ class Statistics:
         self._answers: deque[float] = deque(maxlen=_WINDOW)
         self._last_arrival: float | None = None
 
-    def arrive(self) -> float:
-        """Count an input and give its time of arrival, `time.monotonic` [s]."""
+    def receive(self) -> float:
+        """Count an input and return its time of arrival, `time.monotonic` [s]."""
         now = time.monotonic()
         with self._lock:
             self._received += 1
@@ -76,7 +70,7 @@ class Statistics:
         """Count an answer.
 
         Args:
-            arrived: What `arrive` gave [s].
+            arrived: What `receive` returned [s].
             input_age_s: From the stamp of the input to the start of the work [s].
         """
         now = time.monotonic()
@@ -92,17 +86,17 @@ class Statistics:
             self._dropped[reason] += 1
 
     def lose(self, count: int) -> None:
-        """Count messages that the middleware lost on the way."""
+        """Count messages that the middleware lost."""
         with self._lock:
             self._lost += count
 
-    def snapshot(self) -> Snapshot:
-        """The state now."""
+    def summary(self) -> InputSummary:
+        """Summarise all inputs so far."""
         now = time.monotonic()
         with self._lock:
             dropped = dict(self._dropped)
             span = now - self._answers[0] if self._answers else 0.0
-            return Snapshot(
+            return InputSummary(
                 received=self._received,
                 used=self._used,
                 dropped=dropped,
@@ -114,6 +108,8 @@ class Statistics:
                 idle_s=None if self._last_arrival is None else now - self._last_arrival,
             )
 
+    snapshot = summary  # alias until merge
+
 
 def _quantiles(values: deque[float]) -> tuple[float, float] | None:
     if not values:
@@ -123,15 +119,15 @@ def _quantiles(values: deque[float]) -> tuple[float, float] | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Health:
-    """What a node knows of itself beyond its counts.
+class NodeStatus:
+    """What a node reports beyond its counts.
 
     Attributes:
         state: Lifecycle state.
         errors: What keeps it from working, such as a damaged model.
-        warnings: What is wrong around it, such as mismatched QoS.
-        notes: Other facts by name, such as the model's.
-        expects_input_every_s: Silence beyond this is a warning; None for a node without inputs.
+        warnings: Problems around it, such as incompatible QoS.
+        notes: Further values by key, such as the model's name.
+        expects_input_every_s: A longer time without an input is a warning [s]; None for a node without inputs.
     """
 
     state: str
@@ -141,23 +137,16 @@ class Health:
     expects_input_every_s: float | None = None
 
 
-def diagnostic_status(name: str, now: Snapshot, before: Snapshot | None, health: Health) -> DiagnosticStatus:
-    """What one node has to say.
-
-    Args:
-        name: Fully qualified name of the node.
-        now: The counts.
-        before: Those of the last report: drops since then are a warning.
-        health: The rest.
-    """
-    warnings = [*health.warnings, *_silence(now, health), *_drops(now, before)]
-    if health.errors:
-        level, message = DiagnosticStatus.ERROR, "; ".join(health.errors)
+def diagnostic_status(name: str, now: InputSummary, before: InputSummary | None, node: NodeStatus) -> DiagnosticStatus:
+    """Make the report of one node: a level, one line of text, and all numbers; drops since `before` are a warning."""
+    warnings = [*node.warnings, *_silence(now, node), *_drops(now, before)]
+    if node.errors:
+        level, message = DiagnosticStatus.ERROR, "; ".join(node.errors)
     elif warnings:
         level, message = DiagnosticStatus.WARN, "; ".join(warnings)
     else:
-        level, message = DiagnosticStatus.OK, f"{health.state}, {now.rate_hz:.1f} Hz"
-    values = {"state": health.state, **_numbers(now), **(health.notes or {})}
+        level, message = DiagnosticStatus.OK, f"{node.state}, {now.rate_hz:.1f} Hz"
+    values = {"state": node.state, **_numbers(now), **(node.notes or {})}
     return DiagnosticStatus(
         level=level,
         name=name,
@@ -167,26 +156,24 @@ def diagnostic_status(name: str, now: Snapshot, before: Snapshot | None, health:
     )
 
 
-def _silence(now: Snapshot, health: Health) -> list[str]:
-    limit = health.expects_input_every_s
-    if limit is None or health.state != "active":
+def _silence(now: InputSummary, node: NodeStatus) -> list[str]:
+    limit = node.expects_input_every_s
+    if limit is None or node.state != "active":
         return []
     if now.idle_s is None:
         return ["no input yet"]
     return [f"no input for {now.idle_s:.1f} s"] if now.idle_s > limit else []
 
 
-def _drops(now: Snapshot, before: Snapshot | None) -> list[str]:
+def _drops(now: InputSummary, before: InputSummary | None) -> list[str]:
     old = before.dropped if before else {}
-    fresh = {reason: count - old.get(reason, 0) for reason, count in now.dropped.items()}
-    told = [f"{count} {reason}" for reason, count in fresh.items() if count]
-    lost = now.lost - (before.lost if before else 0)
-    if lost:
-        told.append(f"{lost} lost on the way")
-    return [f"dropped: {', '.join(told)}"] if told else []
+    recent = {reason: count - old.get(reason, 0) for reason, count in now.dropped.items()}
+    recent["lost in transport"] = now.lost - (before.lost if before else 0)
+    texts = [f"{count} {reason}" for reason, count in recent.items() if count]
+    return [f"dropped: {', '.join(texts)}"] if texts else []
 
 
-def _numbers(now: Snapshot) -> dict[str, str]:
+def _numbers(now: InputSummary) -> dict[str, str]:
     numbers = {
         "rate_hz": f"{now.rate_hz:.2f}",
         "received": str(now.received),

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the process needs in its environment before NumPy and rclpy are imported.
-
-A variable that the user has set is never changed.
-"""
+"""Environment variables that must be set before NumPy and rclpy are imported. What the user has set is never changed."""
 
 from __future__ import annotations
 
@@ -20,10 +17,10 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 def prepare_environment() -> None:
-    """Set what is missing: the ament index, the shared-memory profile, one thread for linear algebra.
+    """Set what is missing: the ament index, the shared-memory profile, and one thread for linear algebra.
 
-    The matrices here are small: with a pool of threads, a plane fit waits for the others longer than
-    it works (8 ms against 0.6 ms on a loaded two-core machine).
+    The matrices here are small: with a pool of threads, a plane fit waits for the other threads longer than
+    it computes (8 ms against 0.6 ms on a loaded two-core machine).
     """
     if "AMENT_PREFIX_PATH" not in os.environ:  # wheels of PyPI install into the Python prefix
         os.environ["AMENT_PREFIX_PATH"] = sys.prefix

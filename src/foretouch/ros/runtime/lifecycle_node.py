@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node shares: lifecycle, parameters, QoS and diagnostics.
+"""The base class of all nodes: lifecycle, parameters, QoS and diagnostics.
 
-A node fills four hooks, `setup` and `teardown` (configure, clean up) and `start` and `stop` (activate,
-deactivate); a known error in the first or the third refuses the transition with one line in the log.
+A node implements four hooks, `setup` and `teardown` (configure, clean up) and `start` and `stop` (activate,
+deactivate). An error in `setup` or `start` refuses the transition and is logged in one line.
 
-Inputs are subscribed to with sensor-data QoS, outputs are published reliably: that pair matches every
-publisher and subscriber there is. Both can be overridden (`qos_overrides.<topic>...` parameters), and a
-mismatch is told in the log and in /diagnostics, never silent.
+Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
+publisher and subscriber. Both can be overridden (`qos_overrides.<topic>...` parameters). Incompatible QoS
+is reported in the log and in /diagnostics.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from rclpy.subscription import Subscription
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.diagnostics import Health, Snapshot, Statistics, diagnostic_status
+from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
 from foretouch.ros.runtime.parameters import NodeSettings
 
 __all__ = ["NAMESPACE", "ForetouchNode", "NodeConfig"]
 
 NAMESPACE = "/foretouch"
 _OUTPUT_DEPTH = 10
-_INPUT_DEPTH = 5  # with best effort: the sensor-data profile, as a fresh object, since overrides are written into it
+_INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile
 _C = TypeVar("_C", bound="NodeConfig")
 
 
@@ -51,8 +51,8 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     Args:
         name: Of the node.
-        config_class: Its settings; every field becomes a parameter.
-        options: For rclpy's `Node`; the namespace is `/foretouch` unless given here or on the command line.
+        config_class: Class of its settings; every field becomes a parameter.
+        options: For rclpy's `Node`; the namespace is `/foretouch` by default.
 
     Raises:
         ConfigError: If a parameter given at the start breaks a rule.
@@ -63,14 +63,14 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         try:
             self.settings = NodeSettings(self, config_class, self.config_changed)
         except ForetouchError:
-            super().destroy_node()  # else the context would, through the hooks of a node that is half made
+            super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
-        self.statistics = Statistics()
+        self.statistics = InputStatistics()
         self.state_name = "unconfigured"
         self._outputs: list[LifecyclePublisher[Any]] = []
         self._inputs: list[Subscription[Any]] = []
         self._mismatches: dict[str, str] = {}
-        self._last: Snapshot | None = None
+        self._last: InputSummary | None = None
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -78,32 +78,32 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     @property
     def config(self) -> _C:
-        """The settings now in force; a change replaces the whole object."""
+        """The current settings; a change replaces the whole object."""
         return self.settings.value
 
-    # What a node fills in.
+    # Hooks that a node implements.
 
     def setup(self) -> None:
-        """Configure: make publishers and subscriptions, load what is slow to load."""
+        """Configure: make publishers and subscriptions, and load what takes long."""
 
     def start(self) -> None:
-        """Activate: begin to work."""
+        """Activate: start the work."""
 
     def stop(self) -> None:
-        """Deactivate: end the work begun by `start`; also called where nothing was begun."""
+        """Deactivate: end what `start` started; also called where nothing was started."""
 
     def teardown(self) -> None:
         """Clean up: release what `setup` made, publishers and subscriptions excepted."""
 
     def config_changed(self, config: _C) -> None:
-        """A parameter was changed while running."""
+        """React to a parameter that was changed at run time."""
 
     def has_ended(self) -> bool:
         """Whether the node has nothing more to do; its process may then end."""
         return False
 
     def expects_input_every_s(self) -> float | None:
-        """Time without an input that is worth a warning [s]; None for a node without inputs."""
+        """Longest time without an input before a warning [s]; None for a node without inputs."""
         return None
 
     def errors(self) -> tuple[str, ...]:
@@ -111,13 +111,13 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         return ()
 
     def notes(self) -> dict[str, str]:
-        """Other facts for /diagnostics."""
+        """Further values for /diagnostics."""
         return {}
 
-    # What it is offered.
+    # What a node uses.
 
     def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher[Any]:
-        """A reliable publisher that is silent unless the node is active."""
+        """Make a reliable publisher, which publishes only while the node is active."""
         publisher: LifecyclePublisher[Any] = self.create_lifecycle_publisher(
             message,
             topic,
@@ -125,7 +125,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=PublisherEventCallbacks(
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
-                use_default_callbacks=False,  # each more is asked about at every message
+                use_default_callbacks=False,  # each further event costs time at every message
             ),
         )
         self._outputs.append(publisher)
@@ -134,14 +134,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
     def subscribe(
         self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
     ) -> None:
-        """A subscription with sensor-data QoS; callbacks of one node never run at the same time.
-
-        Args:
-            message: Type of the messages.
-            topic: Where from.
-            callback: Called with each.
-            depth: Messages that may wait for the executor.
-        """
+        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
         subscription = self.create_subscription(
             message,
             topic,
@@ -158,20 +151,16 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self._inputs.append(subscription)
 
     def unknown_parameters(self) -> set[str]:
-        """Names given at the start that mean nothing to this node; ROS would pass over them in silence."""
+        """Names of given parameters that this node does not have; ROS ignores them without a message."""
         given = getattr(self, "_parameter_overrides", {})
         return {name for name in given if not (self.has_parameter(name) or name.startswith("qos_overrides."))}
 
     def age_s(self, stamp_ns: int) -> float:
-        """Time from a stamp to now on the node's clock [s]."""
+        """Age of a stamp on the node's clock [s]."""
         return float(self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
 
     def autostart(self) -> bool:
-        """Configure and activate, unless the parameter says no.
-
-        Returns:
-            False where a transition was refused.
-        """
+        """Configure and activate, if the parameter `autostart` is set; False if a transition was refused."""
         if not self.config.autostart:
             return True
         success = TransitionCallbackReturn.SUCCESS
@@ -180,7 +169,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
     # Transitions.
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make what the node needs."""
+        """Call `setup`."""
         if not self._attempt(self.setup):
             self._release()
             return TransitionCallbackReturn.FAILURE
@@ -188,7 +177,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to work."""
+        """Call `start`."""
         if not self._attempt(self.start):
             return TransitionCallbackReturn.FAILURE
         result = super().on_activate(state)
@@ -196,20 +185,20 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the work."""
+        """Call `stop`."""
         self.state_name = "inactive"
         self.stop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything."""
+        """Call `teardown` and destroy publishers and subscriptions."""
         result = super().on_cleanup(state)
         self._release()
         self.state_name = "unconfigured"
         return result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the work and release everything."""
+        """Stop and clean up."""
         self.stop()
         result = super().on_shutdown(state)
         self._release()
@@ -217,12 +206,10 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         return result
 
     def destroy_node(self) -> None:
-        """End the work, whatever the state, and leave the graph."""
+        """Stop and clean up, whatever the state."""
         self.stop()
         self._release()
         super().destroy_node()
-
-    # Its own affairs.
 
     def _attempt(self, hook: Callable[[], None]) -> bool:
         try:
@@ -230,7 +217,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         except ForetouchError as err:
             self.get_logger().error(str(err))
             return False
-        except Exception as err:  # noqa: BLE001  rclpy would swallow it and tell nobody
+        except Exception as err:  # noqa: BLE001  rclpy would not report it
             self.get_logger().error(f"{hook.__name__}: {type(err).__name__}: {err}")
             return False
         return True
@@ -251,15 +238,15 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.get_logger().warning(text)
 
     def _report(self) -> None:
-        now = self.statistics.snapshot()
-        health = Health(
+        now = self.statistics.summary()
+        node = NodeStatus(
             state=self.state_name,
             errors=self.errors(),
             warnings=tuple(self._mismatches.values()),
             notes=self.notes(),
             expects_input_every_s=self.expects_input_every_s(),
         )
-        status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, health)
+        status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, node)
         self._last = now
         report = DiagnosticArray(status=[status])
         report.header.stamp = self.get_clock().now().to_msg()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters from `Settings`: type, bounds, description and read-only flag are declared once, there.
+"""ROS parameters made from `Settings`, which declare type, bounds, description and read-only flag.
 
-A change is checked as a whole against all rules of the settings, those across fields included, and is
-taken or refused as a whole, with the reason.
+A change is checked against all rules of the settings, those across fields included, and is accepted or refused
+as a whole, with the reason.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class NodeSettings(Generic[_S]):
     Args:
         node: Gets a parameter for every setting of `cls`, nested ones with dotted names.
         cls: The settings.
-        on_change: Called with the new settings after a change was taken.
+        on_change: Called with the new settings after a change.
 
     Raises:
         ConfigError: If a value given at the start (file or command line) breaks a rule.
@@ -43,7 +43,7 @@ class NodeSettings(Generic[_S]):
         self._names = {info.name for info in setting_infos(cls)}
         self.value: _S = cls.from_mapping({info.name: _declare(node, info) for info in setting_infos(cls)})
         node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._take)
+        node.add_post_set_parameters_callback(self._apply)
 
     def _changed(self, parameters: Sequence[Parameter[Any]]) -> _S | None:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._names}
@@ -56,7 +56,7 @@ class NodeSettings(Generic[_S]):
             return SetParametersResult(successful=False, reason=str(err))
         return SetParametersResult(successful=True)
 
-    def _take(self, parameters: Sequence[Parameter[Any]]) -> None:
+    def _apply(self, parameters: Sequence[Parameter[Any]]) -> None:
         changed = self._changed(parameters)
         if changed is not None:
             self.value = changed
@@ -90,7 +90,7 @@ def describe(info: SettingInfo) -> ParameterDescriptor:
 
 
 def _declare(node: Node, info: SettingInfo) -> Any:
-    """Declare one parameter and give the value it got."""
+    """Declare one parameter and return its value."""
     default = list(info.default) if isinstance(info.default, tuple) else info.default
     try:
         return _plain(node.declare_parameter(info.name, default, describe(info)).value)
@@ -99,5 +99,5 @@ def _declare(node: Node, info: SettingInfo) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Arrays of rclpy as lists."""
+    """Convert arrays of rclpy to lists."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of several topics that belong to one cloud, brought together by their exact stamp.
+"""The base class of nodes that answer every cloud: inputs of one stamp in, one answer out.
 
-Every output keeps the stamp of its cloud, so equal stamps mean the same cloud and no tolerance is
-needed. The number of clouds that wait for a message is bounded.
+Messages of several topics that belong to one cloud are matched by their exact stamp: every output keeps the stamp
+of its cloud, so no tolerance is needed. The number of clouds that wait for a message is bounded.
 
-A node that answers every cloud: inputs of one stamp in, one answer out.
-
-Threads: the executor's callbacks only sort messages by stamp and queue them; one worker thread a node
-does the work and publishes, so that services, parameters, lifecycle and diagnostics answer while it is
-busy. The queue is bounded and gives up its oldest input, counted as `superseded`.
+Threads: the executor's callbacks only sort messages by stamp and queue them. One worker thread per node
+computes and publishes, so that services, parameters, lifecycle and diagnostics respond meanwhile. The queue
+is bounded and drops its oldest input, counted as `superseded`.
 """
 
 from __future__ import annotations
@@ -22,6 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.config import setting
@@ -29,35 +28,36 @@ from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.status import RefusalError, status_name
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
+from foretouch.types import Cloud, Float32
 from foretouch_msgs.msg import Status
 
-__all__ = ["ProcessingConfig", "ProcessingNode", "StampSynchronizer", "StampedSet"]
+__all__ = ["ProcessingConfig", "ProcessingNode", "StampSynchronizer", "StampedSet", "warm_up_cloud"]
 
 
 class StampedSet(NamedTuple):
-    """Messages by topic, all of one stamp, and when the first of them arrived [s]."""
+    """Messages by topic, all of one stamp, and the time of arrival of the first [s]."""
 
     messages: dict[str, Any]
     arrived: float
 
 
 class StampSynchronizer:
-    """Collects one message a topic for each stamp. Not thread-safe.
+    """Collects one message per topic for each stamp. Not thread-safe.
 
     Args:
-        topics: Names of those that make a set.
+        topics: Names of the topics of a set.
         depth: Sets that may be incomplete at a time.
-        on_open: Called for the first message of each set; what it gives is kept with the set.
-        on_drop: Called with a reason for each set given up: `unpaired` (pushed out by newer ones) or
-            `repeated_stamp` (a topic sent a stamp twice; the first is given up).
+        on_first: Called at the first message of each set; returns its time of arrival.
+        on_drop: Called with the reason for each dropped set: `unpaired` (replaced by newer ones) or
+            `repeated_stamp` (a topic sent a stamp twice; the first message is dropped).
     """
 
     def __init__(
-        self, topics: Sequence[str], depth: int, on_open: Callable[[], float], on_drop: Callable[[str], None]
+        self, topics: Sequence[str], depth: int, on_first: Callable[[], float], on_drop: Callable[[str], None]
     ) -> None:
         self._topics = frozenset(topics)
         self._depth = depth
-        self._on_open = on_open
+        self._on_first = on_first
         self._on_drop = on_drop
         self._waiting: dict[int, StampedSet] = {}
 
@@ -66,20 +66,14 @@ class StampSynchronizer:
         return len(self._waiting)
 
     def add(self, topic: str, stamp_ns: int, message: Any) -> StampedSet | None:
-        """Take one message; the set of its stamp, if that is now complete.
-
-        Args:
-            topic: Where it came from.
-            stamp_ns: Its stamp [ns].
-            message: Whatever is to be handed over.
-        """
+        """Add a message of a topic; returns the set of its stamp if that is now complete."""
         found = self._waiting.get(stamp_ns)
         if found is not None and topic in found.messages:
             del self._waiting[stamp_ns]
             self._on_drop("repeated_stamp")
             found = None
         if found is None:
-            found = self._waiting[stamp_ns] = StampedSet({}, self._on_open())
+            found = self._waiting[stamp_ns] = StampedSet({}, self._on_first())
         found.messages[topic] = message
         if found.messages.keys() == self._topics:
             return self._waiting.pop(stamp_ns)
@@ -89,7 +83,7 @@ class StampSynchronizer:
         return None
 
     def clear(self, reason: str) -> None:
-        """Give up all that waits."""
+        """Drop all incomplete sets."""
         while self._waiting:
             self._waiting.popitem()
             self._on_drop(reason)
@@ -103,25 +97,27 @@ class ProcessingConfig(NodeConfig):
     """Settings of every node that answers clouds."""
 
     queue_depth: int = setting(
-        8, "Inputs that may wait; the oldest is given up for a newer one", minimum=1, maximum=10_000, read_only=True
+        8, "Number of inputs that may wait; the oldest is dropped", minimum=1, maximum=10_000, read_only=True
     )
     pairing_depth: int = setting(
         64,
-        "Clouds that may wait for their other messages: more than all queues before this node hold together",
+        "Number of clouds that may wait for their other messages; must exceed all queues upstream together",
         minimum=1,
         maximum=10_000,
         read_only=True,
     )
-    silence_s: float = setting(5.0, "Time without an input that is worth a warning", unit="s", minimum=0.1, maximum=1e6)
+    silence_s: float = setting(
+        5.0, "Longest time without an input before a warning", unit="s", minimum=0.1, maximum=1e6
+    )
 
 
 class ProcessingNode(ForetouchNode[_P], ABC):
-    """Pairs its inputs by stamp and answers each set in a thread of its own.
+    """Matches its inputs by stamp and answers each set in a separate thread.
 
     Args:
         name: Of the node.
-        config_class: Its settings.
-        inputs: Message type and name of each topic that makes a set; the first names the cloud.
+        config_class: Class of its settings.
+        inputs: Message type and name of each topic of a set; the answer gets the header of the first.
         options: For rclpy's `Node`.
     """
 
@@ -130,8 +126,8 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
         names = [topic for _, topic in inputs]
-        self._pairing = StampSynchronizer(
-            names, self.config.pairing_depth, self.statistics.arrive, self.statistics.drop
+        self._synchronizer = StampSynchronizer(
+            names, self.config.pairing_depth, self.statistics.receive, self.statistics.drop
         )
         self._worker: Worker[StampedSet] = Worker(
             name, self.config.queue_depth, self._work, lambda _, reason: self.statistics.drop(reason)
@@ -139,28 +135,28 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
 
-    # What a node fills in.
+    # What a node implements.
 
     @abstractmethod
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        """Message to arrays, call the core, arrays to message, publish.
+        """Convert the messages to arrays, compute, convert the result to messages and publish them.
 
         Args:
             messages: By topic, all of one stamp.
             header: Of the first topic.
 
         Returns:
-            The status that was published, and the reason.
+            The published status and its reason.
 
         Raises:
-            RefusalError: If there is nothing to say; `refuse` then says so.
+            RefusalError: If there is no answer; `refuse` is then called.
         """
 
     @abstractmethod
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish empty outputs with a status and a reason."""
 
-    # Hooks of the base.
+    # Hooks of the base class.
 
     def setup(self) -> None:
         """Subscribe to the inputs."""
@@ -168,29 +164,27 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.subscribe(message, topic, partial(self._receive, topic))
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start to answer."""
         self._worker.start()
 
     def stop(self) -> None:
-        """Finish the cloud at hand and give up what waits."""
+        """Finish the current cloud and drop what waits."""
         self._worker.stop()
         with self._lock:
-            self._pairing.clear("stopped")
+            self._synchronizer.clear("stopped")
 
     def expects_input_every_s(self) -> float | None:
-        """Time without an input that is worth a warning [s]."""
+        """Longest time without an input before a warning [s]."""
         return self.config.silence_s
 
     def notes(self) -> dict[str, str]:
-        """Answers by status, and why the last was empty."""
+        """Numbers of answers by status, and why the last was empty."""
         outcomes = {f"answered.{name}": str(count) for name, count in sorted(self._outcomes.items())}
         return {**outcomes, "last_reason": self._last_reason}
 
-    # Its own affairs.
-
     def _receive(self, topic: str, message: Any) -> None:
         with self._lock:
-            found = self._pairing.add(topic, stamp_ns(message.header.stamp), message)
+            found = self._synchronizer.add(topic, stamp_ns(message.header.stamp), message)
         if found is None:
             return
         if self.state_name == "active":
@@ -213,8 +207,22 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             return self.answer(messages, header)
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
-        except Exception as err:  # noqa: BLE001  a fault of ours must not end the node, nor pass in silence
+        except Exception as err:  # noqa: BLE001  a bug must not end the node, and must be reported
             self.get_logger().error(traceback.format_exc())
             status, reason = Status.FAILED, f"{type(err).__name__}: {err}"
         self.refuse(header, status, reason)
         return status, reason
+
+
+def warm_up_cloud() -> Cloud:
+    """A grey box on a table, seen from above: (120, 160, 3) float32 [m], with colours for models that use them.
+
+    It is processed while a node configures: else half a second of imports and first allocations would delay the first
+    clouds, which then wait for each other.
+    """
+    row, column = np.mgrid[0:120, 0:160].astype(np.float32)
+    depth = np.full((120, 160), 0.8, np.float32)
+    depth[45:75, 60:100] = 0.7  # the top of the box
+    ray_x, ray_y = (column - 80.0) / 160.0, (row - 60.0) / 160.0
+    xyz: Float32 = np.stack([ray_x * depth, ray_y * depth, depth], axis=-1)
+    return Cloud(xyz, np.full(xyz.shape, 128, np.uint8), frame_id="warm_up")

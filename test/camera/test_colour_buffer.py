@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from foretouch.camera.pairing import ColourBuffer
+from foretouch.camera.stream import ColourBuffer
 
 
 def _buffer(*stamps_ms: float) -> ColourBuffer[float]:

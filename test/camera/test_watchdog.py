@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from foretouch.camera.config import TimeoutConfig
-from foretouch.camera.status import Watchdog
+from foretouch.camera.realsense import Watchdog
 
 _TIMEOUTS = TimeoutConfig(start_s=5.0, stall_s=1.0, reopen_s=3.0, backoff_min_s=0.5, backoff_max_s=4.0)
 
@@ -12,14 +12,14 @@ _TIMEOUTS = TimeoutConfig(start_s=5.0, stall_s=1.0, reopen_s=3.0, backoff_min_s=
 def test_a_camera_just_opened_may_take_its_time() -> None:
     dog = Watchdog(_TIMEOUTS)
     dog.opened(100.0)
-    assert [dog.verdict(100.0 + t) for t in (0.5, 4.9, 5.1)] == ["wait", "wait", "reopen"]
+    assert [dog.decide(100.0 + t) for t in (0.5, 4.9, 5.1)] == ["wait", "wait", "reopen"]
 
 
 def test_a_streaming_camera_stalls_and_is_then_opened_again() -> None:
     dog = Watchdog(_TIMEOUTS)
     dog.opened(100.0)
     dog.frame(101.0)
-    assert [dog.verdict(101.0 + t) for t in (0.9, 1.1, 2.9, 3.1)] == ["wait", "stalled", "stalled", "reopen"]
+    assert [dog.decide(101.0 + t) for t in (0.9, 1.1, 2.9, 3.1)] == ["wait", "stalled", "stalled", "reopen"]
     assert dog.silent_s(103.5) == 2.5
 
 

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files of foretouch share. It is installed beside them and found through their folder."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchContext
+
+SHARE = FindPackageShare("foretouch")
+_ARGUMENTS = {  # default and description
+    "namespace": ("/foretouch", "Namespace of all nodes"),
+    "model": ("default", "Name of a released model, or path of a checkpoint"),
+    "params_file": ("", "ROS parameter file (YAML) for any of the nodes"),
+    "rviz": ("false", "Whether to start RViz"),
+}
+
+
+def shared_arguments(*names: str) -> list[DeclareLaunchArgument]:
+    """Declare arguments that several launch files have: all of them, or those named."""
+    return [
+        DeclareLaunchArgument(name, default_value=_ARGUMENTS[name][0], description=_ARGUMENTS[name][1])
+        for name in names or _ARGUMENTS
+    ]
+
+
+def argument_values(context: LaunchContext, *names: str) -> dict[str, str]:
+    """Return the values of launch arguments by name."""
+    return {name: LaunchConfiguration(name).perform(context) for name in names}
+
+
+def foretouch_node(
+    context: LaunchContext, name: str, parameters: Mapping[str, str] | None = None, **options: Any
+) -> Node:
+    """Describe one node of foretouch with the namespace and the parameter file of the launch arguments.
+
+    Args:
+        context: Holds the arguments.
+        name: Of the executable, without `foretouch_`.
+        parameters: Set beside those of the file, and stronger.
+        options: For `launch_ros.actions.Node`.
+    """
+    params_file = argument_values(context, "params_file")["params_file"]
+    return Node(
+        package="foretouch",
+        executable=f"foretouch_{name}",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[*filter(None, [params_file]), *([] if parameters is None else [parameters])],
+        output="screen",
+        **options,
+    )
+
+
+def include(name: str, *passed_on: str, condition: Any = None, **fixed: str) -> IncludeLaunchDescription:
+    """Include another launch file of foretouch.
+
+    Args:
+        name: Of the file, without `.launch.py`.
+        passed_on: Arguments that both files have.
+        condition: Under which it is included; None for always.
+        fixed: Values of further arguments.
+    """
+    arguments = {**fixed, **{argument: LaunchConfiguration(argument) for argument in passed_on}}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(PathJoinSubstitution([SHARE, "launch", f"{name}.launch.py"])),
+        launch_arguments=arguments.items(),
+        condition=condition,
+    )
+
+
+def include_perception() -> IncludeLaunchDescription:
+    """Include segmentation, grasp and touch predictor, for launch files that bring their own source of clouds."""
+    return include("perception", *_ARGUMENTS, camera="false")

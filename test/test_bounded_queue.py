@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The queue between threads: what is kept, what is dropped, and who waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+
+import pytest
+
+from foretouch.bounded_queue import BoundedQueue
+
+
+def test_a_full_queue_drops_its_oldest_items() -> None:
+    dropped: list[tuple[int, str]] = []
+    queue = BoundedQueue[int](2, on_drop=lambda item, reason: dropped.append((item, reason)))
+    assert all(queue.put(item) for item in range(5))
+    assert dropped == [(0, "superseded"), (1, "superseded"), (2, "superseded")]
+    assert [queue.get(0.0) for _ in range(3)] == [3, 4, None]
+    assert queue.dropped == {"superseded": 3}
+
+
+def test_a_full_queue_may_reject_new_items_by_their_size() -> None:
+    queue = BoundedQueue[bytes](10, when_full="reject", size_of=len)
+    assert [queue.put(bytes(size)) for size in (4, 4, 4, 2, 11)] == [True, True, False, True, False]
+    assert queue.dropped == {"full": 2}
+    assert [len(item) for item in queue.get_all(0.0)] == [4, 4, 2]
+    assert queue.put(bytes(10))
+
+
+def test_an_item_larger_than_the_whole_queue_is_dropped_too() -> None:
+    queue = BoundedQueue[bytes](10, size_of=len)
+    queue.put(bytes(4))
+    assert not queue.put(bytes(11))
+    assert queue.dropped == Counter(superseded=1, full=1)
+
+
+def test_a_full_queue_may_block_the_sender() -> None:
+    queue = BoundedQueue[int](1, when_full="wait")
+    sender = threading.Thread(target=lambda: [queue.put(item) for item in range(20)])
+    sender.start()
+    got = []
+    for _ in range(20):
+        time.sleep(0.002)
+        got.append(queue.get(1.0))
+    sender.join(1.0)
+    assert got == list(range(20))
+    assert not sender.is_alive()
+    assert not queue.dropped
+
+
+@pytest.mark.parametrize("when_full", ["wait", "drop_oldest", "reject"])
+def test_without_a_capacity_it_accepts_everything_at_once(when_full: str) -> None:
+    queue = BoundedQueue[int](None, when_full=when_full)  # type: ignore[arg-type]
+    for item in range(3):
+        queue.put(item)
+    assert [queue.get(0.0) for _ in range(3)] == [0, 1, 2]
+
+
+def test_a_capacity_that_is_set_later_holds_from_the_next_item_on() -> None:
+    queue = BoundedQueue[int](None)
+    for item in range(4):
+        queue.put(item)
+    queue.capacity = 2
+    queue.put(4)
+    assert queue.get_all(0.0) == [3, 4]
+
+
+def test_closing_releases_a_blocked_sender_and_drops_its_item() -> None:
+    queue = BoundedQueue[int](1, when_full="wait")
+    queue.put(0)
+    sender = threading.Thread(target=queue.put, args=(1,), daemon=True)
+    sender.start()
+    time.sleep(0.05)
+    assert sender.is_alive()
+    queue.close("stopped")
+    sender.join(1.0)
+    assert not sender.is_alive()
+    assert queue.get(0.0) is None
+    assert queue.dropped == {"stopped": 2}
+
+
+def test_what_waits_can_be_taken_out_of_a_closed_queue() -> None:
+    queue = BoundedQueue[int](3)
+    queue.put(0)
+    queue.put(1)
+    queue.close()
+    assert not queue.put(2)
+    assert queue.closed
+    assert (queue.get(), queue.get_all(), queue.get()) == (0, [1], None)
+    assert queue.dropped == {"closed": 1}
+    queue.reopen()
+    assert queue.put(3)
+    assert queue.get() == 3
+
+
+def test_closing_releases_a_waiting_receiver() -> None:
+    queue = BoundedQueue[int](1)
+    got: list[int | None] = []
+    receiver = threading.Thread(target=lambda: got.append(queue.get()), daemon=True)
+    receiver.start()
+    queue.close()
+    receiver.join(1.0)
+    assert got == [None]
+
+
+def test_an_empty_queue_is_waited_for_no_longer_than_asked() -> None:
+    started = time.monotonic()
+    assert BoundedQueue[int](1).get(0.1) is None
+    assert 0.09 < time.monotonic() - started < 0.5
