@@ -101,6 +101,7 @@ class TouchModel:
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before.
             residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
+            memory: Alias until merge.
 
         Returns:
             One prediction a grasp, in order. `reference` names the strongest reading that it was adapted to: touches,

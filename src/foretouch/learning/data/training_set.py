@@ -12,9 +12,9 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.sampling import sample_indices
 from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
 from foretouch.errors import CloudError, DatasetError, ModelError
-from foretouch.models.novelty import grasp_lengths
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
+from foretouch.models.novelty import grasp_lengths
 from foretouch.tactile.validity import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
