@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.card import card_text, read_card
-from foretouch.models.files import packed, read_tensors, replace_files
+from foretouch.models.files import TensorRecord, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import Fallback
 from foretouch.types import TOUCH_SIZE, Float64
 
@@ -39,13 +39,12 @@ __all__ = [
 GROUPS: Final = ("known", "new", "known_tare", "new_tare")
 """Objects in or out of the training distribution, each predicted without a tare or with one."""
 
-_FIELDS: Final = ("between", "within", "worth", "spread", "half_width")
 _POSITIVE: Final = ("within", "spread", "half_width")
 _FALLBACK: Final = "fallback/"
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationGroup:
+class CalibrationGroup(TensorRecord):
     """Statistics of the residuals under one condition.
 
     Attributes:
@@ -87,6 +86,17 @@ class CalibrationGroup:
         lasting = np.diag(self.between) - np.einsum("ij,ji->i", self.between, solved)
         left = (np.maximum(lasting, 0.0) + self.within) / self.spread
         return np.asarray(self.half_width * np.sqrt(np.minimum(left, 1.0)), np.float64)
+
+    def _check(self) -> None:
+        for name, array in self.to_tensors().items():
+            _check_array(name, array)
+        tolerance = 1e-6 * np.abs(self.between).max()
+        if np.abs(self.between - self.between.T).max() > tolerance:
+            raise ModelError("between: is not symmetric")
+        if np.linalg.eigvalsh(self.between)[0] < -tolerance:
+            raise ModelError("between: is no covariance: it has a negative eigenvalue")
+        if self.worth.min() < 0.0 or self.worth.max() > 1.0:
+            raise ModelError("worth: leaves [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +157,7 @@ class Calibration:
         """Arrays by name, for a file."""
         tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
         for name, group in self.groups.items():
-            tensors |= {f"{name}/{field}": getattr(group, field) for field in _FIELDS}
+            tensors |= {f"{name}/{field}": array for field, array in group.to_tensors().items()}
         return tensors
 
     @classmethod
@@ -158,34 +168,21 @@ class Calibration:
             ModelError: If an array is missing, of another shape or not finite, a variance or width is not above 0, a worth
                 is outside [0, 1], or a covariance is not symmetric and positive semidefinite.
         """
-        groups = {
-            name: CalibrationGroup(**{field: _checked(tensors, f"{name}/{field}") for field in _FIELDS})
-            for name in GROUPS
-            if name in ("known", "new") or f"{name}/between" in tensors
-        }
-        for name, group in groups.items():
-            tolerance = 1e-6 * np.abs(group.between).max()
-            if np.abs(group.between - group.between.T).max() > tolerance:
-                raise ModelError(f"{name}/between: is not symmetric")
-            if np.linalg.eigvalsh(group.between)[0] < -tolerance:
-                raise ModelError(f"{name}/between: is no covariance: it has a negative eigenvalue")
-            if group.worth.min() < 0.0 or group.worth.max() > 1.0:
-                raise ModelError(f"{name}/worth: leaves [0, 1]")
-        return cls(_checked(tensors, "rest"), groups)
+        if "rest" not in tensors:
+            raise ModelError("rest: is missing")
+        tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
+        _check_array("rest", tensors["rest"])
+        names = [name for name in GROUPS if name in ("known", "new") or f"{name}/between" in tensors]
+        return cls(tensors["rest"], {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in names})
 
 
-def _checked(tensors: Mapping[str, npt.NDArray[Any]], name: str) -> Float64:
-    if name not in tensors:
-        raise ModelError(f"{name}: is missing")
-    found = np.asarray(tensors[name], np.float64)
-    field = name.rpartition("/")[2]
-    shape = (TOUCH_SIZE, TOUCH_SIZE) if field == "between" else (TOUCH_SIZE,)
-    if found.shape != shape:
-        raise ModelError(f"{name}: shape {found.shape} is not {shape}")
-    positive = field in _POSITIVE
-    if not np.isfinite(found).all() or (positive and not (found > 0.0).all()):
+def _check_array(name: str, array: npt.NDArray[Any]) -> None:
+    shape = (TOUCH_SIZE, TOUCH_SIZE) if name == "between" else (TOUCH_SIZE,)
+    if array.shape != shape:
+        raise ModelError(f"{name}: shape {array.shape} is not {shape}")
+    positive = name in _POSITIVE
+    if not np.isfinite(array).all() or (positive and not (array > 0.0).all()):
         raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
-    return found
 
 
 def add_calibration(

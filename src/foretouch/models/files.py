@@ -10,8 +10,9 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from safetensors.numpy import load_file, save
 
 from foretouch.errors import FileError, ModelError
 
-__all__ = ["file_sha256", "packed", "read_tensors", "replace_files"]
+__all__ = ["TensorRecord", "file_sha256", "packed", "read_part", "read_tensors", "replace_files"]
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
@@ -87,3 +88,42 @@ def read_tensors(
         return load(path)
     except (SafetensorError, OSError, ValueError) as err:
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
+
+
+class TensorRecord:
+    """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields."""
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: Names the array that is missing, or breaks a rule of `_check`.
+        """
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        for name in names:
+            if name not in tensors:
+                raise ModelError(f"{name}: is missing")
+        record = cls(**{name: tensors[name] for name in names})
+        record._check()
+        return record
+
+    def _check(self) -> None:
+        """Raise ModelError, which names the array, if the arrays cannot be used."""
+        raise NotImplementedError
+
+
+Record = TypeVar("Record", bound=TensorRecord)
+
+
+def read_part(record: type[Record], tensors: Mapping[str, npt.NDArray[Any]], prefix: str) -> Record:
+    """The record whose arrays are stored under names that begin with a prefix, which errors name too."""
+    part = {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
+    try:
+        return record.from_tensors(part)
+    except ModelError as err:
+        raise ModelError(f"{prefix}{err}") from err

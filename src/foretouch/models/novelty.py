@@ -26,6 +26,7 @@ from scipy.spatial.distance import cdist
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import OBJECT_FEATURES, SHAPE_FEATURES
 from foretouch.models.contact.kernel_regression import standardisation
+from foretouch.models.files import TensorRecord
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.types import TOUCH_SIZE, Float32, Float64, Grasp
 
@@ -42,12 +43,11 @@ other, of their midpoint from the centroid, and of the farther contact from the 
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
-_FIELDS: Final = ("centre", "scale", "known", "span")
 _MARGIN: Final = 0.1  # of a length's range, by which a grasp may leave it
 
 
 @dataclass(frozen=True, eq=False)
-class SizeNoveltyDetector:
+class SizeNoveltyDetector(TensorRecord):
     """Sizes of S training clouds.
 
     Attributes:
@@ -80,32 +80,17 @@ class SizeNoveltyDetector:
 
     familiarity = in_distribution_score  # alias until merge
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
-        """Arrays by name, for a file."""
-        return {name: getattr(self, name) for name in _FIELDS}
-
-    @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> SizeNoveltyDetector:
-        """From `to_tensors`.
-
-        Raises:
-            ModelError: If an array is missing, of another shape, or holds a value that is not finite; if a scale is not
-                above 0, or the span is empty.
-        """
+    def _check(self) -> None:
         size = len(_COLUMNS)
         for name, shape in (("centre", (size,)), ("scale", (size,)), ("known", (-1, size)), ("span", (2,))):
-            if name not in tensors:
-                raise ModelError(f"{name}: is missing")
-            found = tensors[name]
+            found = getattr(self, name)
             fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
             if not fits or not np.isfinite(found).all():
                 raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
-        detector = cls(**{name: tensors[name] for name in _FIELDS})
-        if not (detector.scale > 0.0).all():
+        if not (self.scale > 0.0).all():
             raise ModelError("scale: a value is not above 0")
-        if len(detector.known) < _NEAREST or not detector.span[0] < detector.span[1]:
+        if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")
-        return detector
 
 
 @dataclass(frozen=True, eq=False)

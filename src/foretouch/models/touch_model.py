@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.calibration import Calibration
-from foretouch.tactile.ranges import TactileRanges
-from foretouch.tactile.validity import check_touch
+from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
 __all__ = ["Estimate", "Estimator", "ObjectResiduals", "TouchModel"]

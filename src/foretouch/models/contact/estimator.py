@@ -22,10 +22,10 @@ from foretouch.errors import ModelError
 from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression
+from foretouch.models.files import TensorRecord, read_part
 from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import P2_RANGES, TactileRanges
+from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 
 __all__ = ["TOGETHER", "ContactEstimator"]
@@ -80,7 +80,7 @@ class ContactEstimator:
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
-        parts: dict[str, Any] = {"kernel": self.kernel, "novelty": self.novelty}
+        parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty}
         parts |= {f"forest_{name}": forest for name, forest in self.forests.items()}
         tensors = {f"{part}/{key}": value for part, one in parts.items() for key, value in one.to_tensors().items()}
         return tensors | {"mean": self.mean, "deviation": self.deviation}
@@ -97,21 +97,12 @@ class ContactEstimator:
                 raise ModelError(f"{name}: is missing, of another shape, or not finite")
         forests = {}
         for name in (TOGETHER, *MODALITIES):
-            forests[name] = _read(Forest, tensors, f"forest_{name}")
+            forests[name] = read_part(Forest, tensors, f"forest_{name}/")
             size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
             if forests[name].output_size != size or forests[name].feature.max() >= len(FEATURES):
                 raise ModelError(f"forest_{name}: does not fit {len(FEATURES)} features and {size} values")
-        kernel = _read(KernelRegression, tensors, "kernel")
+        kernel = read_part(KernelRegression, tensors, "kernel/")
         if kernel.known.shape[1] != len(FEATURES) or kernel.weight.shape[1] != TOUCH_SIZE:
             raise ModelError(f"kernel: does not fit {len(FEATURES)} features and {TOUCH_SIZE} values")
-        novelty = _read(SizeNoveltyDetector, tensors, "novelty")
+        novelty = read_part(SizeNoveltyDetector, tensors, "novelty/")
         return cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges)
-
-
-def _read(part_type: Any, tensors: Mapping[str, npt.NDArray[Any]], part: str) -> Any:
-    prefix = f"{part}/"
-    own = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
-    try:
-        return part_type.from_tensors(own)
-    except ModelError as err:
-        raise ModelError(f"{prefix}{err}") from err

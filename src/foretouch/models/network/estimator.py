@@ -19,8 +19,7 @@ from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import PreparedCloud, prepare_cloud, prepare_grasps
 from foretouch.models.novelty import Fallback, LengthRangeCheck, grasp_lengths
 from foretouch.models.touch_model import Estimate
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 
 if TYPE_CHECKING:
