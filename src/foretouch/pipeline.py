@@ -44,14 +44,12 @@ class PipelineConfig(Settings):
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
     grasp: GeoGraspConfig = GeoGraspConfig()
-    model: str = setting(
-        "default", "Name of a model, or the path of a card, of weights or of a run folder", read_only=True
-    )
+    model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObject:
-    """One object and the table it stands on.
+    """One object and the table under it.
 
     Attributes:
         id: Unique within its cloud.
@@ -127,21 +125,13 @@ class Pipeline:
 
     @property
     def model(self) -> TouchModel:
-        """The touch model, loaded once.
-
-        Raises:
-            ModelError: If it is absent or damaged.
-        """
+        """The touch model, loaded once; raises as `load_model`."""
         if self._model is None:
             self._model = load_model(self.config.model)
         return self._model
 
     def segment(self, cloud: Cloud) -> SegmentedScene:
-        """Find the table and the target objects of a scene.
-
-        Args:
-            cloud: Organised (H, W, 3) or (N, 3), with the table in view.
-        """
+        """Find the table and the target objects in a cloud of (H, W, 3) or (N, 3) points with the table in view."""
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
@@ -209,12 +199,7 @@ class Pipeline:
         return self._run_targets(scene.targets, scene, ms)
 
     def run_object(self, cloud: Cloud, plane: Plane = ASSUMED_TABLE) -> PipelineResult:
-        """From a cloud that holds only one object to predicted touch.
-
-        Args:
-            cloud: The object's points.
-            plane: The table under the object, in the cloud's frame.
-        """
+        """From a cloud that holds only one object, and the table in the cloud's frame, to predicted touch."""
         return self._run_targets((FoundObject("1", cloud, plane),), None, {})
 
     def _run_targets(

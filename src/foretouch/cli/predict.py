@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="x1,y1,z1,x2,y2,z2",
         help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
     )
-    parser.add_argument("--model", help="name of a model, or path of a card, of weights or of a run folder")
+    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
     add_adaptation_arguments(parser)
 
 

@@ -27,14 +27,7 @@ from foretouch.models.files import TensorRecord, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = [
-    "GROUPS",
-    "Calibration",
-    "CalibrationGroup",
-    "add_calibration",
-    "calibration_file",
-    "load_calibration",
-]
+__all__ = ["GROUPS", "Calibration", "CalibrationGroup", "add_calibration", "calibration_file", "load_calibration"]
 
 GROUPS: Final = ("known", "new", "known_tare", "new_tare")
 """Objects in or out of the training distribution, each predicted without a tare or with one."""
@@ -165,8 +158,8 @@ class Calibration:
         """From `to_tensors`.
 
         Raises:
-            ModelError: If an array is missing, of another shape or not finite, a variance or width is not above 0, a worth
-                is outside [0, 1], or a covariance is not symmetric and positive semidefinite.
+            ModelError: Names the array that is missing, of another shape or not finite, or no variance, width, shrinkage
+                factor or covariance.
         """
         if "rest" not in tensors:
             raise ModelError("rest: is missing")
@@ -192,13 +185,13 @@ def add_calibration(
 
     Args:
         card_path: The card of a network or a contact model.
-        calibration: The calibration.
+        calibration: Stored in `<name>.trust.safetensors`.
         facts: `level`, `regimes` (objects and coverage by group) and `rest`, for the card.
-        fallback: For a network.
+        fallback: Of a network, stored in the same file.
 
     Raises:
         ModelError: If the card cannot be read.
-        FileError: If a file cannot be written, such as on a full disk; the files before are kept.
+        FileError: If a file cannot be written; the files before are kept.
     """
     card = read_card(card_path)
     files = calibration_file(card_path, card, calibration, facts, fallback)

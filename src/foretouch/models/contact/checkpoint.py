@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a contact model.
+"""Files of a contact model: its card `<name>.json`, which names the others with their hashes.
 
-<name>.json               the card, which names the others with their hashes
-<name>.safetensors        forests, kernel, novelty detector
-<name>.trust.safetensors  rest level, adaptation, half widths: `calibration` in the card
+`<name>.safetensors` holds forests, kernel and novelty detector; `<name>.trust.safetensors` the calibration.
 """
 
 from __future__ import annotations
@@ -37,15 +35,14 @@ def save_contact(
         folder: Made if absent.
         name: Of the model and of its files.
         estimator: The fitted model.
-        facts: The rest of the card: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits`; omitted
-            fields are empty.
+        facts: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits` of the card; empty if omitted.
         calibration: With its facts for the card, as of `add_calibration`.
 
     Returns:
         Path of the card.
 
     Raises:
-        FileError: If a file cannot be written, such as on a full disk; the files before are kept.
+        FileError: If a file cannot be written; the files before are kept.
     """
     path = Path(folder) / f"{name}.json"
     weights = path.with_suffix(".safetensors")

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of networks: `<name>.safetensors` and its card `<name>.json`, checked against each other.
-
-Weights are read with safetensors alone, which holds numbers and no code.
-"""
+"""Files of networks: `<name>.safetensors` and its card `<name>.json`, checked against each other."""
 
 from __future__ import annotations
 
@@ -35,28 +32,19 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
         folder: Made if absent.
         name: Of the model and of both files.
         net: The network.
-        facts: The rest of the card: `summary`, `data`, `split`, `skill`, `baselines`, `limits`, `familiar`.
-            Omitted fields are empty; `calibration` is null.
+        facts: `summary`, `data`, `split`, `skill`, `baselines`, `limits`, `familiar` of the card; empty if omitted.
 
     Returns:
         Path of the card.
 
     Raises:
-        FileError: If a file cannot be written, such as on a full disk; the files before are kept.
+        FileError: If a file cannot be written; the files before are kept.
     """
     card_path = Path(folder) / f"{name}.json"
     weights = card_path.with_suffix(".safetensors")
     content, sha256 = packed({key: value.detach().cpu().numpy() for key, value in net.state_dict().items()})
-    empty: dict[str, Any] = {
-        "summary": "",
-        "data": {},
-        "split": {},
-        "skill": {},
-        "baselines": {},
-        "limits": [],
-        "familiar": None,
-        "calibration": None,
-    }
+    empty: dict[str, Any] = {"summary": "", "data": {}, "split": {}, "skill": {}, "baselines": {}, "limits": []}
+    empty |= {"familiar": None, "calibration": None}
     card = new_card(
         name,
         "network",
@@ -73,25 +61,18 @@ def save_ensemble(folder: str | Path, name: str, members: Sequence[str | Path], 
     """Write the card of an ensemble of networks, such as one network for each modality as in the papers.
 
     Args:
-        folder: Of the card.
+        folder: Of the card, and of the cards of its members.
         name: Of the ensemble.
-        members: Cards of its networks, in the same folder.
+        members: Cards of its networks.
         summary: One line.
 
     Raises:
         ModelError: If a member's card cannot be read.
         FileError: If the card cannot be written.
     """
-    folder = Path(folder)
-    hashes = [read_card(member)["sha256"] for member in members]
-    card = new_card(
-        name,
-        "ensemble",
-        summary=summary,
-        members=[Path(member).name for member in members],
-        sha256=combined_sha256(hashes),
-    )
-    path = folder / f"{name}.json"
+    names, hashes = [Path(member).name for member in members], [read_card(member)["sha256"] for member in members]
+    card = new_card(name, "ensemble", summary=summary, members=names, sha256=combined_sha256(hashes))
+    path = Path(folder) / f"{name}.json"
     write_text(path, card_text(card))
     return path
 
@@ -121,13 +102,7 @@ def load_ensemble(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
 
 
 def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
-    """Read a network and its card; every weight is checked before it is used.
-
-    Args:
-        card_path: The card, of kind `network`.
-
-    Returns:
-        The network in evaluation mode, and the card.
+    """The network of a card, in evaluation mode with all weights checked, and the card.
 
     Raises:
         ModelError: Names the file and the field: a card of another kind, or weights that are absent, damaged, with
