@@ -154,14 +154,14 @@ class TouchModel:
     ) -> list[TouchPrediction]:
         outside = np.any(self.ranges.outside(estimate.counts), axis=1)
         predictions = []
-        for grasp, counts, width, out, known in zip(
+        for grasp, counts, width, outside_range, inside in zip(
             grasps, estimate.counts, half, outside, estimate.in_distribution, strict=True
         ):
             if not np.isfinite(counts).all():
                 reason = "the model gives a value that is not finite"
                 predictions.append(TouchPrediction(grasp, None, status="refused", reason=reason))
                 continue
-            flags = ("out_of_range",) * bool(out) + ("unfamiliar",) * (not known)
+            flags = ("out_of_range",) * bool(outside_range) + ("unfamiliar",) * (not inside)
             bounds = (Touch.from_vector(end) for end in (counts - width, counts + width))
             lower, upper = (None, None) if self.calibration is None else bounds
             predictions.append(TouchPrediction(grasp, Touch.from_vector(counts), lower, upper, reference, flags))
