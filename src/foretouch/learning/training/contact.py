@@ -17,7 +17,7 @@ from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import OBJECT_FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression, laplacian, standardisation
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import SizeNoveltyDetector
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P2_RANGES, TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
@@ -147,7 +147,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
     return ContactEstimator(
         forests={name: _forest(rows, scaled[:, place], config) for name, place in _targets()},
         kernel=_kernel(rows, scaled, objects, config),
-        novelty=Novelty.fit(rows[:, : len(OBJECT_FEATURES)]),
+        novelty=SizeNoveltyDetector.fit(rows[:, : len(OBJECT_FEATURES)]),
         mean=mean,
         deviation=deviation,
         ranges=config.ranges,
