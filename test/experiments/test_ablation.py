@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
-
-from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.ablation.parts import DESCRIPTIONS, FULL, Assembled, assemble
 from foretouch.experiments.ablation.table import NOTHING, ablation_rows, ablation_tables
 from foretouch.experiments.framework.figures import draw_figures
+
+from foretouch.experiments import find_experiment, run_sweep
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.contact import describe_samples
@@ -95,7 +95,7 @@ def test_differences_are_told_against_the_whole_or_against_nothing(tmp_path: Pat
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("ablation")
     settings = experiment.resolve("smoke", {"samples": 10, "contact.trees": 2})
     result = run_sweep(experiment, settings, tmp_path / "out", source=real_data / "vision2tactile")

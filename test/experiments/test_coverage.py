@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
-
-from foretouch.errors import DatasetError
-from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.coverage.experiment import coverage_rows
 from foretouch.experiments.coverage.table import coverage_table, coverage_tables, wilson_interval
 from foretouch.experiments.framework.figures import draw_figures
 from foretouch.experiments.shared.divisions import by_object, divide_objects
 from foretouch.experiments.unseen_object.experiment import UnseenObjectSettings
+
+from foretouch.errors import DatasetError
+from foretouch.experiments import find_experiment, run_sweep
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.contact_predictor import ContactPredictor
@@ -93,7 +93,7 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("coverage")
     few = {"samples": 20, "learned": 15, "contact.trees": 2}
     source = real_data / "vision2tactile"

@@ -2,12 +2,11 @@
 """Figures of experiments draw what the table says, and hide nothing that lies outside of the panel."""
 
 import pytest
-from matplotlib.figure import Figure
-
 from foretouch.experiments.cross_type.figure import draw_errors
 from foretouch.experiments.framework.figures import FIGURES, draw_figures
 from foretouch.experiments.shared.skill_figure import LEAST_SKILL, draw_skills
 from foretouch.experiments.unseen_object.figure import draw_course
+from matplotlib.figure import Figure
 
 
 @pytest.fixture

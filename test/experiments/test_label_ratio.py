@@ -15,7 +15,7 @@ from foretouch.experiments.label_ratio.training import MODELS, TRIALS
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.learning.data.splits import RATIOS
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "config" / "scenes" / "deformables.yaml"
 TINY: dict[str, Any] = {
     "updates": 8,

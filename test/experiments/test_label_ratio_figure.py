@@ -3,9 +3,8 @@
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
 from foretouch.experiments.label_ratio.figure import draw, draw_changes, draw_errors
+from matplotlib.figure import Figure
 
 ROWS = [
     {

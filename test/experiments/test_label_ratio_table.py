@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from foretouch.errors import DatasetError
 from foretouch.experiments.label_ratio.table import (
     P2_AVERAGES,
     P2_CHANGES,
@@ -15,6 +13,8 @@ from foretouch.experiments.label_ratio.table import (
     summarise,
     tally,
 )
+
+from foretouch.errors import DatasetError
 from foretouch.tactile.ranges import P2_RANGES
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiment_samples import make_collection, make_samples
+from foretouch.experiments.framework.figures import draw_figures
+from foretouch.experiments.learning_curve.experiment import NEW, SIMULATED, some_grasps, some_objects
+from foretouch.experiments.learning_curve.figure import draw_curve
 from matplotlib.figure import Figure
 
 from foretouch.errors import DatasetError
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.framework.figures import draw_figures
-from foretouch.experiments.learning_curve.experiment import NEW, SIMULATED, some_grasps, some_objects
-from foretouch.experiments.learning_curve.figure import draw_curve
 from foretouch.experiments.shared.simulated_data import RealAndSimulated
 
 SAMPLES = make_samples(6, 10)
@@ -53,7 +53,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side() -> No
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("learning_curve")
     few = {"grounds": [SIMULATED], "scene": "config/scenes/deformables.yaml", "samples": 24, "effort": 0.01}
     few |= {"simulated_objects": [2, 3], "seeds": [0, 1]}

@@ -15,7 +15,7 @@ from foretouch.experiments.shared.predictors import PREDICTORS, RECIPES, find_pr
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.baselines import training_mean
 
-TRAIN = Path(__file__).parents[3] / "config/train"
+TRAIN = Path(__file__).parents[2] / "config/train"
 
 
 @pytest.fixture(scope="module")

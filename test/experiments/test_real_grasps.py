@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiment_samples import make_collection
+from foretouch.experiments.unseen_object.experiment import UnseenObjectSettings, touch_draws
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments import find_experiment
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.manifest import read_results
-from foretouch.experiments.unseen_object.experiment import UnseenObjectSettings, touch_draws
 from foretouch.learning.data.collection import Collection, load_collection
 from foretouch.learning.data.folds import make_folds
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.metrics import score
 from foretouch.tactile.modalities import MODALITIES
 
-RESULTS = Path(__file__).parents[3] / "docs/results"
+RESULTS = Path(__file__).parents[2] / "docs/results"
 
 FROZEN = {
     ("random", 5): "ea0a330fda25b70bdcc53c8a60fa26062f06e171a1b49d86af5760f61a6ed155",

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foretouch.experiments.framework.figures import draw_figures
+from foretouch.experiments.sim_to_real.teacher import LEANINGS
 
 from foretouch.errors import ConfigError
 from foretouch.experiments import EXPERIMENTS, Experiment, find_experiment, run_sweep
-from foretouch.experiments.framework.figures import draw_figures
 from foretouch.experiments.shared.simulated_data import SimulatedSettings, beside, load_simulated, simulate_store
-from foretouch.experiments.sim_to_real.teacher import LEANINGS
 from foretouch.types import Cloud, Grasp, GraspSample
 
-SCENES = Path(__file__).parents[3] / "config" / "scenes"
+SCENES = Path(__file__).parents[2] / "config" / "scenes"
 
 
 def swept(name: str, out: Path, source: Path | None = None, **changes: Any) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Cell, run_sweep
 from foretouch.experiments.framework.manifest import read_results, write_results
 
-TESTS = Path(__file__).parents[2]
+TESTS = Path(__file__).parents[1]
 
 
 def sweep(out: Path, source: Path, **options):
