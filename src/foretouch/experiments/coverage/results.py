@@ -184,7 +184,7 @@ def draw_coverage_figure(rows: Rows, folder: Path) -> list[Path]:
             axes.set_title(modality, fontsize=10)
         line[0].set_ylabel(f"{ground}{', tare' if tare else ''}\ncoverage")
         draw_widths(line[-1], [row for row in mine if row["object"] == ALL_OBJECTS])
-        line[-1].set_title("width relative to the label mean's", fontsize=10)
+        line[-1].set_title("width relative to label-mean interval", fontsize=10)
     for axes in grid[-1]:
         axes.set_xlabel("touches")
     grid[0, -1].legend(fontsize=7, loc="lower left")

@@ -181,7 +181,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     """Tables of the errors of both models and of the baselines, and of the differences."""
     notes = [
         "difference of the SR-GAN's RMSE from the PointNet's [95 % interval]",
-        "> SR-GAN significantly better, < significantly worse, = no significant difference",
+        "`>` SR-GAN significantly better, `<` significantly worse, `=` no significant difference",
         *tally(rows),
     ]
     errors = Table(
