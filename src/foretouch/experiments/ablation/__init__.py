@@ -5,7 +5,7 @@ On simulated objects that were never touched, with tares: predictions without ad
 both, all scored on the same grasps. And the model without one of its components, compared with the full one: on those
 objects, and on the real grasps in random folds, in blocks of time, on objects left out, and after touches of these.
 
-A model with other features is fitted anew and only tested before touches, since a new calibration for it would take
+A model with other features is fitted separately and only tested before touches, since a new calibration for it would take
 ten to fifteen times as long.
 """
 
@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -86,61 +88,30 @@ def _parts(ground: str, real: Sequence[GraspSample], settings: AblationSettings)
 
 def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
     ground, part, seed = (cell.values[key] for key in ("ground", "part", "seed"))
-    config = settings.contact.replace(seed=seed)
-    if ground == _SIMULATED:
+    simulated = ground == _SIMULATED
+    calibrated = simulated or ground == "object"
+    if simulated:
         train, test = split_objects(labelled(data.simulated), settings.learned, int(part))
     else:
         real = labelled(data.real)
         train, test = split_by_fold(real, make_folds(real, ground, seed), part)
-    models = fit_variants(train, test, config, calibrated=ground in (_SIMULATED, "object"))
-    mean = labels_of(train).mean(axis=0)
-    rows = list(_before_touch(f"{_GROUNDS[ground]}, no touch", models, test, mean))
-    if ground == "object":
-        rows += _after_touches(_GROUNDS[ground], models, test, mean, settings, tare=False)
-    if ground == _SIMULATED:
-        rows += _after_touches(_GROUNDS[ground], models, test, mean, settings, tare=True)
-        rows += _full_after_touches(f"{_GROUNDS[ground]}{TARES_AND_TOUCHES}", models[FULL], test, mean, settings)
-    return rows
-
-
-def _before_touch(
-    table: str, models: dict[str, ModelVariant], test: Sequence[GraspSample], mean: Float64
-) -> Iterator[Row]:
+    models = fit_variants(train, test, settings.contact.replace(seed=seed), calibrated=calibrated)
+    score = partial(_rows, test, labels_of(train).mean(axis=0))
+    rows: list[Row] = []
     every = np.arange(len(test))
     for name, model in models.items():
-        if name in GROUP_EDITS:  # these only matter after touches
-            continue
-        predicted = model.predict(every, every[:0], tare=False)
-        yield from _rows(table, name, test, predicted, mean)
-
-
-def _after_touches(
-    ground: str,
-    models: dict[str, ModelVariant],
-    test: Sequence[GraspSample],
-    mean: Float64,
-    settings: AblationSettings,
-    *,
-    tare: bool,
-) -> Iterator[Row]:
-    """Rows of the calibrated variants."""
-    table = f"{ground}, {'tare and ' if tare else ''}{settings.shown} touches"
-    draws = _touch_draws(test, settings)
+        if name not in GROUP_EDITS:  # these only matter after touches
+            rows += score(f"{_GROUNDS[ground]}, no touch", name, model, [(every[:0], every)])
+    draws = _touch_draws(test, settings) if calibrated else []
+    table = f"{_GROUNDS[ground]}, {'tare and ' if simulated else ''}{settings.shown} touches"
     for name, model in models.items():
         if model.calibration is not None:
-            yield from _touched_rows(table, name, model, test, mean, draws, settings.shown, tare=tare)
-
-
-def _full_after_touches(
-    table: str, model: ModelVariant, test: Sequence[GraspSample], mean: Float64, settings: AblationSettings
-) -> Iterator[Row]:
-    """Rows of the full model with and without tare, after each number of touches, on the same grasps."""
-    draws = _touch_draws(test, settings)
-    for tare in (False, True):
-        for count in (0, *settings.touches):
-            touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
-            name = " + ".join(filter(None, (TARE if tare else "", touches))) or NOTHING
-            yield from _touched_rows(table, name, model, test, mean, draws, count, tare=tare)
+            rows += score(table, name, model, draws, settings.shown, tare=simulated)
+    for tare, count in product((False, True), (0, *settings.touches)) if simulated else ():
+        touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
+        name = " + ".join(filter(None, (TARE if tare else "", touches))) or NOTHING
+        rows += score(f"{_GROUNDS[ground]}{TARES_AND_TOUCHES}", name, models[FULL], draws, count, tare=tare)
+    return rows
 
 
 def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[Indices, Indices]]:
@@ -150,31 +121,27 @@ def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> lis
     names = np.array([sample.object for sample in test])
     draws = []
     for name in np.unique(names):
-        mine = np.flatnonzero(names == name)
-        draws += [(mine[order[:most]], mine[order[most:]]) for order in touch_draws(str(name), len(mine), how)]
+        subset = np.flatnonzero(names == name)
+        draws += [(subset[order[:most]], subset[order[most:]]) for order in touch_draws(str(name), len(subset), how)]
     return draws
 
 
-def _touched_rows(
+def _rows(
+    test: Sequence[GraspSample],
+    mean: Float64,
     table: str,
     name: str,
     model: ModelVariant,
-    test: Sequence[GraspSample],
-    mean: Float64,
     draws: Sequence[tuple[Indices, Indices]],
-    count: int,
+    count: int = 0,
     *,
-    tare: bool,
+    tare: bool = False,
 ) -> list[Row]:
+    """`error_rows` of a variant after the first `count` touches of each draw."""
     predicted = np.concatenate([model.predict(index, touched[:count], tare=tare) for touched, index in draws])
     scored = [test[k] for _, index in draws for k in index]
-    return _rows(table, name, scored, predicted, mean)
-
-
-def _rows(table: str, name: str, scored: Sequence[GraspSample], predicted: Float64, mean: Float64) -> list[Row]:
-    return [
-        {"table": table, "predictor": name, **row} for row in error_rows(scored, predicted, labels_of(scored), mean)
-    ]
+    errors = error_rows(scored, predicted, labels_of(scored), mean)
+    return [{"table": table, "predictor": name, **row} for row in errors]
 
 
 def _tabulate(settings: AblationSettings, rows: Sequence[Row]) -> list[Row]:

@@ -65,11 +65,11 @@ def ablation_tables(rows: Sequence[Row]) -> list[Table]:
     """A table for each ground: skill, and its difference from the full model or from no adaptation."""
     tables = []
     for name in dict.fromkeys(row["table"] for row in rows):
-        mine = [row for row in rows if row["table"] == name]
-        variants = list(dict.fromkeys(row["predictor"] for row in mine))
+        subset = [row for row in rows if row["table"] == name]
+        variants = list(dict.fromkeys(row["predictor"] for row in subset))
         reference = _reference(variants)
-        body = [[one, *(_cell(row, reference) for row in mine if row["predictor"] == one)] for one in variants]
-        title = f"{_title(name)}: {mine[0]['objects']} objects, compared with `{reference}`"
+        body = [[one, *(_cell(row, reference) for row in subset if row["predictor"] == one)] for one in variants]
+        title = f"{_title(name)}: {subset[0]['objects']} objects, compared with `{reference}`"
         tables.append(Table(title, ["skill", *MODALITIES, MEAN], body))
     notes = [
         "skill: 0 is the mean of the training labels, 1 is perfect",
@@ -107,11 +107,11 @@ def draw_ablation_figure(rows: Rows, folder: Path) -> list[Path]:
         len(tables), len(MODALITIES), squeeze=False, height_ratios=ratios, sharex="row", sharey="row"
     )
     for line, table in zip(grid, tables, strict=True):
-        mine = [row for row in rows if row["table"] == table]
-        reference = _reference([row["predictor"] for row in mine])
-        variants = list(dict.fromkeys(row["predictor"] for row in mine if row["predictor"] != reference))
+        subset = [row for row in rows if row["table"] == table]
+        reference = _reference([row["predictor"] for row in subset])
+        variants = list(dict.fromkeys(row["predictor"] for row in subset if row["predictor"] != reference))
         for axes, modality in zip(line, MODALITIES, strict=True):
-            shown = [row for row in mine if row["modality"] == modality and row["predictor"] != reference]
+            shown = [row for row in subset if row["modality"] == modality and row["predictor"] != reference]
             draw_differences(axes, shown, variants, f"vs_{reference}")
             axes.set_title(f"{_title(table)}: {modality}", fontsize=8)
         line[0].set_xlabel(f"skill difference from `{reference}`", fontsize=8)

@@ -101,19 +101,19 @@ def coverage_tables(rows: Sequence[Row]) -> list[Table]:
     together = [row for row in rows if row["object"] == ALL_OBJECTS]
     tables = []
     for ground in dict.fromkeys(row["ground"] for row in together):
-        mine = [row for row in together if row["ground"] == ground]
+        subset = [row for row in together if row["ground"] == ground]
         body = [
             [label, *(_cell(row) for row in group)]
-            for label, group in _grouped(mine, lambda row: _condition_label(row["tare"], row["touches"]))
+            for label, group in _grouped(subset, lambda row: _condition_label(row["tare"], row["touches"]))
         ]
-        title = f"{ground}: {mine[0]['objects']} objects, {100.0 * mine[0]['unfamiliar']:.0f} % of grasps flagged"
+        title = f"{ground}: {subset[0]['objects']} objects, {100.0 * subset[0]['unfamiliar']:.0f} % of grasps flagged"
         tables.append(Table(title, ["coverage / width", *MODALITIES], body))
     real = [row for row in rows if row["object"] != ALL_OBJECTS and row["ground"] != SIMULATED and not row["touches"]]
     for ground in dict.fromkeys(row["ground"] for row in real):
-        mine = [row for row in real if row["ground"] == ground]
+        subset = [row for row in real if row["ground"] == ground]
         body = [
             [name, *(_own_cell(row) for row in group), f"{100.0 * group[0]['unfamiliar']:.0f} %"]
-            for name, group in _grouped(mine, lambda row: row["object"])
+            for name, group in _grouped(subset, lambda row: row["object"])
         ]
         tables.append(Table(f"{ground}, no touch: each object", ["coverage", *MODALITIES, "flagged"], body))
     notes = [
@@ -178,12 +178,12 @@ def draw_coverage_figure(rows: Rows, folder: Path) -> list[Path]:
     figure = new_figure(16.0, 0.6 + 2.5 * len(grounds))
     grid = figure.subplots(len(grounds), len(MODALITIES) + 1, squeeze=False)
     for line, (ground, tare) in zip(grid, grounds, strict=True):
-        mine = [row for row in rows if (row["ground"], row["tare"]) == (ground, tare)]
+        subset = [row for row in rows if (row["ground"], row["tare"]) == (ground, tare)]
         for axes, modality in zip(line, MODALITIES, strict=False):
-            draw_coverage(axes, [row for row in mine if row["modality"] == modality])
+            draw_coverage(axes, [row for row in subset if row["modality"] == modality])
             axes.set_title(modality, fontsize=10)
         line[0].set_ylabel(f"{ground}{', tare' if tare else ''}\ncoverage")
-        draw_widths(line[-1], [row for row in mine if row["object"] == ALL_OBJECTS])
+        draw_widths(line[-1], [row for row in subset if row["object"] == ALL_OBJECTS])
         line[-1].set_title("width relative to label-mean interval", fontsize=10)
     for axes in grid[-1]:
         axes.set_xlabel("touches")
@@ -197,11 +197,11 @@ def draw_coverage(axes: Axes, rows: Rows) -> None:
     axes.axhspan(*ACCEPTED, color="C2", alpha=0.15)
     axes.axhline(NOMINAL, color="C2", linewidth=1.0)
     for x, count in enumerate(counts):
-        mine = [row for row in rows if row["touches"] == count]
-        dots = sorted(row["coverage"] for row in mine if row["object"] != ALL_OBJECTS)
+        subset = [row for row in rows if row["touches"] == count]
+        dots = sorted(row["coverage"] for row in subset if row["object"] != ALL_OBJECTS)
         spread = [x - 0.3 + 0.4 * k / max(len(dots) - 1, 1) for k in range(len(dots))]
         axes.plot(spread, dots, ".", color="C0", markersize=4, alpha=0.6)
-        for row in mine:
+        for row in subset:
             if row["object"] == ALL_OBJECTS:
                 axes.plot(x + 0.25, row["coverage"], "o", color="k", markersize=5)
                 if row["low"] is not None:
@@ -216,9 +216,9 @@ def draw_widths(axes: Axes, rows: Rows) -> None:
     """Draw the widths of all objects together, a line for each modality."""
     counts = sorted({row["touches"] for row in rows})
     for number, modality in enumerate(MODALITIES):
-        mine = sorted((row for row in rows if row["modality"] == modality), key=lambda row: row["touches"])
-        x = [counts.index(row["touches"]) for row in mine]
-        axes.plot(x, [row["width"] for row in mine], marker="o", color=f"C{number}", label=modality, markersize=4)
+        subset = sorted((row for row in rows if row["modality"] == modality), key=lambda row: row["touches"])
+        x = [counts.index(row["touches"]) for row in subset]
+        axes.plot(x, [row["width"] for row in subset], marker="o", color=f"C{number}", label=modality, markersize=4)
     axes.axhline(1.0, color="grey", linewidth=0.8)
     axes.set_ylim(0.0, max(1.1, *(1.05 * row["width"] for row in rows)))
     axes.set_xticks(range(len(counts)), [str(count) for count in counts])

@@ -182,11 +182,11 @@ def draw_errors(axes: Axes, rows: Rows, tables: Sequence[str]) -> None:
     names = list(dict.fromkeys(row["predictor"] for row in rows))
     ours = [name for name in names if name != _P1]
     for number, name in enumerate(names):
-        mine = [row for row in rows if row["predictor"] == name]
+        subset = [row for row in rows if row["predictor"] == name]
         colour, marker = ("black", "*") if name == _P1 else (f"C{number}", "o")
         offset = 0.0 if name == _P1 else _OFFSET * (ours.index(name) - (len(ours) - 1) / 2)
-        x = [tables.index(row["table"]) + offset for row in mine]
-        axes.plot(x, [row["rmse"] for row in mine], marker, color=colour, label=name, markersize=6)
+        x = [tables.index(row["table"]) + offset for row in subset]
+        axes.plot(x, [row["rmse"] for row in subset], marker, color=colour, label=name, markersize=6)
     axes.set_xticks(range(len(tables)), [name.replace(" ", "\n", 1) for name in tables], fontsize=8)
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.15)

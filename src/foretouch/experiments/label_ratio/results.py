@@ -218,8 +218,8 @@ _SIGNS: Final = {_WIN: ">", _TIE: "=", _LOSS: "<"}
 
 def _body(rows: Sequence[Row], text: Any) -> Iterator[list[str]]:
     for ratio in sorted({row["ratio"] for row in rows}):
-        mine = {row["modality"]: row for row in rows if row["ratio"] == ratio}
-        yield [f"T{ratio}", *(text(mine[name]) if name in mine else "" for name in MODALITIES)]
+        subset = {row["modality"]: row for row in rows if row["ratio"] == ratio}
+        yield [f"T{ratio}", *(text(subset[name]) if name in subset else "" for name in MODALITIES)]
 
 
 def _errors(row: Row) -> str:
@@ -251,9 +251,9 @@ def draw_label_ratio_figure(rows: Rows, folder: Path) -> list[Path]:
     figure = new_figure(3.6 * len(names) + 0.6, 7.2)
     above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
     for top, bottom, name in zip(above, below, names, strict=True):
-        mine = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
-        draw_errors(top, mine)
-        draw_changes(bottom, mine)
+        subset = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
+        draw_errors(top, subset)
+        draw_changes(bottom, subset)
         top.set_title(name)
     above[0].set_ylabel("RMSE [% of the range]\nmean ± standard deviation of the runs")
     below[0].set_ylabel("difference of the SR-GAN's RMSE [%]\n95 % interval")

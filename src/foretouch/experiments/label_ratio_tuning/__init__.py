@@ -59,9 +59,11 @@ def _tabulate(settings: LabelRatioTuningSettings, rows: Sequence[Row]) -> list[R
     kinds = dict.fromkeys(kind_of(name) for name in settings.modalities)
     result: list[Row] = []
     for ratio, kind, model in product(settings.ratios, kinds, MODELS):
-        mine = [r for r in rows if (r["ratio"], r["model"], kind_of(r["modality"])) == (ratio, model, kind)]
+        subset = [r for r in rows if (r["ratio"], r["model"], kind_of(r["modality"])) == (ratio, model, kind)]
         wanted = len(settings.seeds) * sum(kind_of(name) == kind for name in settings.modalities)
-        trials = [_trial(trial, mine) for trial in TRIALS[model] if sum(r["trial"] == trial for r in mine) == wanted]
+        trials = [
+            _trial(trial, subset) for trial in TRIALS[model] if sum(r["trial"] == trial for r in subset) == wanted
+        ]
         lowest = min((one["relative_rmse"] for one in trials), default=None)
         head = {"ratio": ratio, "kind": kind, "model": model}
         result += [{**head, **one, "chosen": one["relative_rmse"] == lowest} for one in trials]
@@ -69,9 +71,14 @@ def _tabulate(settings: LabelRatioTuningSettings, rows: Sequence[Row]) -> list[R
 
 
 def _trial(trial: str, rows: Sequence[Row]) -> Row:
-    mine = [row for row in rows if row["trial"] == trial]
-    columns = {"trial": trial, "labelled": mine[0]["labelled"], "held": _count(mine[0]), "updates": mine[0]["updates"]}
-    return {**columns, "relative_rmse": round(float(np.mean([_relative(row) for row in mine])), 6)}
+    subset = [row for row in rows if row["trial"] == trial]
+    columns = {
+        "trial": trial,
+        "labelled": subset[0]["labelled"],
+        "held": _count(subset[0]),
+        "updates": subset[0]["updates"],
+    }
+    return {**columns, "relative_rmse": round(float(np.mean([_relative(row) for row in subset])), 6)}
 
 
 def _relative(row: Row) -> float:
@@ -87,12 +94,12 @@ def _count(row: Row) -> int:
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     tables = []
     for ratio, kind in dict.fromkeys((row["ratio"], row["kind"]) for row in rows):
-        mine = [row for row in rows if (row["ratio"], row["kind"]) == (ratio, kind)]
+        subset = [row for row in rows if (row["ratio"], row["kind"]) == (ratio, kind)]
         body = [
             [row["model"], row["trial"], f"{row['relative_rmse']:.3f}", "chosen" if row["chosen"] else ""]
-            for row in mine
+            for row in subset
         ]
-        title = f"T{ratio}, {kind}: RMSE relative to the training mean, on {mine[0]['held']} held-out samples"
+        title = f"T{ratio}, {kind}: RMSE relative to the training mean, on {subset[0]['held']} held-out samples"
         tables.append(Table(title, ["model", "trial", "relative RMSE", ""], body))
     return tables
 

@@ -83,11 +83,11 @@ def some_grasps(samples: Sequence[GraspSample], count: int, seed: int) -> list[G
         DatasetError: If an object has fewer.
     """
     chosen: list[GraspSample] = []
-    for mine in by_object(samples):
-        if len(mine) < count:
-            raise DatasetError(f"learning_curve: {mine[0].object} has {len(mine)} grasps, fewer than {count}")
-        order = np.random.default_rng([zlib.crc32(mine[0].object.encode()), seed]).permutation(len(mine))
-        chosen += [mine[k] for k in order[:count]]
+    for subset in by_object(samples):
+        if len(subset) < count:
+            raise DatasetError(f"learning_curve: {subset[0].object} has {len(subset)} grasps, fewer than {count}")
+        order = np.random.default_rng([zlib.crc32(subset[0].object.encode()), seed]).permutation(len(subset))
+        chosen += [subset[k] for k in order[:count]]
     return chosen
 
 
@@ -168,8 +168,8 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     for line, ground in zip(grid, grounds, strict=True):
         for axes, modality in zip(line, MODALITIES, strict=True):
             key = (ground, modality, ALL_OBJECTS)
-            mine = [row for row in rows if (row["ground"], row["modality"], row["object"]) == key]
-            draw_curve(axes, mine, predictors)
+            subset = [row for row in rows if (row["ground"], row["modality"], row["object"]) == key]
+            draw_curve(axes, subset, predictors)
             axes.set_title(f"{ground}: {modality}", fontsize=9)
             axes.set_xlabel("training grasps per object" if ground == KNOWN else "training objects")
         line[0].set_ylabel("skill, 95 % interval")
@@ -181,10 +181,10 @@ def draw_curve(axes: Axes, rows: Rows, predictors: Sequence[str]) -> None:
     """Draw a line for each predictor over the training size on a logarithmic scale."""
     sizes = sorted({row["size"] for row in rows})
     for number, name in enumerate(predictors):
-        mine = sorted((row for row in rows if row["predictor"] == name), key=lambda row: row["size"])
-        x = [row["size"] * (1.0 + _OFFSET * number) for row in mine]
-        axes.plot(x, [row["skill"] for row in mine], marker="o", markersize=4, color=f"C{number}", label=name)
-        for centre, row in zip(x, mine, strict=True):
+        subset = sorted((row for row in rows if row["predictor"] == name), key=lambda row: row["size"])
+        x = [row["size"] * (1.0 + _OFFSET * number) for row in subset]
+        axes.plot(x, [row["skill"] for row in subset], marker="o", markersize=4, color=f"C{number}", label=name)
+        for centre, row in zip(x, subset, strict=True):
             if row["skill_low"] is not None:
                 axes.plot([centre, centre], [row["skill_low"], row["skill_high"]], color=f"C{number}", linewidth=1)
     axes.axhline(0.0, color="grey", linewidth=0.8)

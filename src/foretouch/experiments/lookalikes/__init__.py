@@ -57,12 +57,12 @@ def _sides(settings: LookalikesSettings, data: SimulatedGrasps) -> tuple[list[Gr
     encounters: list[list[GraspSample]] = []
     samples = labelled(data.collection)
     for name in sorted({sample.object for sample in samples}):
-        mine = [sample for sample in samples if sample.object == name]
-        half = len(mine) // 2
+        subset = [sample for sample in samples if sample.object == name]
+        half = len(subset) // 2
         size = settings.encounter
-        train += [replace(one, object=f"{name}/train{k // size:03d}") for k, one in enumerate(mine[:half])]
-        for number, start in enumerate(range(half, len(mine) - size + 1, size)):
-            chosen = mine[start : start + size]
+        train += [replace(one, object=f"{name}/train{k // size:03d}") for k, one in enumerate(subset[:half])]
+        for number, start in enumerate(range(half, len(subset) - size + 1, size)):
+            chosen = subset[start : start + size]
             encounters.append([replace(sample, object=f"{name}/{number:03d}") for sample in chosen])
     if not encounters:
         raise DatasetError(f"{data.collection.name}: too few grasps for an encounter of {settings.encounter}")
@@ -100,8 +100,8 @@ def _tabulate(settings: LookalikesSettings, rows: Sequence[Row]) -> list[Row]:
     kinds = sorted({_kind(row["object"]) for row in rows})
     result: list[Row] = []
     for kind in (ALL_OBJECTS, *kinds):
-        mine = [row for row in rows if kind in (ALL_OBJECTS, _kind(row["object"]))]
-        scored = [row for row in score_table(settings, mine) if row["object"] == ALL_OBJECTS]
+        subset = [row for row in rows if kind in (ALL_OBJECTS, _kind(row["object"]))]
+        scored = [row for row in score_table(settings, subset) if row["object"] == ALL_OBJECTS]
         result += [{"kind": kind, "touches": touches[row["table"]], **row} for row in scored]
     return result
 
@@ -119,11 +119,11 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     figure = new_figure(13.0, 3.8)
     panels = figure.subplots(1, len(MODALITIES), sharey=True, sharex=True)
     for axes, modality in zip(panels, MODALITIES, strict=True):
-        mine = [row for row in together if row["modality"] == modality]
+        subset = [row for row in together if row["modality"] == modality]
         draw_over_touches(
-            axes, [row for row in mine if row["touches"] is not None], "predictor", predictors, _LOWEST_SKILL
+            axes, [row for row in subset if row["touches"] is not None], "predictor", predictors, _LOWEST_SKILL
         )
-        for row in mine:
+        for row in subset:
             if row["touches"] is None:
                 axes.axhline(
                     row["skill"], color=f"C{predictors.index(row['predictor'])}", linestyle="--", linewidth=0.8

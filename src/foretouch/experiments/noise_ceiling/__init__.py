@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much of a touch can be predicted from cloud and grasp at all, and how much of that do predictors reach?
 
-Test grasps are repeated with everything that no camera sees drawn anew (`repeats`). With y_r the n repeats of grasp i, m
+Test grasps are repeated with everything that no camera sees redrawn (`repeats`). With y_r the n repeats of grasp i, m
 their mean, s² their variance (n - 1), p a prediction and µ the mean of the training labels, each per value,
 
     of the best prediction, the mean of all repeats:   S_i = s²                                (1)

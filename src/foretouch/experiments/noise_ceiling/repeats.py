@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execute a simulated grasp repeatedly, with everything that no camera can see drawn anew each time.
+"""Execute a simulated grasp repeatedly, with everything that no camera can see redrawn each time.
 
 A model is given the cloud and the planned grasp, but not how deep or hard the hand closes, which part of the pads makes
 contact, how far beside the plan the hand lands, and what temperature and noise add. These effects of a sample are drawn
@@ -58,7 +58,7 @@ class Repeater:
 
     Args:
         scene: The scene.
-        causes: Those of `CAUSES` and `NEW_OBJECT` that are drawn anew; the others are those of the sample.
+        causes: Those of `CAUSES` and `NEW_OBJECT` that are redrawn; the others are those of the sample.
     """
 
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:

@@ -90,8 +90,8 @@ def ceiling_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
 def _body(rows: Sequence[Mapping[str, Any]], column: str) -> list[list[str]]:
     body = []
     for name in dict.fromkeys(row["name"] for row in rows):
-        mine = {row["modality"]: row for row in rows if row["name"] == name}
-        body.append([name, *(_cell(mine[modality], column) for modality in MODALITIES)])
+        subset = {row["modality"]: row for row in rows if row["name"] == name}
+        body.append([name, *(_cell(subset[modality], column) for modality in MODALITIES)])
     return body
 
 

@@ -81,7 +81,7 @@ RECIPES: Final[dict[str, dict[str, Any]]] = {
 
 
 def network(name: str, effort: float) -> Baseline:
-    """A recipe as a baseline, which is trained anew in each call.
+    """A recipe as a baseline, which is trained again in each call.
 
     Args:
         name: One of `RECIPES`.
@@ -160,7 +160,7 @@ class _OffsetCorrected:
     def __init__(self, baseline: Baseline, train: Sequence[GraspSample], labels: Float64, seed: int) -> None:
         self._baseline = partial(baseline, train, labels)
         self._seed = seed
-        self._cache: dict[str, Float64] = {}  # by id: a baseline is fitted anew in each call
+        self._cache: dict[str, Float64] = {}  # by id: a baseline is fitted in each call
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         new = [sample for sample in samples if sample.id not in self._cache]

@@ -27,17 +27,16 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.predictors import PREDICTORS, Fit, find_predictor, with_offset_correction
-from foretouch.experiments.shared.real_grasps import FREE, labelled, seeded_predictors
+from foretouch.experiments.shared.real_grasps import FREE, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.unseen_object import (
     UnseenObjectSettings,
     draw_touches,
+    left_out_cells,
+    left_out_rows,
     summarise_touches,
     tabulate_touches,
-    touch_rows,
 )
-from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
@@ -131,21 +130,9 @@ class SimToRealSettings(UnseenObjectSettings, BothSettings):
     touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of the new object", minimum=0, maximum=1000)
 
 
-def _cells(settings: SimToRealSettings, data: RealAndSimulated) -> list[Cell]:
-    return [
-        Cell(f"{name}+{fold.name}+seed{seed}", {"part": fold.name, "predictor": name, "seed": seed})
-        for seed, name in seeded_predictors(settings)
-        for fold in make_folds(labelled(data.real), "object", 0)
-    ]
-
-
 def _run(cell: Cell, settings: SimToRealSettings, data: RealAndSimulated) -> list[Row]:
-    samples = labelled(data.real)
-    test = [sample for sample in samples if sample.object == cell.values["part"]]
-    train = [sample for sample in samples if sample.object != cell.values["part"]]
-    labels, seed = labels_of(train), cell.values["seed"]
-    fitted = _predictor(cell.values["predictor"], settings, data, seed)(train, labels, seed)
-    return touch_rows(fitted, test, labels.mean(axis=0), settings)
+    fit = _predictor(cell.values["predictor"], settings, data, cell.values["seed"])
+    return left_out_rows(fit, cell, settings, data.real)
 
 
 def _predictor(name: str, settings: SimToRealSettings, data: RealAndSimulated, seed: int) -> Fit:
@@ -168,7 +155,7 @@ EXPERIMENT = Experiment(
     settings=SimToRealSettings,
     presets={"full": {}, "smoke": {"samples": 100, "effort": 0.1, "draws": 3, "bootstrap.draws": 200}},
     load=load_both,
-    cells=_cells,
+    cells=lambda settings, data: left_out_cells(settings, data.real),
     run=_run,
     tabulate=tabulate_touches,
     summarise=summarise_touches,

@@ -22,7 +22,7 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fitted, find_predictor
+from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fit, Fitted, find_predictor
 from foretouch.experiments.shared.real_grasps import (
     ALL_OBJECTS,
     FREE,
@@ -49,6 +49,8 @@ __all__ = [
     "UnseenObjectSettings",
     "draw_over_touches",
     "draw_touches",
+    "left_out_cells",
+    "left_out_rows",
     "summarise_touches",
     "tabulate_touches",
     "touch_draws",
@@ -106,22 +108,25 @@ def touch_draws(name: str, count: int, settings: UnseenObjectSettings) -> list[I
     return [np.random.default_rng([code, draw]).permutation(count) for draw in range(settings.draws)]
 
 
-def _cells(settings: UnseenObjectSettings, data: Collection) -> list[Cell]:
-    folds = make_folds(labelled(data), "object", 0)
+def left_out_cells(settings: UnseenObjectSettings, data: Collection) -> list[Cell]:
+    """A cell for each predictor, seed and object that is left out."""
     return [
         Cell(f"{name}+{fold.name}+seed{seed}", {"part": fold.name, "predictor": name, "seed": seed})
         for seed, name in seeded_predictors(settings)
-        for fold in folds
+        for fold in make_folds(labelled(data), "object", 0)
     ]
 
 
+def left_out_rows(fit: Fit, cell: Cell, settings: UnseenObjectSettings, data: Collection) -> list[Row]:
+    """Fit to all objects but the cell's, and return the `touch_rows` of that one."""
+    train = [sample for sample in labelled(data) if sample.object != cell.values["part"]]
+    test = [sample for sample in labelled(data) if sample.object == cell.values["part"]]
+    labels = labels_of(train)
+    return touch_rows(fit(train, labels, cell.values["seed"]), test, labels.mean(axis=0), settings)
+
+
 def _run(cell: Cell, settings: UnseenObjectSettings, data: Collection) -> list[Row]:
-    samples = labelled(data)
-    test = [sample for sample in samples if sample.object == cell.values["part"]]
-    train = [sample for sample in samples if sample.object != cell.values["part"]]
-    labels, seed = labels_of(train), cell.values["seed"]
-    fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels, seed)
-    return touch_rows(fitted, test, labels.mean(axis=0), settings)
+    return left_out_rows(find_predictor(cell.values["predictor"], settings.effort), cell, settings, data)
 
 
 def touch_rows(
@@ -183,12 +188,12 @@ def draw_touches(rows: Rows, folder: Path) -> list[Path]:
     figure = new_figure(14.0, 7.5)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True, sharey="row")
     for axes, modality in zip(above, MODALITIES, strict=True):
-        mine = [row for row in rows if row["modality"] == modality and row["object"] == ALL_OBJECTS]
-        draw_over_touches(axes, mine, "predictor", predictors)
+        subset = [row for row in rows if row["modality"] == modality and row["object"] == ALL_OBJECTS]
+        draw_over_touches(axes, subset, "predictor", predictors)
         axes.set_title(modality)
     for axes, modality in zip(below, MODALITIES, strict=True):
-        mine = [row for row in rows if row["modality"] == modality and row["predictor"] == chosen]
-        draw_over_touches(axes, mine, "object", objects)
+        subset = [row for row in rows if row["modality"] == modality and row["predictor"] == chosen]
+        draw_over_touches(axes, subset, "object", objects)
         axes.set_xlabel("touches of the new object")
     above[0].set_ylabel("skill, all objects, 95 % interval")
     below[0].set_ylabel(f"skill, {chosen}, each object")
@@ -201,11 +206,11 @@ def draw_over_touches(axes: Axes, rows: Rows, column: str, names: Sequence[str],
     """Draw a line over touches for each name in a column, with intervals; an arrow marks values below `lowest`."""
     counts = sorted({row["touches"] for row in rows})
     for number, name in enumerate(names):
-        mine = sorted((row for row in rows if row[column] == name), key=lambda row: row["touches"])
+        subset = sorted((row for row in rows if row[column] == name), key=lambda row: row["touches"])
         offset = _OFFSET * (number - (len(names) - 1) / 2) if column == "predictor" else 0.0
-        x = [counts.index(row["touches"]) + offset for row in mine]
-        axes.plot(x, [row["skill"] for row in mine], marker="o", markersize=4, color=f"C{number}", label=name)
-        for centre, row in zip(x, mine, strict=True):
+        x = [counts.index(row["touches"]) + offset for row in subset]
+        axes.plot(x, [row["skill"] for row in subset], marker="o", markersize=4, color=f"C{number}", label=name)
+        for centre, row in zip(x, subset, strict=True):
             if row["skill"] < lowest:
                 axes.plot(centre, lowest, marker="v", color=f"C{number}", clip_on=False)
             if row["skill_low"] is not None:
@@ -228,7 +233,7 @@ EXPERIMENT = Experiment(
         "smoke": {"effort": 0.1, "draws": 5},
     },
     load=load,
-    cells=_cells,
+    cells=left_out_cells,
     run=_run,
     tabulate=tabulate_touches,
     summarise=summarise_touches,
