@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from foretouch.experiments.label_ratio.figure import draw, draw_changes, draw_errors
+from foretouch.experiments.label_ratio.results import draw_changes, draw_errors, draw_label_ratio_figure
 
 ROWS = [
     {
@@ -46,6 +46,6 @@ def test_zero_is_always_seen() -> None:
 
 
 def test_a_file_is_written(tmp_path: Path) -> None:
-    (path,) = draw(ROWS, tmp_path)
+    (path,) = draw_label_ratio_figure(ROWS, tmp_path)
     assert path.name == "figure.png"
     assert path.stat().st_size > 5000

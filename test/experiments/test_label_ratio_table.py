@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from foretouch.errors import DatasetError
-from foretouch.experiments.label_ratio.table import (
+from foretouch.experiments.label_ratio.results import (
     P2_AVERAGES,
     P2_CHANGES,
     TREES,
@@ -54,7 +54,7 @@ def test_trees_and_mean_stand_beside_on_the_same_samples() -> None:
     networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
     (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
     assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
-    with pytest.raises(DatasetError, match="not judged on the same samples"):
+    with pytest.raises(DatasetError, match="not tested on the same samples"):
         compare_models([row(TREES, 0, {"b": [2.25]}), *networks], P2_RANGES, draws=200)
 
 
@@ -66,7 +66,7 @@ def test_a_run_without_its_partner_is_left_out() -> None:
 
 def test_other_samples_are_refused() -> None:
     rows = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]
-    with pytest.raises(DatasetError, match="not judged on the same samples"):
+    with pytest.raises(DatasetError, match="not tested on the same samples"):
         compare_models(rows, P2_RANGES, draws=200)
 
 
@@ -90,8 +90,8 @@ def test_the_interval_holds_no_difference_in_19_of_20_worlds() -> None:
 def test_the_tally_counts_verdicts_and_averages() -> None:
     rows = [{"verdict": name, "change": change} for name, change in (("win", -3.0), ("tie", -0.1), ("loss", 2.0))]
     assert tally(rows) == [
-        "by interval: 1 wins, 1 ties, 1 losses",
-        "by average the SR-GAN is lower in 2 of 3 cells (P2: 12 of 20)",
+        "SR-GAN by 95 % interval: 1 wins, 1 ties, 1 losses",
+        "by mean error the SR-GAN is better in 2 of 3 cells (P2: 12 of 20)",
     ]
 
 

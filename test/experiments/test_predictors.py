@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, shrunk_residuals
+from foretouch.experiments.shared.predictors import PREDICTORS, RECIPES, find_predictor, with_offset_correction
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.baselines import training_mean
 
@@ -23,10 +23,10 @@ def samples():
     return make_samples(objects=4, each=12)
 
 
-def test_shrunk_residuals_by_hand(samples) -> None:
+def test_with_offset_correction_by_hand(samples) -> None:
     train, held = samples[:36], samples[36:]
     labels = labels_of(train)
-    fitted = shrunk_residuals(training_mean)(train, labels, 0)
+    fitted = with_offset_correction(training_mean)(train, labels, 0)
     mean = labels.mean(axis=0)
     assert_allclose(fitted.predict(held), np.tile(mean, (12, 1)))
     residuals = labels_of(held[:3]) - mean
@@ -41,7 +41,7 @@ def test_a_baseline_is_asked_once_for_each_sample(samples) -> None:
         asked.extend(sample.id for sample in test)
         return training_mean(train, labels, test, seed)
 
-    fitted = shrunk_residuals(counting)(samples[:36], labels_of(samples[:36]), 0)
+    fitted = with_offset_correction(counting)(samples[:36], labels_of(samples[:36]), 0)
     for _ in range(2):
         fitted.predict(samples[36:])
         fitted.predict_after(samples[36:38], samples[38:])

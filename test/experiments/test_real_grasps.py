@@ -14,7 +14,7 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments import find_experiment
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.manifest import read_results
-from foretouch.experiments.unseen_object.experiment import UnseenObjectSettings, touch_draws
+from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.data.collection import Collection, load_collection
 from foretouch.learning.data.folds import make_folds
 from foretouch.learning.data.training_set import labels_of
@@ -174,5 +174,5 @@ def test_types_that_are_not_there_are_told(collection) -> None:
         run_all("cross_type", collection, **{"types.boxes": ["cube"]})
     with pytest.raises(ConfigError, match="'wood' is a cylinder as well"):
         run_all("cross_type", collection, **{"types.cylinders": ["wood"]})
-    with pytest.raises(ConfigError, match="each once"):
+    with pytest.raises(ConfigError, match="no duplicates"):
         run_all("cross_type", collection, seeds=[1, 1])
