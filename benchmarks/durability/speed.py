@@ -20,7 +20,6 @@ import numpy as np
 from kill import IDENTITY, made_sample
 
 from foretouch.dataset.bag_writer import serialize_cloud
-from foretouch.dataset.build import build_store
 from foretouch.dataset.recording import (
     RecordedDataset,
     RecordingConfig,
@@ -29,6 +28,7 @@ from foretouch.dataset.recording import (
     verify_dataset,
 )
 from foretouch.dataset.store import Store
+from foretouch.dataset.store_writer import build_store
 from foretouch.types import Cloud
 
 POLICIES = {"left to the system": 0, "every 10th sample": 10, "every sample (default)": 1}
@@ -76,7 +76,7 @@ def load(root: Path, seconds: float, raw_hz: int) -> None:
                 writer.append(SampleRecord(sample=made_sample(int(at))))
                 sample_at += 2.0
         cpu = time.process_time() - cpu
-    accounts = writer.accounts.topics
+    accounts = writer.counts.topics
     dropped = sum(account.dropped.total() for account in accounts.values())
     written = sum(account.written for account in accounts.values())
     rate = writer.bytes_written / seconds / 1e6

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
 
-from foretouch.dataset.build import build_store
-from foretouch.dataset.exporting import export_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
 from foretouch.dataset.recording.messages import decode_sample, encode_sample
-from foretouch.dataset.recording.offset_index import sample_places
+from foretouch.dataset.recording.reader import sample_offsets
 from foretouch.dataset.recording.scan import mapped, records
-from foretouch.dataset.store_writer import StoreWriter
+from foretouch.dataset.samples import export_samples
+from foretouch.dataset.store_writer import StoreWriter, build_store
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
 COUNT = 3
@@ -82,7 +81,7 @@ def test_going_on_after_damage_overwrites_nothing_and_gives_no_id_twice(file: Pa
         assert is_one_line_of(file, told(go_on))
         assert file.read_bytes() == damaged
         repair_dataset(file.parent)
-        assert [report.told() for report in verify_dataset(file.parent) if not report.clean] == []
+        assert [report.fault_lines() for report in verify_dataset(file.parent) if not report.clean] == []
         for other in set(file.parent.glob("session-*")) - {file}:
             other.unlink()
 
@@ -91,13 +90,13 @@ def test_going_on_after_a_crash_gives_no_id_twice_wherever_the_file_ends(file: P
     """A sample may be whole though its chunk is not: `repair` saves it, so its id is taken."""
     good = file.read_bytes()
     with mapped(file) as data:
-        ends = [place.end for place in sample_places(file, data)]
+        ends = [place.end for place in sample_offsets(file, data)]
     for cut in (ends[-1], ends[-1] + 5, ends[-2], len(good) - 40):
         file.write_bytes(good[:cut])
         with RecordingWriter(file.parent, IDENTITY, QUICK) as writer:
             writer.append(record(COUNT))
         repair_dataset(file.parent)
-        assert [report.told() for report in verify_dataset(file.parent) if not report.clean] == []
+        assert [report.fault_lines() for report in verify_dataset(file.parent) if not report.clean] == []
         for other in set(file.parent.glob("session-*")) - {file}:
             other.unlink()
 
