@@ -270,14 +270,14 @@ def _counts(touch: Touch | None, name: str) -> Any:
 
 def _batch(rows: list[dict[str, Any]]) -> Any:
     columns = []
-    for field in SCHEMA:
-        values = [row[field.name] for row in rows]
-        if pa.types.is_list(field.type):
-            columns.append(_ragged(values, field.type))
-        elif pa.types.is_fixed_size_list(field.type):
-            columns.append(_fixed(values, field.type.list_size))
+    for column in SCHEMA:
+        values = [row[column.name] for row in rows]
+        if pa.types.is_list(column.type):
+            columns.append(_ragged(values, column.type))
+        elif pa.types.is_fixed_size_list(column.type):
+            columns.append(_fixed(values, column.type.list_size))
         else:
-            columns.append(pa.array(values, field.type))
+            columns.append(pa.array(values, column.type))
     return pa.record_batch(columns, schema=SCHEMA)
 
 

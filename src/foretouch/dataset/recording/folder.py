@@ -104,9 +104,9 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         FileError: If another process is writing, the dataset is of another kind, or it cannot be written.
     """
     leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
-    if path.exists() and not (path / _MANIFEST).exists():
-        if not path.is_dir() or any(entry.name not in leftovers for entry in path.iterdir()):
-            raise FileError(path, "exists, and is no dataset to go on with")
+    is_other = path.exists() and not (path / _MANIFEST).exists()
+    if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
+        raise FileError(path, "exists, and is no dataset to go on with")
     with disk_errors(path):
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):

@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from foretouch.dataset.recording.session_file import RecordingConfig as RecordingConfig
+# Alias until merge.
+from foretouch.dataset.recording.session_file import RecordingConfig
+
+__all__ = ["RecordingConfig"]

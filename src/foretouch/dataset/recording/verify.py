@@ -81,10 +81,10 @@ class FileReport:
         return not self.faults
 
     @property
-    def accounts(self) -> MessageCounts | None:  # alias until merge
+    def accounts(self) -> MessageCounts | None:  # noqa: D102  # alias until merge
         return self.counts
 
-    def told(self) -> list[str]:  # alias until merge
+    def told(self) -> list[str]:  # noqa: D102  # alias until merge
         return self.fault_lines()
 
     def fault_lines(self) -> list[str]:

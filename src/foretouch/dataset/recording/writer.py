@@ -99,7 +99,7 @@ class RecordingWriter:
         self.close()
 
     @property
-    def accounts(self) -> MessageCounts:  # alias until merge
+    def accounts(self) -> MessageCounts:  # noqa: D102  # alias until merge
         return self.counts
 
     @property
