@@ -19,7 +19,7 @@ from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
 from foretouch.errors import FileError
 
-MODULE = '''
+MODULE = """
 import json
 import numpy as np
 from foretouch.dataset.record import SampleRecord
@@ -55,7 +55,7 @@ def _export(samples, out, result, progress):
 DATASET_FORMAT = DatasetFormat(
     recognise=lambda path: next(path.glob("*.json")).with_suffix(".npy").is_file(), open=_open, export=_export
 )
-'''
+"""
 
 
 @pytest.fixture
@@ -100,7 +100,9 @@ def test_a_path_of_no_format_is_refused_with_the_list(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("x")
     for path in (tmp_path, tmp_path / "notes.txt"):
         assert not is_sample_set(path)
-        with pytest.raises(FileError, match=r"is not a dataset: no recorded dataset \(MCAP\), training store \(Arrow\)"):
+        with pytest.raises(
+            FileError, match=r"is not a dataset: no recorded dataset \(MCAP\), training store \(Arrow\)"
+        ):
             open_samples(path)
     with pytest.raises(FileError, match="does not exist"):
         export_samples(tmp_path / "absent", tmp_path / "out", "npz")

@@ -6,12 +6,10 @@ The samples of a dataset are exported with their clouds as messages of a second 
 
 from __future__ import annotations
 
-import functools
 import shutil
 import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Literal, Self
 
 from rosbags.interfaces import Connection
@@ -19,11 +17,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
 from foretouch.dataset.cdr import cloud_fields
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
@@ -50,7 +48,7 @@ class BagWriter:
 
     def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
         self.path = Path(path)
-        self._typestore = get_typestore(Stores.ROS2_KILTED)
+        self._definitions = Definitions()
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
@@ -65,9 +63,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._writer.close()
         else:
@@ -110,17 +106,14 @@ class BagWriter:
 
     def define(self, type_name: str, definition: str) -> None:
         """Register a message type, such as `foretouch_msgs/msg/Biotac`, by the text of its `.msg` file."""
-        try:
-            self._typestore.register(get_types_from_msg(definition, type_name))
-        except TypesysError as err:
-            raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
+        self._definitions.register(type_name, definition)
 
     def _connection(self, topic: str, type_name: str) -> Connection:
         connection = self._connections.get(topic)
         if connection is None:
-            if type_name not in self._typestore.fielddefs:
+            if type_name not in self._definitions.store.fielddefs:
                 raise DatasetError(f"{self.path}: {topic}: no definition of {type_name}")
-            connection = self._writer.add_connection(topic, type_name, typestore=self._typestore)
+            connection = self._writer.add_connection(topic, type_name, typestore=self._definitions.store)
             self._connections[topic] = connection
         if connection.msgtype != type_name:
             raise DatasetError(f"{self.path}: {topic}: holds {connection.msgtype}, not {type_name}")
@@ -167,20 +160,12 @@ def serialize_cloud(cloud: Cloud) -> bytes:
     Raises:
         DatasetError: If ROS cannot represent the stamp.
     """
-    return bytes(_kilted().serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
-
-
-@functools.cache
-def _kilted() -> Typestore:
-    return get_typestore(Stores.ROS2_KILTED)
+    return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
-    from foretouch.dataset.recording.definitions import Definitions
-    from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample
-
     with BagWriter(out) as writer:
-        writer.define(SAMPLE_TYPE, Definitions().text(SAMPLE_TYPE))
+        writer.define(SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for k in range(len(samples)):
             progress()

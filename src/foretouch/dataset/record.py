@@ -48,8 +48,8 @@ class Identity:
         camera: Properties by name, such as model, serial number and image size.
     """
 
-    hand: Mapping[str, str]
-    camera: Mapping[str, str]
+    hand: Mapping[str, str] = field(default_factory=dict)
+    camera: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,7 @@ class SampleSet:
     size: int
     record: Callable[[int], SampleRecord]
     name: Callable[[int], str]
-    identity: Identity = field(default_factory=lambda: Identity(hand={}, camera={}))
+    identity: Identity = field(default_factory=Identity)
     close: Callable[[], None] = lambda: None
     unfinished: tuple[Path, ...] = ()
     message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict

@@ -131,9 +131,14 @@ class Store(Sequence[GraspSample]):
         if seal_manifest(self.manifest) != (self.path / MANIFEST).read_text(encoding="utf-8"):
             raise FileError(self.path / MANIFEST, "does not match its checksum", field="seal")
         for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            found = _file_sha256(self.path / part["file"])
+            path = self.path / part["file"]
+            try:
+                with path.open("rb") as file:
+                    found = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as err:
+                raise FileError(path, err.strerror or str(err)) from err
             if found != part["sha256"]:
-                raise FileError(self.path / part["file"], f"sha256 is {found}, not {part['sha256']}")
+                raise FileError(path, f"sha256 is {found}, not {part['sha256']}")
         content = hashlib.sha256()
         for sample in self:
             content.update(sample_digest(sample))
@@ -161,14 +166,6 @@ def seal_manifest(manifest: Mapping[str, Any]) -> str:
     body = {name: value for name, value in manifest.items() if name != "seal"}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
     return json.dumps({**body, "seal": digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _file_sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
@@ -220,45 +217,32 @@ def _columns(batch: Any) -> _Batch:
 
 
 def _sample(batch: _Batch, row: int) -> GraspSample:
-    cloud = Cloud(
-        _ragged(batch, "xyz", row).reshape(-1, 3),
-        _ragged(batch, "rgb", row).reshape(-1, 3) if batch.valid["rgb"][row] else None,
-        batch.text["frame_id"][row],
-        int(batch.stamps[row]),
+    def points(name: str) -> Any:
+        offsets = batch.offsets[name]
+        return batch.values[name][offsets[row] : offsets[row + 1]].reshape(-1, 3)
+
+    def vector(name: str, size: int) -> Float64:
+        values: Float64 = batch.values[name][row * size : (row + 1) * size]
+        return values
+
+    text = {name: values[row] for name, values in batch.text.items()}
+    stamp_ns = int(batch.stamps[row])
+    touch, tare = (
+        Touch.from_vector(vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None for name in ("touch", "tare")
     )
-    grasp = Grasp(
-        _vector(batch, "g1", row, 3),
-        _vector(batch, "g2", row, 3),
-        _vector(batch, "rotation", row, 9).reshape(3, 3),
-        float(batch.scores[row]),
-        object_id=batch.text["object"][row],
-    )
+    rgb = points("rgb") if batch.valid["rgb"][row] else None
+    rotation = vector("rotation", 9).reshape(3, 3)
+    score = float(batch.scores[row])
     return GraspSample(
-        id=batch.text["id"][row],
-        object=batch.text["object"][row],
-        cloud=cloud,
-        grasp=grasp,
-        touch=_touch(batch, "touch", row),
-        tare=_touch(batch, "tare", row),
-        stamp_ns=int(batch.stamps[row]),
-        extra=json.loads(batch.text["extra"][row]),
+        id=text["id"],
+        object=text["object"],
+        cloud=Cloud(points("xyz"), rgb, text["frame_id"], stamp_ns),
+        grasp=Grasp(vector("g1", 3), vector("g2", 3), rotation, score, object_id=text["object"]),
+        touch=touch,
+        tare=tare,
+        stamp_ns=stamp_ns,
+        extra=json.loads(text["extra"]),
     )
-
-
-def _ragged(batch: _Batch, name: str, row: int) -> Any:
-    offsets = batch.offsets[name]
-    return batch.values[name][offsets[row] : offsets[row + 1]]
-
-
-def _vector(batch: _Batch, name: str, row: int, size: int) -> Float64:
-    values: Float64 = batch.values[name][row * size : (row + 1) * size]
-    return values
-
-
-def _touch(batch: _Batch, name: str, row: int) -> Touch | None:
-    if not batch.valid[name][row]:
-        return None
-    return Touch.from_vector(_vector(batch, name, row, TOUCH_SIZE))
 
 
 def _open_samples(path: Path, _: bool) -> SampleSet:

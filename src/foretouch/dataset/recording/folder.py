@@ -26,7 +26,7 @@ from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.messages import SCHEMA_VERSION
 from foretouch.errors import FileError
 
-__all__ = ["is_dataset", "lock", "new_session_path", "opened_to_write", "read_identity", "session_files"]
+__all__ = ["is_dataset", "lock", "new_session_path", "opened_to_write", "recorded_files", "session_files"]
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
@@ -44,6 +44,20 @@ def is_dataset(path: str | Path) -> bool:
         return False
 
 
+def recorded_files(path: Path) -> list[Path]:
+    """The MCAP files of a recorded dataset, oldest first; `path` itself if it is a file.
+
+    Raises:
+        FileError: If the path is no recorded dataset, or its manifest is damaged or of another schema version.
+    """
+    if path.is_file():
+        return [path]
+    if not is_dataset(path):
+        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
+    _read_identity(path)
+    return session_files(path)
+
+
 def session_files(path: Path) -> list[Path]:
     """The MCAP files of a dataset, oldest first."""
     return sorted(path.glob("session-*.mcap"))
@@ -55,7 +69,7 @@ def new_session_path(path: Path) -> Path:
     return path / _SESSION.format(max(taken, default=0) + 1)
 
 
-def read_identity(path: Path) -> tuple[Identity, str]:
+def _read_identity(path: Path) -> tuple[Identity, str]:
     """Hand and camera of a dataset, and the version of foretouch that made it.
 
     Raises:
@@ -138,7 +152,7 @@ def _create_manifest(path: Path, identity: Identity) -> None:
 
 def _require_same(path: Path, identity: Identity) -> None:
     """Refuse to continue with another hand, another camera, or another minor version of foretouch; names all differences."""
-    known, version = read_identity(path)
+    known, version = _read_identity(path)
     pairs = [("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera)]
     differences = [line for name, old, new in pairs for line in _differences(name, old, new)]
     if version.split(".")[:2] != __version__.split(".")[:2]:

@@ -35,6 +35,7 @@ __all__ = [
     "encode_sample",
     "grasp_of",
     "is_intact",
+    "sample_types",
 ]
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
@@ -107,7 +108,7 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
     for name in _FINITE:
         if not np.isfinite(getattr(message, name)).all():
             raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
-    body = bytes(_definitions().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
@@ -125,7 +126,7 @@ def decode_sample(data: bytes | memoryview) -> StoredSample:
     if not is_intact(data):
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
-        message: Any = _definitions().store.deserialize_cdr(data, SAMPLE_TYPE)
+        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
         if message.schema_version != SCHEMA_VERSION:
             newer = "newer than" if message.schema_version > SCHEMA_VERSION else "not"
             rule = f"{message.schema_version} is {newer} {SCHEMA_VERSION}, the one that foretouch {__version__} reads"
@@ -165,7 +166,8 @@ def _stored(message: Any) -> StoredSample:
 
 
 @functools.cache
-def _definitions() -> Definitions:
+def sample_types() -> Definitions:
+    """The definitions of a sample and of all types in it."""
     definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
     return definitions

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self, TypeVar
 
 from mcap.opcode import Opcode
@@ -20,7 +19,7 @@ from mcap.records import Channel, Metadata, Schema
 
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
+from foretouch.dataset.recording.folder import is_dataset, recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import COUNTS, SAMPLE_TYPE, StoredSample, decode_sample
@@ -76,16 +75,8 @@ class RecordedDataset:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if is_dataset(self.path):
-            read_identity(self.path)
-            self.files = session_files(self.path)
-            self.edits = read_edits(self.path)
-        elif self.path.is_file():
-            self.files = [self.path]
-            self.edits = EditLog()
-        else:
-            rule = "is no recorded dataset" if self.path.exists() else "does not exist"
-            raise FileError(self.path, rule)
+        self.files = recorded_files(self.path)
+        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
         self._closed = False
         self._samples: list[_Sample] = []
         with ExitStack() as stack:
@@ -98,9 +89,7 @@ class RecordedDataset:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -285,7 +274,7 @@ def _open_samples(path: Path, unfinished: bool) -> SampleSet:
         size=len(dataset),
         record=lambda k: dataset[k].record,
         name=dataset.name,
-        identity=dataset[0].identity if len(dataset) else Identity(hand={}, camera={}),
+        identity=dataset[0].identity if len(dataset) else Identity(),
         close=dataset.close,
         unfinished=cut,
         message_counts=lambda: dataset.message_counts().to_record(),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -17,7 +18,7 @@ from typing import Final
 from foretouch import __version__
 from foretouch.dataset.disk import disk_errors, sync_folder
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files
+from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
@@ -60,13 +61,9 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
         FileError: If another process records into the dataset, or its manifest is damaged or of another version.
     """
     path = Path(path)
-    if path.is_file():
-        return [repair_file(path)]
-    if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    read_identity(path)
-    with lock(path):
-        return [repair_file(file) for file in session_files(path)]
+    recorded_files(path)  # refuses other folders, before a lock file is created there
+    with lock(path) if path.is_dir() else nullcontext():
+        return [repair_file(file) for file in recorded_files(path)]
 
 
 def repair_file(path: str | Path) -> RepairReport:

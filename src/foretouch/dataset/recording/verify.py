@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
 
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
+from foretouch.dataset.recording.folder import recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TYPE, decode_sample
@@ -35,18 +35,12 @@ from foretouch.dataset.recording.scan import (
     parse,
     records,
 )
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import DatasetError
 
 __all__ = ["FileReport", "verify_dataset", "verify_file"]
 
-_DATA_RECORDS: Final = {
-    Opcode.HEADER,
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.METADATA,
-}
+_DECLARATIONS: Final = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA}
+_DATA_RECORDS: Final = _DECLARATIONS | {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
 _FOOTER = struct.Struct("<QQI")
 _MAX_FAULTS: Final = 100  # faults reported for one file
 
@@ -102,13 +96,10 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
         FileError: If there is no recorded dataset, or its manifest or log is damaged or of another version.
     """
     path = Path(path)
-    if path.is_file():
-        return [verify_file(path)]
-    if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    read_identity(path)
-    read_edits(path)
-    reports = [verify_file(file) for file in session_files(path)]
+    files = recorded_files(path)
+    if path.is_dir():
+        read_edits(path)
+    reports = [verify_file(file) for file in files]
     owners: dict[str, Path] = {}
     for report in reports:
         for sample_id in report.ids:
@@ -140,19 +131,17 @@ class _Verification:
         self.data = data
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.message_counts: Counter[int] = Counter()
+        self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
 
     def run(self) -> None:
-        damage = magic_damage(self.data)
-        if damage is not None:
+        if (damage := magic_damage(self.data)) is not None:
             self.report.faults.append(damage)
-        end = self._data_section()
-        if end is not None:
+        if (end := self._data_section()) is not None:
             self._summary(end)
         if not self.report.finished and self.report.clean:
             self._fault(len(self.data), "not finished: no index; repair creates one")
-        for number, count in self.message_counts.items():
+        for number, count in self.found.items():
             self.report.messages[self.channels[number].topic] += count
         self._check_counts()
 
@@ -212,13 +201,9 @@ class _Verification:
             self.schemas[content.id] = content
         elif isinstance(content, Channel):
             self.channels[content.id] = content
-        elif isinstance(content, Metadata):
-            self._metadata(record, content)
-
-    def _metadata(self, record: RawRecord, content: Metadata) -> None:
-        if content.name == ABOUT:
+        elif isinstance(content, Metadata) and content.name == ABOUT:
             self.report.about = content.metadata
-        elif content.name == COUNTS:
+        elif isinstance(content, Metadata) and content.name == COUNTS:
             try:
                 self.report.counts = MessageCounts.from_mapping(content.metadata)
             except DatasetError as err:
@@ -230,7 +215,7 @@ class _Verification:
         if channel is None or schema is None:
             self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
             return
-        self.message_counts[message.channel] += 1
+        self.found[message.channel] += 1
         if schema.name != SAMPLE_TYPE:
             return
         try:
@@ -260,14 +245,9 @@ class _Verification:
 
     def _statistics(self, record: RawRecord) -> None:
         statistics = parse(Statistics, self.data, record)
-        if (
-            self.report.clean
-            and isinstance(statistics, Statistics)
-            and statistics.message_count != self.message_counts.total()
-        ):
-            self._fault(
-                record.offset, f"declares {statistics.message_count} messages, {self.message_counts.total()} are there"
-            )
+        declared = statistics.message_count if isinstance(statistics, Statistics) else None
+        if self.report.clean and declared not in (None, self.found.total()):
+            self._fault(record.offset, f"declares {declared} messages, {self.found.total()} are there")
 
     def _footer(self, summary: int, record: RawRecord) -> None:
         self.report.finished = True
