@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ways in and out of a recorded dataset: import, build, export; what goes in comes out equal."""
+"""Import, build and export of recorded datasets preserve every number."""
 
 import time
 from collections.abc import Iterator

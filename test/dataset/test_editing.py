@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edits change what is read and never what was recorded; all can be taken back."""
+"""Edits change the samples that are read but never the recordings, and can be undone."""
 
 from pathlib import Path
 

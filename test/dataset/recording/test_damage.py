@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damage of every kind: `verify` finds it, `repair` keeps whatever is intact, and neither takes more memory than the file."""
+"""Damage of every kind: `verify` finds it, `repair` keeps all intact samples, and neither needs more memory than the file."""
 
 import struct
 import tracemalloc
@@ -25,13 +25,13 @@ def file(tmp_path: Path) -> Path:
 
 
 def spans(path: Path) -> list[tuple[int, int]]:
-    """Where the bytes of each sample lie."""
+    """Start and end of each sample [bytes]."""
     with mapped(path) as data:
         return [(place.start, place.end) for place in sample_offsets(path, data)]
 
 
 def numbers(path: Path) -> list[int]:
-    """Which samples a file holds, by what is in them."""
+    """The numbers of the samples in a file, from their contents."""
     with RecordedDataset(path) as dataset:
         return [int(stored.record.sample.grasp.id.removeprefix("grasp-")) for stored in dataset]
 

@@ -131,7 +131,7 @@ def test_another_minor_version_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "photo.png").write_bytes(b"x")
-    with pytest.raises(FileError, match="is no dataset to go on with"):
+    with pytest.raises(FileError, match="exists and is no recorded dataset"):
         RecordingWriter(tmp_path, IDENTITY)
     assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]
 

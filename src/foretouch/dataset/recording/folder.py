@@ -120,7 +120,7 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
     leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
     is_other = path.exists() and not (path / _MANIFEST).exists()
     if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
-        raise FileError(path, "exists, and is no dataset to go on with")
+        raise FileError(path, "exists and is no recorded dataset")
     with disk_errors(path):
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):

@@ -86,18 +86,15 @@ class SessionFile:
             raise DatasetError(f"{topic}: holds {self._types[topic]}, not {type_name}")
         return topic in self._channels
 
-    def define(self, type_name: str, definition: str | None) -> str:
-        """The definition of a type with those of all types in it; looked up if `definition` is None.
+    def declare(self, topic: str, type_name: str, definition: str | None = None, qos: str = "") -> None:
+        """Declare a topic; the definition of its type is looked up if `definition` is None.
 
         Raises:
-            DatasetError: If it cannot be found.
+            DatasetError: If the definition cannot be found.
         """
         if definition is not None:
             self._definitions.register(type_name, definition)
-        return self._definitions.text(type_name)
-
-    def declare(self, topic: str, type_name: str, text: str, qos: str) -> None:
-        """Declare a topic; `text` is the result of `define`."""
+        text = self._definitions.text(type_name)
         self._channels[topic] = self._mcap.add_channel(topic, type_name, text, qos)
         self._types[topic] = type_name
 

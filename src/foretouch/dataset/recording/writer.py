@@ -84,7 +84,7 @@ class RecordingWriter:
             self._ids = _SampleIds(self.path)
             self._file = SessionFile(new_session_path(self.path), identity)
             stack.callback(self._file.abandon)
-            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, self._file.define(SAMPLE_TYPE, None), "")
+            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE)
             self._file.sync(self.path)
             self._release = stack.pop_all()
         self._flushed_s = time.monotonic()
@@ -137,8 +137,7 @@ class RecordingWriter:
             if self._file.declares(topic, type_name):
                 return
             self._require_open()
-            text = self._file.define(type_name, definition)
-            self._guarded(lambda: self._file.declare(topic, type_name, text, qos))
+            self._guarded(lambda: self._file.declare(topic, type_name, definition, qos))
 
     def receive(self, topic: str, count: int = 1) -> None:
         """Count messages on arrival; each must later be written or dropped."""
