@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small recorded samples, and datasets of them, for the tests of whatever records, reads or converts."""
+"""Small recorded samples and datasets for the tests of recording, reading and conversion."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ MESSAGE = b"\0\1\0\0" + bytes(200)
 
 
 def touch(rng: np.random.Generator) -> Touch:
-    """A reading as a working sensor gives it."""
+    """A plausible reading of a working sensor."""
     return Touch.from_vector(rng.integers(500, 3500, 50).astype(np.float64))
 
 
 def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> SampleRecord:
-    """Every field is set, and differs from number to number."""
+    """A record with every field set, and different for each number."""
     rng = np.random.default_rng([number, points])
     xyz = rng.normal(size=(points, 3)).astype(np.float32)
     rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
@@ -77,7 +77,7 @@ def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: b
 def write_dataset(
     path: Path, count: int = 5, *, points: int = 30, messages: int = 2, name: str = "ball", first: int = 0
 ) -> Path:
-    """A dataset of one session, or one more of it; returns the session's file."""
+    """Record a session into a dataset; returns its file."""
     with RecordingWriter(path, IDENTITY, QUICK) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
         for number in range(first, first + count):
@@ -89,7 +89,7 @@ def write_dataset(
 
 
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
-    """Equal in every number; ids aside."""
+    """Compare everything except the ids."""
     assert (a.object, a.stamp_ns, dict(a.extra)) == (b.object, b.stamp_ns, dict(b.extra))
     np.testing.assert_array_equal(a.cloud.xyz, b.cloud.xyz)
     assert (a.cloud.rgb is None) == (b.cloud.rgb is None)

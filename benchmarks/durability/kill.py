@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kills a recorder with SIGKILL at random instants and counts what it had acknowledged and lost.
+"""Kills a recorder with SIGKILL at random instants, and counts acknowledged and lost samples.
 
 Each round starts a process that records samples and messages as fast as it can, ending its session and resuming
-the dataset every few samples. It tells the id of each sample on a pipe once `append` has returned. After a random
-time it is killed, counted from its start or, every second round, from its first sample; then the dataset is repaired and verified, and every id that was told must be in it, with the
-content that belongs to that id.
+the dataset every few samples. It writes the id of each sample to a pipe once `append` has returned. It is killed after
+a random time, measured from its start or, every second round, from its first sample. Then the dataset is repaired and
+verified: every acknowledged id must be in it, with the content that belongs to that id.
 
     python benchmarks/durability/kill.py [--rounds 100] [--seed 0] [--json]
 """
@@ -45,7 +45,7 @@ TOPIC = "/rh/tactile"
 
 @dataclass
 class Round:
-    """What one kill showed."""
+    """The result of one kill."""
 
     number: int
     killed_after_ms: float
@@ -59,7 +59,7 @@ class Round:
 
 
 def made_sample(number: int) -> GraspSample:
-    """A sample whose content follows from its number."""
+    """A sample whose content is determined by its number."""
     rng = np.random.default_rng(number)
     xyz = rng.normal(size=(POINTS, 3)).astype(np.float32)
     rgb = rng.integers(0, 256, (POINTS, 3), dtype=np.uint8)
@@ -69,7 +69,7 @@ def made_sample(number: int) -> GraspSample:
 
 
 def record_forever(folder: Path, fsync_samples: int) -> None:
-    """What the killed process does."""
+    """Record until killed; runs in the child process."""
     rng = np.random.default_rng()
     message = b"\0\1\0\0" + bytes(300)
     config = RecordingConfig(fsync_samples=fsync_samples, chunk_s=0.01, accounts_s=0.1)
@@ -90,7 +90,7 @@ def record_forever(folder: Path, fsync_samples: int) -> None:
 def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> Round:
     """Start the recorder, kill it after a while, repair, verify and compare.
 
-    Every second kill waits for the first sample, so that a busy machine is hit at appending too, not at starting alone.
+    Every second kill waits for the first sample, so that the kill hits appending, not only starting, on a busy machine too.
     """
     known = set(_contents(folder))
     command = [sys.executable, __file__, "--child", str(folder), "--fsync-samples", str(fsync_samples)]
@@ -102,8 +102,8 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
         time.sleep(delay_s)
         process.send_signal(signal.SIGKILL)
         output = (first + process.stdout.read()).decode()
-    told = [line.split() for line in output.splitlines() if line.count(" ") == 1]
-    acknowledged = {given: int(content) for given, content in told}
+    printed = [line.split() for line in output.splitlines() if line.count(" ") == 1]
+    acknowledged = {given: int(content) for given, content in printed}
     repairs = repair_dataset(folder) if folder.exists() and (folder / "manifest.json").exists() else []
     cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)
     clean = all(report.clean for report in verify_dataset(folder)) if repairs else not acknowledged
@@ -122,7 +122,7 @@ def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> 
 
 
 def campaign(rounds: int, seed: int, fsync_samples: int, show: bool) -> list[Round]:
-    """Many kills; several in a row hit one dataset, which each recorder resumes."""
+    """Run many kills; several consecutive ones hit one dataset, which each recorder resumes."""
     rng = np.random.default_rng(seed)
     results = []
     root = Path(tempfile.mkdtemp(prefix="foretouch-kill-"))
@@ -142,10 +142,10 @@ def campaign(rounds: int, seed: int, fsync_samples: int, show: bool) -> list[Rou
 def print_round(result: Round) -> None:
     if result.number % 25 == 0:
         print("round  killed after  acknowledged  found  lost  wrong  verify")
-    told = "clean" if result.clean else "FAULTS"
+    state = "clean" if result.clean else "FAULTS"
     print(
         f"{result.number:5d}  {result.killed_after_ms:9.1f} ms  {result.acknowledged:12d}  {result.found:5d}"
-        f"  {result.lost:4d}  {result.wrong:5d}  {told}",
+        f"  {result.lost:4d}  {result.wrong:5d}  {state}",
         flush=True,
     )
 
@@ -180,7 +180,7 @@ def _highest(folder: Path) -> int:
 
 
 def _contents(folder: Path) -> dict[str, int]:
-    """Id and number of every sample, with its content compared to what the number makes."""
+    """Id and number of every sample; -1 if its content differs from that of its number."""
     if not (folder / "manifest.json").exists():
         return {}
     result = {}

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What durability costs: an append under each policy, a recorder's load, and a random read of the training store.
+"""Measures the cost of durability: appends under each policy, a recorder under load, and random reads.
 
     OMP_NUM_THREADS=1 python benchmarks/durability/speed.py [--folder DIR] [--seconds 20]
 
-Equality comes first: what is timed is read back and compared.
+Everything that is timed is also read back and compared.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import numpy as np
 from kill import IDENTITY, made_sample
 
 from foretouch.dataset.bag_writer import serialize_cloud
-from foretouch.dataset.build import build_store
 from foretouch.dataset.recording import (
     RecordedDataset,
     RecordingConfig,
@@ -29,6 +28,7 @@ from foretouch.dataset.recording import (
     verify_dataset,
 )
 from foretouch.dataset.store import Store
+from foretouch.dataset.store_writer import build_store
 from foretouch.types import Cloud
 
 POLICIES = {"left to the system": 0, "every 10th sample": 10, "every sample (default)": 1}
@@ -52,7 +52,7 @@ def appends(root: Path, count: int = 200) -> None:
 
 
 def load(root: Path, seconds: float, raw_hz: int) -> None:
-    """Paced as the sensors are: object clouds 30 Hz, tactile 100 Hz, raw clouds at `raw_hz`, a sample each 2 s."""
+    """At the rates of the sensors: object clouds 30 Hz, tactile 100 Hz, raw clouds at `raw_hz`, a sample each 2 s."""
     folder = root / f"load-{raw_hz}"
     rng = np.random.default_rng(0)
     small = serialize_cloud(Cloud(rng.normal(size=(5000, 3)).astype(np.float32), None, "camera", 1))
@@ -76,9 +76,9 @@ def load(root: Path, seconds: float, raw_hz: int) -> None:
                 writer.append(SampleRecord(sample=made_sample(int(at))))
                 sample_at += 2.0
         cpu = time.process_time() - cpu
-    accounts = writer.accounts.topics
-    dropped = sum(account.dropped.total() for account in accounts.values())
-    written = sum(account.written for account in accounts.values())
+    counts = writer.counts.topics.values()
+    dropped = sum(topic.dropped.total() for topic in counts)
+    written = sum(topic.written for topic in counts)
     rate = writer.bytes_written / seconds / 1e6
     print(
         f"load with raw clouds at {raw_hz} Hz, {seconds:g} s: {written} messages, {rate:.1f} MB/s, dropped {dropped}, "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch dataset`: JSON, exit status and one line for whatever is wrong."""
+"""`foretouch dataset`: JSON output, exit status and one-line errors."""
 
 from collections.abc import Callable
 from pathlib import Path

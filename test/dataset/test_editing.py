@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edits change what is read and never what was recorded; all can be taken back."""
+"""Edits change the samples that are read but never the recordings, and can be undone."""
 
 from pathlib import Path
 
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from recording_builders import IDENTITY, QUICK, write_dataset
 
-from foretouch.dataset.build import build_store
 from foretouch.dataset.editing import drop, merge, relabel, undo
 from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, verify_dataset
+from foretouch.dataset.store_writer import build_store
 from foretouch.errors import DatasetError, FileError
 
 

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch dataset`: what recordings hold, whether they are whole, and the ways in and out."""
+"""`foretouch dataset`: inspect, verify, repair, edit and convert datasets. The actions are in `dataset_actions`."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+
+from foretouch.dataset.formats import export_formats, readable_formats
 
 __all__ = ["add_arguments", "run"]
 
@@ -12,98 +14,110 @@ _SHEET_SAMPLES = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """One action each, with its own options."""
+    """Add one action each, with its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     for name, (summary, add) in _ACTIONS.items():
         action = actions.add_parser(name, help=summary, description=f"{summary}.")
         add(action)
-        action.add_argument("--json", action="store_true", help="JSON on stdout, and nothing else there")
+        action.add_argument("--json", action="store_true", help="print JSON on stdout, and nothing else there")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 where something is damaged."""
-    from foretouch.cli import dataset_look, dataset_make
+    """Run an action; exit status 1 if something is damaged."""
+    from foretouch.cli.dataset_actions import ACTIONS
 
-    actions = {
-        "info": dataset_look.info,
-        "verify": dataset_look.verify,
-        "show": dataset_look.show,
-        "repair": dataset_make.repair,
-        "edit": dataset_make.edit,
-        "build": dataset_make.build,
-        "import": dataset_make.import_,
-        "export": dataset_make.export_,
-    }
-    return actions[arguments.action](arguments)
+    return ACTIONS[arguments.action](arguments)
 
 
 def _fingers(text: str) -> tuple[int, int]:
-    """`TH,MF` places for argparse."""
+    """`TH,MF` indices for argparse."""
     words = text.split(",")
     if len(words) != 2 or not all(word.isdecimal() and int(word) < 5 for word in words):
-        raise argparse.ArgumentTypeError(f"{text!r} is not two places from 0 to 4 with a comma between them")
+        raise argparse.ArgumentTypeError(f"{text!r} is not two indices from 0 to 4 with a comma between them")
     return int(words[0]), int(words[1])
 
 
+def _dataset_argument(parser: argparse.ArgumentParser, name: str, metavar: str, nargs: str | None = None) -> None:
+    parser.add_argument(name, metavar=metavar, nargs=nargs, help=f"dataset: {readable_formats()}")
+
+
+def _out_argument(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar=metavar, help=summary)
+
+
 def _add_info(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", metavar="IN", help="dataset, recording, training store or vision2tactile folder")
+    _dataset_argument(parser, "path", "IN")
 
 
-def _add_paths(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("paths", metavar="IN", nargs="+", help="dataset or recording; verify takes training stores too")
+def _add_verify(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, one of its files, or training store")
+
+
+def _add_repair(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("paths", metavar="IN", nargs="+", help="recorded dataset, or one of its files")
 
 
 def _add_build(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sources", metavar="IN", nargs="+", help="datasets, recordings, stores, vision2tactile folders")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="STORE", help="training store; must not exist")
-    parser.add_argument("--seed", type=int, default=0, help="of the splits")
+    _dataset_argument(parser, "sources", "IN", nargs="+")
+    _out_argument(parser, "STORE", "training store to create; must not exist")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the splits")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SRC", help="vision2tactile folders, training store, rosbag2 or MCAP")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DS", help="dataset: made, or added to")
-    parser.add_argument("--cloud-topic", default="/foretouch/object_cloud", help="of a bag without samples of ours")
-    parser.add_argument("--grasp-topic", default="/foretouch/grasps")
-    parser.add_argument("--executed-topic", default="/foretouch/executed_grasp")
-    parser.add_argument("--tactile-topic", default="/rh/tactile")
-    parser.add_argument("--object", default="unknown", help="label of the object on the table")
-    parser.add_argument("--fingers", type=_fingers, default=(4, 1), metavar="TH,MF", help="places of thumb and middle")
+    parser.add_argument("source", metavar="SRC", help=f"dataset ({readable_formats()}) or ROS bag")
+    _out_argument(parser, "DS", "recorded dataset to create or to extend")
+    topics = parser.add_argument_group("ROS bags without foretouch samples")
+    for name, topic, content in (
+        ("cloud", "/foretouch/object_cloud", "clouds of the object"),
+        ("grasp", "/foretouch/grasps", "planned grasps"),
+        ("executed", "/foretouch/executed_grasp", "executed grasps"),
+        ("tactile", "/rh/tactile", "tactile readings"),
+    ):
+        topics.add_argument(f"--{name}-topic", default=topic, help=f"topic of the {content}")
+    topics.add_argument("--object", default="unknown", help="label of the object on the table")
+    topics.add_argument(
+        "--fingers", type=_fingers, default=(4, 1), metavar="TH,MF", help="indices of thumb and middle finger"
+    )
     for name in ("hand", "camera"):
         parser.add_argument(
-            f"--{name}", action="append", default=[], metavar="NAME=VALUE", help="a fact of its identity"
+            f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=f"a property of the {name}"
         )
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="DS", help="dataset, recording, training store or vision2tactile folder")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder to be made")
-    parser.add_argument("--format", required=True, choices=["vision2tactile", "npz", "rosbag2"])
+    _dataset_argument(parser, "source", "DS")
+    _out_argument(parser, "DIR", "folder to create; must not exist")
+    parser.add_argument("--format", required=True, choices=export_formats(), help="format to write")
 
 
 def _add_show(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="DS", help="dataset, recording, training store or vision2tactile folder")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="F.png", help="the picture")
-    parser.add_argument("-n", "--count", type=int, default=_SHEET_SAMPLES, help="samples, spread over the whole")
-    parser.add_argument("--id", action="append", metavar="ID", help="a sample, instead of --count")
+    _dataset_argument(parser, "source", "DS")
+    _out_argument(parser, "F.png", "image file")
+    parser.add_argument(
+        "-n", "--count", type=int, default=_SHEET_SAMPLES, help="number of samples, evenly spaced over the dataset"
+    )
+    parser.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 
 
 def _add_edit(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", metavar="DS", help="dataset; without an action, its edits are listed")
-    parser.add_argument("--id", action="append", default=[], metavar="ID", help="a sample, for --relabel and --drop")
+    parser.add_argument("path", metavar="DS", help="recorded dataset; without an action, its edits are listed")
+    parser.add_argument(
+        "--id", action="append", default=[], metavar="ID", help="id of a sample to relabel or drop; may be repeated"
+    )
     actions = parser.add_mutually_exclusive_group()
-    actions.add_argument("--relabel", metavar="LABEL", help="give the samples another object")
-    actions.add_argument("--drop", action="store_true", help="discard the samples: they go no further")
-    actions.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="make one object of two")
-    actions.add_argument("--undo", action="store_true", help="take back the latest edit that holds")
+    actions.add_argument("--relabel", metavar="LABEL", help="assign the samples to another object")
+    actions.add_argument("--drop", action="store_true", help="discard the samples: builds and exports leave them out")
+    actions.add_argument("--merge", nargs=2, metavar=("LABEL", "INTO"), help="merge two objects into one")
+    actions.add_argument("--undo", action="store_true", help="undo the latest edit that is in force")
 
 
 _ACTIONS = {
-    "info": ("Count what a dataset holds", _add_info),
-    "verify": ("Prove that every byte is what was written", _add_paths),
-    "repair": ("Make whole recordings of unfinished or damaged ones; the originals are kept", _add_paths),
+    "info": ("Print counts and ranges of a dataset", _add_info),
+    "verify": ("Verify the checksums of every byte", _add_verify),
+    "repair": ("Repair unfinished or damaged recordings, and keep the originals", _add_repair),
     "edit": ("Relabel, drop or merge samples in a log beside the recordings; can be undone", _add_edit),
-    "build": ("Build a training store, splits included", _add_build),
-    "import": ("Make a dataset of what others recorded", _add_import),
+    "build": ("Build a training store with splits", _add_build),
+    "import": ("Convert other datasets and ROS bags to a recorded dataset", _add_import),
     "export": ("Write samples in another format", _add_export),
     "show": ("Draw a contact sheet: clouds, contacts and electrode maps", _add_show),
 }

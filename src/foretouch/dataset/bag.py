@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of ROS, read without ROS: rosbag2 directories (MCAP, SQLite), bare files, ROS 1 bags.
+"""Reads ROS recordings without ROS: rosbag2 directories (MCAP, SQLite), bare files, ROS 1 bags.
 
-The containers and message definitions are handled by `rosbags`; the clouds in them by
-`foretouch.cloud.io.pointcloud2`. `Recording` gives the messages as they were recorded, for the
-replay, and the clouds in them, for everybody else. Writing is in `foretouch.dataset.bag_writer`.
+`rosbags` reads the containers and message definitions. `Recording` returns the messages as they were recorded, for
+replay, and the clouds in them. For writing see `foretouch.dataset.bag_writer`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode
+from foretouch.dataset.cdr import cloud_of
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 
@@ -48,9 +47,9 @@ class Topic:
         name: As recorded.
         type: ROS 2 name of its messages, such as `sensor_msgs/msg/PointCloud2`; "" where publishers disagreed.
         count: Number of messages that the recording declares.
-        fields: Names of the message's fields in order of the wire; empty where the recording has no definition.
+        fields: Names of the message's fields in serialised order; empty if the recording has no definition.
         stamped: Whether the message begins with a `std_msgs/Header`.
-        latched: Whether late subscribers were given the last message (transient local).
+        latched: Whether late subscribers receive the last message (transient local).
     """
 
     name: str
@@ -68,8 +67,8 @@ class Message:
     Attributes:
         topic: Its topic.
         type: ROS 2 name of its type.
-        index: Its place among the messages of its topic, from 0.
-        bag_time_ns: When the recorder received it [ns]; the stamp inside is another matter.
+        index: Its index among the messages of its topic, from 0.
+        bag_time_ns: When the recorder received it [ns]; independent of the stamp in its header.
         data: CDR with its encapsulation header, as `rclpy` publishes it.
     """
 
@@ -97,7 +96,7 @@ class Recording:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
 
-            # Recordings of ROS 2 before Iron hold no definitions: those of a current release then serve.
+            # Recordings of ROS 2 before Iron hold no definitions: fall back to those of a current release.
             self._reader: AnyReader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_KILTED))
             self._reader.open()
         try:
@@ -115,15 +114,12 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files; more than once does no harm."""
+        """Close the files; may be called more than once."""
         if self._reader.stack is not None:
             self._reader.close()
 
     def cloud_topic(self, topic: str | None = None) -> str:
-        """The topic whose clouds to take.
-
-        Args:
-            topic: Its name; None if the recording holds one topic of clouds only.
+        """Check the topic of the clouds, or find the only one if `topic` is None.
 
         Raises:
             FileError: If the topic is absent, holds other messages or none, or if several qualify.
@@ -132,24 +128,21 @@ class Recording:
         if topic is not None:
             found = next((t for t in self.topics if t.name == topic), None)
             if found is None:
-                raise FileError(self.path, f"no such topic; known: {_told(self.topics)}", field=topic)
+                raise FileError(self.path, f"no such topic; known: {_listed(self.topics)}", field=topic)
             if found.type != POINT_CLOUD_TYPE:
                 raise FileError(self.path, f"holds {found.type or 'mixed types'}, not {POINT_CLOUD_TYPE}", field=topic)
             clouds = [found]
         if not clouds:
-            raise FileError(self.path, f"no topic of {POINT_CLOUD_TYPE}; known: {_told(self.topics)}")
+            raise FileError(self.path, f"no topic of {POINT_CLOUD_TYPE}; known: {_listed(self.topics)}")
         filled = [t for t in clouds if t.count]
         if not filled:
             raise FileError(self.path, "holds no messages", field=clouds[0].name)
         if len(filled) > 1:
-            raise FileError(self.path, f"several topics of clouds, name one with --topic: {_told(filled)}")
+            raise FileError(self.path, f"several topics of clouds, name one with --topic: {_listed(filled)}")
         return filled[0].name
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages in order of their bag time.
-
-        Args:
-            topics: Names of those wanted; None for all.
+        """The messages of some topics, or of all, in order of their bag time.
 
         Raises:
             FileError: Where the recording is damaged, or at its end if it holds other counts than it declares.
@@ -168,12 +161,12 @@ class Recording:
                 raise FileError(self.path, rule, field=topic.name)
 
     def content(self, message: Message) -> Any:
-        """The fields of a message as an object that resembles those of ROS.
+        """The fields of a message as an object that resembles a ROS message.
 
         Raises:
             FileError: If the message is damaged.
         """
-        with _known_failures(self.path, _place(message)):
+        with _known_failures(self.path, _position(message)):
             return self._store.deserialize_cdr(message.data, message.type)
 
     def decode_cloud(self, message: Message) -> Cloud:
@@ -182,16 +175,13 @@ class Recording:
         Raises:
             FileError: If the message is damaged, or its sizes do not add up.
         """
-        content = self.content(message)
         try:
-            xyz, rgb = decode(_layout(content), content.data)
+            return cloud_of(self.content(message))
         except CloudError as err:
-            raise FileError(self.path, str(err), field=_place(message)) from err
-        stamp = content.header.stamp
-        return Cloud(xyz, rgb, content.header.frame_id, stamp.sec * 1_000_000_000 + stamp.nanosec)
+            raise FileError(self.path, str(err), field=_position(message)) from err
 
     def clouds(self, topic: str | None = None) -> Iterator[tuple[Message, Cloud]]:
-        """Every cloud of one topic with the message that held it (see `cloud_topic`)."""
+        """Every cloud of one topic with its message (see `cloud_topic`)."""
         for message in self.messages([self.cloud_topic(topic)]):
             yield message, self.decode_cloud(message)
 
@@ -208,15 +198,7 @@ class Recording:
 
 
 def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
-    """The clouds of a recording, with the frames and stamps of their headers.
-
-    Args:
-        path: See `Recording`.
-        topic: Which; may be left out where only one topic holds clouds.
-
-    Raises:
-        FileError: See `Recording`, `Recording.cloud_topic` and `Recording.decode_cloud`.
-    """
+    """The clouds of one topic of a recording (see `Recording.cloud_topic`), with the frames and stamps of their headers."""
     with Recording(path) as recording:
         for _, cloud in recording.clouds(topic):
             yield cloud
@@ -229,14 +211,14 @@ def list_topics(path: str | Path) -> tuple[Topic, ...]:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether the path looks like a recording, by its name and, for a directory, by what lies in it."""
+    """Whether the path looks like a recording, by its name or, for a directory, by the files in it."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or bool(_loose_files(path))
     return path.suffix in RECORDING_SUFFIXES
 
 
 def _storage_paths(path: Path) -> list[Path]:
-    """What to give to the reader: the directory or file itself, or the files of a directory without metadata."""
+    """The directory or file itself, or the files of a directory without metadata."""
     if not path.exists():
         raise FileError(path, "does not exist")
     if not is_recording(path):
@@ -252,23 +234,23 @@ def _loose_files(path: Path) -> list[Path]:
 
 
 @contextmanager
-def _known_failures(path: Path, place: str | None = None) -> Iterator[None]:
-    """Turn whatever the parsers trip over into one line.
+def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
+    """Turn the parsers' exceptions into one line.
 
-    On damaged bytes they raise their own errors, but also those of struct, zstd, SQLite and of
-    Python itself (KeyError, TypeError, UnicodeDecodeError...), hence the wide net.
+    On damaged bytes they raise their own errors, but also those of struct, zstd, SQLite and
+    Python itself (KeyError, TypeError, UnicodeDecodeError...), hence the broad except clause.
     """
     try:
         yield
     except FileError:
         raise
     except PermissionError as err:
-        raise FileError(path, err.strerror or "may not be read", field=place) from err
+        raise FileError(path, err.strerror or "may not be read", field=position) from err
     except Exception as err:
-        told = " ".join(str(err).split())
+        cause = " ".join(str(err).split())
         if not type(err).__module__.startswith("rosbags"):
-            told = f"{type(err).__name__}: {told}" if told else type(err).__name__
-        raise FileError(path, f"truncated or damaged: {told}", field=place) from err
+            cause = f"{type(err).__name__}: {cause}" if cause else type(err).__name__
+        raise FileError(path, f"truncated or damaged: {cause}", field=position) from err
 
 
 def _without_seq(recorded: Typestore) -> Typestore:
@@ -289,21 +271,9 @@ def _is_latched(connection: Connection) -> bool:
     return latching or any(profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles)
 
 
-def _place(message: Message) -> str:
+def _position(message: Message) -> str:
     return f"{message.topic}[{message.index}]"
 
 
-def _layout(message: Any) -> PointCloud2Layout:
-    fields = tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields)
-    return PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=fields,
-        is_bigendian=bool(message.is_bigendian),
-        point_step=message.point_step,
-        row_step=message.row_step,
-    )
-
-
-def _told(topics: Collection[Topic]) -> str:
+def _listed(topics: Collection[Topic]) -> str:
     return ", ".join(f"{t.name} ({t.type or 'mixed types'}, {t.count})" for t in topics) or "none"

@@ -1,60 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing recordings: rosbag2 directories with MCAP storage, without ROS.
+"""Writes rosbag2 directories with MCAP storage, without ROS; `foretouch.dataset.bag` reads them.
 
-`ros2 bag`, Foxglove and `foretouch.dataset.bag` read them.
+The samples of a dataset are exported with their clouds as messages of a second topic.
 """
 
 from __future__ import annotations
 
-import functools
 import shutil
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Final, Literal, Self
 
-import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
-from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
+from foretouch.dataset.cdr import cloud_fields
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
+from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
-if TYPE_CHECKING:
-    from types import TracebackType
+__all__ = ["DATASET_FORMAT", "DEFAULT_TOPIC", "BagWriter", "Compression", "serialize_cloud", "write_bag"]
 
-__all__ = ["DEFAULT_TOPIC", "BagWriter", "Compression", "serialize_cloud", "write_bag"]
-
-DEFAULT_TOPIC = "/foretouch/points"
+DEFAULT_TOPIC: Final = "/foretouch/points"
 Compression = Literal["none", "zstd"]
 
-_STAMP_END_NS = 2**31 * 1_000_000_000  # builtin_interfaces/Time counts seconds in an int32
+_OBJECT_CLOUD_TOPIC: Final = "/foretouch/object_cloud"
 _CHUNK_CRC_OFFSET = 9 + 24  # opcode and length of the record, then start time, end time and size
 
 
 class BagWriter:
-    """A recording that is being written; a context manager.
-
-    If the block ends with an exception, what was written is removed: no half recording stays.
+    """Writes a recording; a context manager. If the block ends with an exception, the recording is removed.
 
     Args:
-        path: Directory to be made.
-        compression: Of the MCAP chunks, or none.
+        path: Directory to create.
+        compression: Compression of the MCAP chunks.
 
     Raises:
-        FileError: If the path exists, or cannot be made.
+        FileError: If the path exists, or cannot be created.
     """
 
     def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
         self.path = Path(path)
-        self._typestore = get_typestore(Stores.ROS2_KILTED)
+        self._definitions = Definitions()
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
@@ -69,9 +63,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self._writer.close()
         else:
@@ -83,8 +75,8 @@ class BagWriter:
 
         Args:
             cloud: Organised or not.
-            topic: Where.
-            bag_time_ns: When it was received; by default its own stamp.
+            topic: Its topic.
+            bag_time_ns: When it was received [ns]; by default its own stamp.
 
         Raises:
             DatasetError: If a time is negative or beyond 2038, where the stamps of ROS end.
@@ -96,9 +88,9 @@ class BagWriter:
         """Append a serialised message.
 
         Args:
-            topic: Where.
-            type_name: Such as `std_msgs/msg/String`: of ROS 2 Kilted or made known by `define`.
-            bag_time_ns: When it was received, from 0 on.
+            topic: Its topic.
+            type_name: Such as `std_msgs/msg/String`: of ROS 2 Kilted, or registered by `define`.
+            bag_time_ns: When it was received [ns], at least 0.
             data: CDR with its encapsulation header.
 
         Raises:
@@ -109,27 +101,19 @@ class BagWriter:
         self._writer.write(self._connection(topic, type_name), bag_time_ns, data)
 
     def add_topic(self, topic: str, type_name: str) -> None:
-        """Declare a topic, which may then stay without messages (raises as `write`)."""
+        """Declare a topic, even if no message follows (raises as `write`)."""
         self._connection(topic, type_name)
 
     def define(self, type_name: str, definition: str) -> None:
-        """Make a message type known.
-
-        Args:
-            type_name: Such as `foretouch_msgs/msg/Biotac`.
-            definition: Text of its `.msg` file.
-        """
-        try:
-            self._typestore.register(get_types_from_msg(definition, type_name))
-        except TypesysError as err:
-            raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
+        """Register a message type, such as `foretouch_msgs/msg/Biotac`, by the text of its `.msg` file."""
+        self._definitions.register(type_name, definition)
 
     def _connection(self, topic: str, type_name: str) -> Connection:
         connection = self._connections.get(topic)
         if connection is None:
-            if type_name not in self._typestore.fielddefs:
+            if type_name not in self._definitions.store.fielddefs:
                 raise DatasetError(f"{self.path}: {topic}: no definition of {type_name}")
-            connection = self._writer.add_connection(topic, type_name, typestore=self._typestore)
+            connection = self._writer.add_connection(topic, type_name, typestore=self._definitions.store)
             self._connections[topic] = connection
         if connection.msgtype != type_name:
             raise DatasetError(f"{self.path}: {topic}: holds {connection.msgtype}, not {type_name}")
@@ -139,20 +123,10 @@ class BagWriter:
 def write_bag(
     path: str | Path, clouds: Iterable[Cloud], topic: str = DEFAULT_TOPIC, *, compression: Compression = "zstd"
 ) -> int:
-    """Write clouds as a recording of one topic.
-
-    Args:
-        path: Directory to be made; must not exist.
-        clouds: In order; their stamps become the bag times.
-        topic: Where.
-        compression: Of the MCAP chunks, or none.
+    """Write clouds as a recording of one topic; their stamps become the bag times (raises as `BagWriter`).
 
     Returns:
         Number of clouds written.
-
-    Raises:
-        FileError: If the path exists, or cannot be made.
-        DatasetError: If a stamp cannot be written.
     """
     count = 0
     with BagWriter(path, compression) as writer:
@@ -164,7 +138,7 @@ def write_bag(
 
 
 class _ChecksummedMcap(McapWriter):
-    """Fills in the checksum of each chunk, which `rosbags` leaves at 0 = unknown, so that readers see damage."""
+    """Writes the checksum of each chunk, which `rosbags` leaves at 0 = unknown, so that readers detect damage."""
 
     def close_chunk(self) -> None:
         checksum = zlib.crc32(self.chunk.bio.getbuffer())
@@ -184,28 +158,22 @@ def serialize_cloud(cloud: Cloud) -> bytes:
     """A cloud as the CDR of a `sensor_msgs/PointCloud2`, encapsulation header included.
 
     Raises:
-        DatasetError: If the stamp is one that ROS cannot hold.
+        DatasetError: If ROS cannot represent the stamp.
     """
-    if not 0 <= cloud.stamp_ns < _STAMP_END_NS:
-        raise DatasetError(f"stamp_ns: {cloud.stamp_ns} is before 1970 or after 2038")
-    types: dict[str, Any] = _kilted().types
-    layout, data = encode(cloud)
-    stamp = types["builtin_interfaces/msg/Time"](*divmod(cloud.stamp_ns, 1_000_000_000))
-    field = types["sensor_msgs/msg/PointField"]
-    message = types[POINT_CLOUD_TYPE](
-        header=types["std_msgs/msg/Header"](stamp, cloud.frame_id),
-        height=layout.height,
-        width=layout.width,
-        fields=[field(f.name, f.offset, f.datatype, f.count) for f in layout.fields],
-        is_bigendian=layout.is_bigendian,
-        point_step=layout.point_step,
-        row_step=layout.row_step,
-        data=np.frombuffer(data, np.uint8),
-        is_dense=layout.is_dense,
-    )
-    return bytes(_kilted().serialize_cdr(message, POINT_CLOUD_TYPE))
+    return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
-@functools.cache
-def _kilted() -> Typestore:
-    return get_typestore(Stores.ROS2_KILTED)
+def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    with BagWriter(out) as writer:
+        writer.define(SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
+        writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
+        for k in range(len(samples)):
+            progress()
+            record = samples.record(k)
+            data = encode_sample(record, samples.identity)
+            writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, record.sample.stamp_ns, data)
+            writer.write_cloud(record.sample.cloud, _OBJECT_CLOUD_TOPIC, bag_time_ns=record.sample.stamp_ns)
+            result.written += 1
+
+
+DATASET_FORMAT = DatasetFormat(export=_export)

@@ -1,20 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `std_msgs/Header` at the start of a serialised message, read and replaced without decoding the rest.
+"""Serialised messages without ROS: the `std_msgs/Header` they begin with, and clouds as the fields of `PointCloud2`.
 
-CDR as ROS 2 uses it: four bytes of encapsulation, whose second tells the byte order, then the
+CDR as ROS 2 uses it: four bytes of encapsulation, whose second gives the byte order, then the
 fields: int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zero, the frame.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
 from foretouch.errors import DatasetError
+from foretouch.types import Cloud
 
-__all__ = ["StampedHeader", "read_header", "with_stamp"]
+__all__ = ["StampedHeader", "cloud_fields", "cloud_of", "header_fields", "read_header", "stamp_ns_of", "with_stamp"]
 
-_START = 4
+_START: Final = 4
+_NS: Final = 1_000_000_000
+_STAMP_END_NS: Final = 2**31 * _NS  # builtin_interfaces/Time counts seconds in an int32
 
 
 class StampedHeader(NamedTuple):
@@ -25,7 +32,7 @@ class StampedHeader(NamedTuple):
 
 
 def read_header(data: bytes) -> StampedHeader:
-    """The header of a message that begins with one.
+    """Read the header of a message that begins with one, without decoding the rest.
 
     Raises:
         DatasetError: If the bytes end too early or the frame is no text.
@@ -36,23 +43,81 @@ def read_header(data: bytes) -> StampedHeader:
         frame = data[_START + 12 : _START + 12 + length]
         if len(frame) != length:
             raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
-        return StampedHeader(seconds * 1_000_000_000 + nanoseconds, frame.rstrip(b"\0").decode())
+        return StampedHeader(seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode())
     except (struct.error, UnicodeDecodeError) as err:
         raise DatasetError(f"header: {err}") from err
 
 
 def with_stamp(data: bytes, stamp_ns: int) -> bytes:
-    """The message with another stamp [ns] in its header; all other bytes are kept.
+    """Replace the stamp [ns] in the header of a message; all other bytes are kept.
 
     Raises:
-        DatasetError: If the bytes end too early, or ROS cannot hold the stamp.
+        DatasetError: If the bytes end too early, or ROS cannot represent the stamp.
     """
     changed = bytearray(data)
     try:
-        struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, 1_000_000_000))
+        struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, _NS))
     except struct.error as err:
         raise DatasetError(f"header: stamp {stamp_ns} ns: {err}") from err
     return bytes(changed)
+
+
+def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
+    """The fields of a `std_msgs/Header`.
+
+    Args:
+        stamp_ns: [ns] since 1970.
+        frame_id: The frame.
+        name: Name of the stamp, for the error message.
+
+    Raises:
+        DatasetError: If the stamp is before 1970 or after 2038.
+    """
+    if not 0 <= stamp_ns < _STAMP_END_NS:
+        raise DatasetError(f"{name}: {stamp_ns} is before 1970 or after 2038, where the stamps of ROS end")
+    seconds, nanoseconds = divmod(int(stamp_ns), _NS)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
+
+
+def stamp_ns_of(header: Any) -> int:
+    """The stamp of a header [ns]."""
+    return int(header.stamp.sec) * _NS + int(header.stamp.nanosec)
+
+
+def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
+    """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
+    layout, data = encode(cloud)
+    return SimpleNamespace(
+        header=header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name),
+        height=layout.height,
+        width=layout.width,
+        fields=[
+            SimpleNamespace(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count) for f in layout.fields
+        ],
+        is_bigendian=layout.is_bigendian,
+        point_step=layout.point_step,
+        row_step=layout.row_step,
+        data=np.frombuffer(data, np.uint8),
+        is_dense=layout.is_dense,
+    )
+
+
+def cloud_of(message: Any) -> Cloud:
+    """The cloud in a decoded `sensor_msgs/PointCloud2`; a view of the message where the layout allows it.
+
+    Raises:
+        CloudError: If its sizes do not add up.
+    """
+    layout = PointCloud2Layout(
+        height=message.height,
+        width=message.width,
+        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
+        is_bigendian=bool(message.is_bigendian),
+        point_step=message.point_step,
+        row_step=message.row_step,
+    )
+    xyz, rgb = decode(layout, message.data)
+    return Cloud(xyz, rgb, message.header.frame_id, stamp_ns_of(message.header))
 
 
 def _byte_order(data: bytes) -> str:

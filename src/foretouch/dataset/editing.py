@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Relabel, drop and merge samples of a recorded dataset, and take it back: by a log, never in the recordings.
+"""Relabel, drop and merge samples of a recorded dataset, and undo it: in a log, never in the recordings.
 
-Each function writes one line of the log (see `foretouch.dataset.recording.edits`) and refuses while a recorder writes.
-Samples are named by the ids that they have now.
+Each function writes one line of the log (see `foretouch.dataset.recording.edits`) and refuses while a recorder is
+writing. Samples are named by their current ids.
 """
 
 from __future__ import annotations
@@ -10,36 +10,36 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from foretouch.dataset.record import check_name
 from foretouch.dataset.recording import RecordedDataset, is_dataset
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.folder import lock
-from foretouch.dataset.recording.record import check_name
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["drop", "merge", "relabel", "undo"]
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
-    """Give samples another object; their ids follow it.
+    """Assign samples to another object, which also changes their ids.
 
     Args:
-        path: Of the dataset.
-        ids: Of the samples.
-        label: Of the object.
+        path: The dataset.
+        ids: Ids of the samples.
+        label: The object.
 
     Returns:
         The number of the edit.
 
     Raises:
-        DatasetError: If the label is no plain name, a sample is not there, or two would have one id.
-        FileError: If the dataset is damaged, or a recorder writes it.
+        DatasetError: If the label is no plain name, a sample does not exist, or two would have the same id.
+        FileError: If the dataset is damaged, or a recorder is writing it.
     """
     check_name(label, "object")
     return _edit(Path(path), lambda now: Edit(action="relabel", ids=_renamed(now, ids, label), object=label))
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
-    """Make one object of two: all samples of `label` become samples of `into` (raises as `relabel`)."""
+    """Merge two objects: all samples of `label` become samples of `into` (raises as `relabel`)."""
     check_name(into, "object")
 
     def make(now: dict[str, str]) -> Edit:
@@ -52,35 +52,34 @@ def merge(path: str | Path, label: str, into: str) -> int:
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
-    """Discard samples: they stay in the recording and go no further (raises as `relabel`)."""
+    """Discard samples: they stay in the recording, but builds and exports leave them out (raises as `relabel`)."""
     return _edit(Path(path), lambda now: Edit(action="drop", ids=_recorded(now, ids)))
 
 
 def undo(path: str | Path) -> int:
-    """Take back the latest edit that holds.
+    """Undo the latest edit that is in force (raises as `relabel`).
 
     Returns:
-        The number of the edit that was taken back.
+        The number of the undone edit.
 
     Raises:
-        DatasetError: If none holds.
-        FileError: As `relabel`.
+        DatasetError: If no edit is in force.
     """
-    taken = 0
+    undone = 0
 
     def make(_: dict[str, str]) -> Edit:
-        nonlocal taken
-        taken = max(read_edits(Path(path)).in_force(), default=0)
-        if not taken:
+        nonlocal undone
+        undone = max(read_edits(Path(path)).in_force(), default=0)
+        if not undone:
             raise DatasetError(f"{path}: holds no edit to undo")
-        return Edit(action="undo", edit=taken)
+        return Edit(action="undo", edit=undone)
 
     _edit(Path(path), make)
-    return taken
+    return undone
 
 
 def _edit(path: Path, make: Callable[[dict[str, str]], Edit]) -> int:
-    """Append the edit that is made of the ids, those of now to those of the recording."""
+    """Append the edit that `make` returns for a mapping of current ids to recorded ones."""
     if not is_dataset(path):
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
     with lock(path):

@@ -1,51 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a set of samples holds, in numbers."""
+"""Statistics of a dataset: counts, ranges and the accuracy of its pairing."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.recording import RecordedDataset
-from foretouch.dataset.samples import DISCARDED, SampleSetKind, open_samples
+from foretouch.dataset.samples import DISCARDED, open_samples
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = ["PAIRING_EDGES_MS", "SampleSetInfo", "describe"]
 
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))
-"""Edges of the histogram of pairing errors [ms]."""
+"""Bin edges of the histogram of pairing errors [ms]."""
 
 _PARTS: Final = {"PDC_TH": slice(0, 1), "PDC_MF": slice(1, 2), "E_TH": slice(2, 26), "E_MF": slice(26, 50)}
 
 
 @dataclass(kw_only=True)
 class SampleSetInfo:
-    """Counts and ranges of a set of samples.
+    """Counts and ranges of a dataset; the names are the keys of the JSON output.
 
     Attributes:
-        kind: What the set is.
-        samples: All, the discarded ones included.
-        labelled: Those with a touch.
-        tared: Those with a reading without contact.
-        discarded: Those that the operator does not want.
+        kind: Name of the format.
+        samples: All samples, including discarded ones.
+        labelled: Samples with a touch.
+        tared: Samples with a reading without contact.
+        discarded: Samples that the operator discarded.
         objects: Samples by object.
         outcomes: Samples by outcome.
         flags: Samples by flag.
-        first_ns, last_ns: Earliest and latest stamp [ns]; 0 where there is no sample.
-        points: Least, median and most points of a cloud.
-        ranges: Least and most of each modality [counts]; empty where nothing is labelled.
-        pairing_ms: Samples by pairing error, beside `PAIRING_EDGES_MS`; empty where none is known.
-        hand, camera: Their identities.
+        first_ns, last_ns: Earliest and latest stamp [ns]; 0 if there is no sample.
+        points: Minimum, median and maximum number of points of a cloud.
+        ranges: Minimum and maximum of each modality [counts]; empty if no sample is labelled.
+        pairing_ms: Samples by pairing error, in the bins of `PAIRING_EDGES_MS`; empty if no error is known.
+        hand, camera: Their properties.
         unfinished: Recordings that were cut off and not repaired.
-        accounts: What became of every message, by topic: received, written, dropped by reason, lost on the way.
-        edits: What was changed afterwards, in words.
+        accounts: Message counts by topic: received, written, dropped by reason, lost before arrival.
+        edits: Descriptions of later changes.
     """
 
-    kind: SampleSetKind
+    kind: str
     samples: int = 0
     labelled: int = 0
     tared: int = 0
@@ -61,15 +61,15 @@ class SampleSetInfo:
     hand: dict[str, str] = field(default_factory=dict)
     camera: dict[str, str] = field(default_factory=dict)
     unfinished: list[str] = field(default_factory=list)
-    accounts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    accounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     edits: list[str] = field(default_factory=list)
 
 
 def describe(path: str | Path) -> SampleSetInfo:
-    """Read every sample once and count.
+    """Read every sample once and collect the statistics.
 
     Raises:
-        FileError: If there are no samples, or one is damaged.
+        FileError: If there is no dataset, or a sample is damaged.
     """
     low: Float64 = np.full(TOUCH_SIZE, np.inf)
     high: Float64 = np.full(TOUCH_SIZE, -np.inf)
@@ -77,11 +77,14 @@ def describe(path: str | Path) -> SampleSetInfo:
     stamps: list[int] = []
     errors: list[float] = []
     with open_samples(path, unfinished=True) as samples:
-        info = SampleSetInfo(kind=samples.kind, hand=dict(samples.identity.hand), camera=dict(samples.identity.camera))
-        info.unfinished = [file.name for file in samples.unfinished]
-        if samples.kind == "recording":
-            with RecordedDataset(path) as recorded:
-                info.accounts, info.edits = recorded.accounts().to_record(), recorded.edits.told()
+        info = SampleSetInfo(
+            kind=samples.kind,
+            hand=dict(samples.identity.hand),
+            camera=dict(samples.identity.camera),
+            unfinished=[file.name for file in samples.unfinished],
+            accounts=samples.message_counts(),
+            edits=list(samples.edits),
+        )
         for record in samples.records(discarded=True):
             sample = record.sample
             info.samples += 1

@@ -1,107 +1,154 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples from wherever they lie: a recorded dataset or one of its files, a training store, folders of vision2tactile."""
+"""Samples of a dataset in any format of `foretouch.dataset.formats`: open and export them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+import importlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.dataset.recording.reader import RecordedDataset, holds_samples
-from foretouch.dataset.recording.record import DISCARDED, Identity, SampleRecord
-from foretouch.dataset.store import Store, is_store
-from foretouch.dataset.vision2tactile import is_sample_folder, read_sample, sample_folders
-from foretouch.errors import DatasetError, FileError
+from foretouch.dataset import formats
+from foretouch.dataset.disk import new_folder
+from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
+from foretouch.errors import FileError
 from foretouch.types import GraspSample
 
-__all__ = ["DISCARDED", "SampleSet", "SampleSetKind", "is_sample_set", "only_finite", "open_samples"]
-
-SampleSetKind = Literal["recording", "store", "vision2tactile"]
-
-_COLLECTION = Identity(
-    hand={"name": "Shadow Hand with BioTac SP", "source": "vision2tactile"},
-    camera={"source": "vision2tactile"},
-)
+__all__ = [
+    "DISCARDED",
+    "DatasetFormat",
+    "ExportResult",
+    "SampleSet",
+    "export_samples",
+    "is_sample_set",
+    "only_finite",
+    "open_samples",
+]
 
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """An ordered, repeatable walk over samples; a context manager where files stay open.
+    """The samples of a dataset in order, read on demand and as often as needed; a context manager.
 
     Attributes:
-        path: Where they lie.
-        kind: As what.
-        size: Number of samples, the discarded ones included.
-        identity: Hand and camera, so far as they are known.
-        record: Reads one sample by its number; raises `FileError` with file and place.
-        name: Tells where one lies.
-        closes: What to call in the end.
-        unfinished: Recordings that were cut off, where those may be read.
+        path: The dataset.
+        kind: Name of its format.
+        size: Number of samples, including discarded ones.
+        record: Reads one sample by its number; raises `FileError` with file and position.
+        name: Where a sample is stored, for messages.
+        identity: Hand and camera, as far as they are known.
+        close: Closes the files.
+        unfinished: Recordings that were cut off, if those may be read.
+        message_counts: Reads the message counts by topic, in plain types; empty for formats without messages.
+        edits: Descriptions of later changes.
     """
 
     path: Path
-    kind: SampleSetKind
+    kind: str
     size: int
-    identity: Identity
     record: Callable[[int], SampleRecord]
     name: Callable[[int], str]
-    closes: Callable[[], None]
+    identity: Identity = field(default_factory=Identity)
+    close: Callable[[], None] = lambda: None
     unfinished: tuple[Path, ...] = ()
+    message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict
+    edits: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.closes()
+        self.close()
 
     def __len__(self) -> int:
         return self.size
 
     def records(self, *, discarded: bool = False) -> Iterator[SampleRecord]:
-        """The samples in order.
-
-        Args:
-            discarded: Whether those are among them that the operator does not want.
-        """
+        """The samples in order, optionally with those that the operator discarded."""
         for k in range(self.size):
             record = self.record(k)
             if discarded or DISCARDED not in record.flags:
                 yield record
 
 
+@dataclass(kw_only=True)
+class ExportResult:
+    """Counts of an export.
+
+    Attributes:
+        written: Samples written.
+        left_out: Samples that the format cannot hold, by reason.
+        lost: Fields that the format cannot hold, by name, with the number of samples that had them.
+    """
+
+    written: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+    lost: Counter[str] = field(default_factory=Counter)
+
+
+def _not_supported(*_: Any) -> Any:
+    raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetFormat:
+    """The functions of one format; its module holds them as `DATASET_FORMAT`.
+
+    Attributes:
+        recognise: Whether a path that exists is of this format.
+        open: Opens a path for reading, with or without recordings that were cut off.
+        export: Writes samples to a folder that does not exist yet; adds to the counts, and reports progress once a sample.
+    """
+
+    recognise: Callable[[Path], bool] = _not_supported
+    open: Callable[[Path, bool], SampleSet] = _not_supported
+    export: Callable[[SampleSet, Path, ExportResult, Callable[[], None]], None] = _not_supported
+
+
+def _functions(entry: formats.FormatEntry) -> DatasetFormat:
+    found: DatasetFormat = importlib.import_module(entry.module).DATASET_FORMAT
+    return found
+
+
+def _format_of(path: Path) -> DatasetFormat | None:
+    for entry in formats.FORMATS:
+        if entry.may_hold(path):
+            functions = _functions(entry)
+            if functions.recognise(path):
+                return functions
+    return None
+
+
 def is_sample_set(path: str | Path) -> bool:
-    """Whether samples lie at the path, of a kind that `open_samples` knows."""
-    path = Path(path)
-    return holds_samples(path) or is_store(path) or _is_collection(path)
+    """Whether the path is a dataset that `open_samples` can read."""
+    return _format_of(Path(path)) is not None
 
 
 def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
-    """Open whatever samples lie at a path.
+    """Open a dataset for reading.
 
     Args:
-        path: Where.
-        unfinished: Whether to read recordings that were cut off, up to there.
+        path: In any readable format.
+        unfinished: Whether to read recordings that were cut off, as far as they are intact.
 
     Raises:
-        FileError: If there are none, or what is there is damaged, cut off or of another version.
+        FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
     path = Path(path)
-    if holds_samples(path):
-        return _recorded(path, unfinished=unfinished)
-    if is_store(path):
-        return _stored(path)
-    if _is_collection(path):
-        return _collected(path)
-    rule = "holds no samples: no recorded dataset, no training store, no vision2tactile folders"
-    raise FileError(path, rule if path.exists() else "does not exist")
+    found = _format_of(path)
+    if found is None:
+        rule = f"is not a dataset: no {formats.readable_formats()}"
+        raise FileError(path, rule if path.exists() else "does not exist")
+    return found.open(path, unfinished)
 
 
 def only_finite(sample: GraspSample) -> GraspSample:
-    """The sample with its cloud unorganised and without the points that have no depth."""
+    """The sample with an unorganised cloud, without points that have no depth."""
     cloud = sample.cloud
     finite: npt.NDArray[np.bool_] = np.asarray(np.isfinite(cloud.xyz).all(axis=-1))
     if not cloud.organised and finite.all():
@@ -109,46 +156,23 @@ def only_finite(sample: GraspSample) -> GraspSample:
     return replace(sample, cloud=cloud.take(finite))
 
 
-def _recorded(path: Path, *, unfinished: bool) -> SampleSet:
-    dataset = RecordedDataset(path)
-    cut = tuple(dataset.unfinished)
-    if cut and not unfinished:
-        dataset.close()
-        raise FileError(cut[0], "is not finished: `foretouch dataset repair` makes it whole")
-    identity = dataset[0].identity if len(dataset) else Identity(hand={}, camera={})
-    return SampleSet(
-        path, "recording", len(dataset), identity, lambda k: dataset[k].record, dataset.name, dataset.close, cut
-    )
+def export_samples(
+    source: str | Path, out: str | Path, kind: str, progress: Callable[[], None] = lambda: None
+) -> ExportResult:
+    """Write the samples of a dataset in another format; reading them back gives equal numbers.
 
+    Args:
+        source: A dataset (see `open_samples`).
+        out: Folder to create; must not exist.
+        kind: Name of a format of `formats.export_formats`.
+        progress: Called once a sample.
 
-def _stored(path: Path) -> SampleSet:
-    store = Store(path)
-    about: Any = store.manifest.get("about", {})
-    identity = Identity(hand=about.get("hand", {}), camera=about.get("camera", {}))
-
-    def name(k: int) -> str:
-        return f"{path}[{k}]"
-
-    return SampleSet(path, "store", len(store), identity, lambda k: SampleRecord(sample=store[k]), name, _nothing)
-
-
-def _collected(path: Path) -> SampleSet:
-    folders = sample_folders(path)
-
-    def record(k: int) -> SampleRecord:
-        return SampleRecord(sample=read_sample(folders[k]))
-
-    return SampleSet(path, "vision2tactile", len(folders), _COLLECTION, record, lambda k: str(folders[k]), _nothing)
-
-
-def _is_collection(path: Path) -> bool:
-    if not path.is_dir():
-        return False
-    try:
-        return is_sample_folder(sample_folders(path)[0])
-    except DatasetError:
-        return False
-
-
-def _nothing() -> None:
-    """Folders and memory-mapped shards need no closing."""
+    Raises:
+        FileError: If `out` exists or cannot be written, or the source is damaged; nothing is left at `out` then.
+        DatasetError: If a sample's id cannot be the name of a file.
+    """
+    export = _functions(next(entry for entry in formats.FORMATS if entry.name == kind)).export
+    result = ExportResult()
+    with new_folder(Path(out)) as folder, open_samples(source) as samples:
+        export(samples, folder, result, progress)
+    return result

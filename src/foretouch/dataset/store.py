@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The training store: samples in memory-mapped Arrow IPC shards, read at random without parsing.
 
-Layout of a store, schema version 1::
+Layout, schema version 1::
 
     store/
-      manifest.json       format, schema version, counts, hashes, and whatever its maker knows
+      manifest.json       format, schema version, counts, hashes, and facts about the samples' origin
       shard-00000.arrow   Arrow IPC files, uncompressed, so that a cloud is a view of the file
 
-One row is one sample; see `SCHEMA`. A store is written beside its place and moved there when it is whole, so what
-exists is complete. Its content hash is over the samples in order, not over the files: it does not depend on how
-they are cut into shards or on the version of Arrow.
+One row is one sample; see `SCHEMA`. A store appears complete or not at all. Its content hash covers the samples in
+order, not the files: it does not depend on how they are split into shards or on the version of Arrow.
 """
 
 from __future__ import annotations
@@ -24,10 +23,22 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
 
-__all__ = ["FORMAT", "MANIFEST", "SCHEMA", "SCHEMA_VERSION", "Store", "is_store", "sample_digest", "seal_manifest"]
+__all__ = [
+    "DATASET_FORMAT",
+    "FORMAT",
+    "MANIFEST",
+    "SCHEMA",
+    "SCHEMA_VERSION",
+    "Store",
+    "is_store",
+    "sample_digest",
+    "seal_manifest",
+]
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1
@@ -54,13 +65,13 @@ SCHEMA: Final = pa.schema(
 
 
 def is_store(path: str | Path) -> bool:
-    """Whether a training store lies at the path."""
+    """Whether the path is a training store."""
     return (Path(path) / MANIFEST).is_file()
 
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """The columns of one record batch as arrays that look into the file."""
+    """The columns of one record batch as views of the file."""
 
     text: dict[str, Sequence[str]]
     offsets: dict[str, Any]
@@ -71,12 +82,7 @@ class _Batch:
 
 
 class Store(Sequence[GraspSample]):
-    """A store that lies on disk; `store[k]` reads one sample.
-
-    Clouds look into the memory-mapped file and cannot be written to.
-
-    Args:
-        path: Of the store.
+    """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of the file.
 
     Raises:
         FileError: If there is none, it is of another version, or files and manifest disagree.
@@ -97,7 +103,7 @@ class Store(Sequence[GraspSample]):
 
     @property
     def sha256(self) -> str:
-        """Content hash as the writer computed it; `verify` computes it anew."""
+        """Content hash as the writer computed it; `verify` computes it again."""
         return str(self.manifest["sha256"])
 
     def __len__(self) -> int:
@@ -120,14 +126,19 @@ class Store(Sequence[GraspSample]):
         """Read everything and compare it with the manifest.
 
         Raises:
-            FileError: Names the file whose bytes, or says that the content, are not those that were written.
+            FileError: Names the file, or the content hash, that differs.
         """
         if seal_manifest(self.manifest) != (self.path / MANIFEST).read_text(encoding="utf-8"):
-            raise FileError(self.path / MANIFEST, "is not the text of which its checksum was taken", field="seal")
+            raise FileError(self.path / MANIFEST, "does not match its checksum", field="seal")
         for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            found = _file_sha256(self.path / part["file"])
+            path = self.path / part["file"]
+            try:
+                with path.open("rb") as file:
+                    found = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as err:
+                raise FileError(path, err.strerror or str(err)) from err
             if found != part["sha256"]:
-                raise FileError(self.path / part["file"], f"sha256 is {found}, not {part['sha256']}")
+                raise FileError(path, f"sha256 is {found}, not {part['sha256']}")
         content = hashlib.sha256()
         for sample in self:
             content.update(sample_digest(sample))
@@ -136,7 +147,7 @@ class Store(Sequence[GraspSample]):
 
 
 def sample_digest(sample: GraspSample) -> bytes:
-    """32 bytes that change with any value of the sample."""
+    """SHA-256 over all values of the sample."""
     digest = hashlib.sha256()
     cloud, grasp = sample.cloud, sample.grasp
     head = [sample.id, sample.object, sample.stamp_ns, cloud.frame_id, cloud.size, dict(sorted(sample.extra.items()))]
@@ -151,18 +162,10 @@ def sample_digest(sample: GraspSample) -> bytes:
 
 
 def seal_manifest(manifest: Mapping[str, Any]) -> str:
-    """The manifest's text, which holds a checksum of the rest of it."""
+    """The manifest's text with a checksum over the rest of it."""
     body = {name: value for name, value in manifest.items() if name != "seal"}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
     return json.dumps({**body, "seal": digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _file_sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
@@ -196,7 +199,7 @@ def _read_shard(path: Path, samples: int) -> list[Any]:
         raise FileError(path, "has other columns than the schema", field="schema")
     rows = sum(batch.num_rows for batch in batches)
     if rows != samples:
-        raise FileError(path, f"holds {rows} samples, the manifest says {samples}")
+        raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
     return batches
 
 
@@ -214,42 +217,45 @@ def _columns(batch: Any) -> _Batch:
 
 
 def _sample(batch: _Batch, row: int) -> GraspSample:
-    cloud = Cloud(
-        _ragged(batch, "xyz", row).reshape(-1, 3),
-        _ragged(batch, "rgb", row).reshape(-1, 3) if batch.valid["rgb"][row] else None,
-        batch.text["frame_id"][row],
-        int(batch.stamps[row]),
+    def points(name: str) -> Any:
+        offsets = batch.offsets[name]
+        return batch.values[name][offsets[row] : offsets[row + 1]].reshape(-1, 3)
+
+    def vector(name: str, size: int) -> Float64:
+        values: Float64 = batch.values[name][row * size : (row + 1) * size]
+        return values
+
+    text = {name: values[row] for name, values in batch.text.items()}
+    stamp_ns = int(batch.stamps[row])
+    touch, tare = (
+        Touch.from_vector(vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None for name in ("touch", "tare")
     )
-    grasp = Grasp(
-        _vector(batch, "g1", row, 3),
-        _vector(batch, "g2", row, 3),
-        _vector(batch, "rotation", row, 9).reshape(3, 3),
-        float(batch.scores[row]),
-        object_id=batch.text["object"][row],
-    )
+    rgb = points("rgb") if batch.valid["rgb"][row] else None
+    rotation = vector("rotation", 9).reshape(3, 3)
+    score = float(batch.scores[row])
     return GraspSample(
-        id=batch.text["id"][row],
-        object=batch.text["object"][row],
-        cloud=cloud,
-        grasp=grasp,
-        touch=_touch(batch, "touch", row),
-        tare=_touch(batch, "tare", row),
-        stamp_ns=int(batch.stamps[row]),
-        extra=json.loads(batch.text["extra"][row]),
+        id=text["id"],
+        object=text["object"],
+        cloud=Cloud(points("xyz"), rgb, text["frame_id"], stamp_ns),
+        grasp=Grasp(vector("g1", 3), vector("g2", 3), rotation, score, object_id=text["object"]),
+        touch=touch,
+        tare=tare,
+        stamp_ns=stamp_ns,
+        extra=json.loads(text["extra"]),
     )
 
 
-def _ragged(batch: _Batch, name: str, row: int) -> Any:
-    offsets = batch.offsets[name]
-    return batch.values[name][offsets[row] : offsets[row + 1]]
+def _open_samples(path: Path, _: bool) -> SampleSet:
+    store = Store(path)
+    about: Any = store.manifest.get("about", {})
+    return SampleSet(
+        path=path,
+        kind="store",
+        size=len(store),
+        record=lambda k: SampleRecord(sample=store[k]),
+        name=lambda k: f"{path}[{k}]",
+        identity=Identity(hand=about.get("hand", {}), camera=about.get("camera", {})),
+    )
 
 
-def _vector(batch: _Batch, name: str, row: int, size: int) -> Float64:
-    values: Float64 = batch.values[name][row * size : (row + 1) * size]
-    return values
-
-
-def _touch(batch: _Batch, name: str, row: int) -> Touch | None:
-    if not batch.valid[name][row]:
-        return None
-    return Touch.from_vector(_vector(batch, name, row, TOUCH_SIZE))
+DATASET_FORMAT = DatasetFormat(recognise=is_store, open=_open_samples)

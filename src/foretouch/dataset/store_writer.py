@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes training stores; see `foretouch.dataset.store` for their layout."""
+"""Writes training stores (see `foretouch.dataset.store`), and builds them from other datasets.
+
+The content hash depends on the samples and their order alone: the same recordings give the same hash on any machine.
+"""
 
 from __future__ import annotations
 
@@ -7,33 +10,34 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import mkdtemp
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
 
+from foretouch import __version__
+from foretouch.dataset.samples import DISCARDED, only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest, seal_manifest
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import GraspSample, Touch
 
-__all__ = ["StoreWriter"]
+__all__ = ["BuildResult", "SampleFacts", "StoreWriter", "build_store"]
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024
 
 
 class StoreWriter:
-    """Collects samples and, when its `with` block ends well, puts the store in its place.
-
-    Until then nothing is at the path; if the block is left by an error, nothing ever is.
+    """Collects samples; the store appears at the path when the `with` block ends without an error.
 
     Args:
-        path: Where to; must not exist.
-        about: Kept in the manifest: what made the samples, from what, with which seed.
+        path: The store; must not exist.
+        about: Facts for the manifest: what made the samples, from which sources, with which seed.
 
     Raises:
         FileError: If the path exists or its folder cannot be written.
@@ -59,12 +63,10 @@ class StoreWriter:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._folder = Path(mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
         except OSError as err:
-            raise FileError(self.path, f"cannot be made: {err.strerror}") from err
+            raise FileError(self.path, f"cannot be created: {err.strerror}") from err
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             self._end_shard()
             if kind is None:
@@ -92,10 +94,10 @@ class StoreWriter:
             self._end_shard()
 
     def attach(self, name: str, text: str) -> None:
-        """Put a file with a text beside the shards, such as splits; `Store.verify` proves it too.
+        """Add a text file beside the shards, such as splits; `Store.verify` checks it too.
 
         Raises:
-            DatasetError: If the name is taken, or not that of a file.
+            DatasetError: If the name is taken, or is no plain file name.
         """
         if Path(name).name != name or (self._folder / name).exists() or name == MANIFEST:
             raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")
@@ -144,12 +146,89 @@ class StoreWriter:
             file.flush()
             os.fsync(file.fileno())
         self._refuse_existing()
-        self._folder.chmod(0o755)  # a temporary folder is private
+        self._folder.chmod(0o755)  # temporary folders are private
         self._folder.rename(self.path)
 
     def _refuse_existing(self) -> None:
         if self.path.exists():
             raise FileError(self.path, "exists already")
+
+
+@dataclass(frozen=True)
+class SampleFacts:
+    """The properties of a sample that splits depend on."""
+
+    id: str
+    object: str
+    stamp_ns: int
+    labelled: bool
+
+
+@dataclass(kw_only=True)
+class BuildResult:
+    """The result of a build.
+
+    Attributes:
+        sha256: Content hash.
+        samples: The samples in order.
+        left_out: Counts of samples left out, by reason.
+    """
+
+    sha256: str = ""
+    samples: list[SampleFacts] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+
+def build_store(
+    sources: Sequence[str | Path],
+    out: str | Path,
+    *,
+    attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] | None = None,
+    progress: Callable[[], None] = lambda: None,
+) -> BuildResult:
+    """Write all samples of some datasets into one training store, without those that the operator discarded.
+
+    Args:
+        sources: Datasets in any readable format.
+        out: The store; must not exist.
+        attach: Makes text files to add to the store, such as splits, by name, from the samples.
+        progress: Called once a sample.
+
+    Raises:
+        FileError: If `out` exists, or a source is no dataset or damaged.
+        DatasetError: If two samples have the same id, or a number is not finite.
+    """
+    result = BuildResult()
+    origins: list[dict[str, Any]] = []
+    about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
+    with StoreWriter(out, about) as writer:
+        for source in sources:
+            with open_samples(source) as samples:
+                identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
+                origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
+                for record in samples.records(discarded=True):
+                    progress()
+                    if DISCARDED in record.flags:
+                        result.left_out[DISCARDED] += 1
+                        continue
+                    sample = only_finite(record.sample)
+                    writer.write(sample)
+                    labelled = sample.touch is not None
+                    result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled))
+        writer.about |= _shared_identity(origins)
+        for name, text in (attach(result.samples) if attach else {}).items():
+            writer.attach(name, text)
+        result.sha256 = writer.sha256
+    return result
+
+
+def _shared_identity(origins: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Hand and camera, if they are the same in all sources."""
+    return {
+        name: origins[0][name]
+        for name in ("hand", "camera")
+        if origins and all(origin[name] == origins[0][name] for origin in origins)
+    }
 
 
 def _row(sample: GraspSample) -> dict[str, Any]:
@@ -188,14 +267,14 @@ def _counts(touch: Touch | None, name: str) -> Any:
 
 def _batch(rows: list[dict[str, Any]]) -> Any:
     columns = []
-    for field in SCHEMA:
-        values = [row[field.name] for row in rows]
-        if pa.types.is_list(field.type):
-            columns.append(_ragged(values, field.type))
-        elif pa.types.is_fixed_size_list(field.type):
-            columns.append(_fixed(values, field.type.list_size))
+    for column in SCHEMA:
+        values = [row[column.name] for row in rows]
+        if pa.types.is_list(column.type):
+            columns.append(_ragged(values, column.type))
+        elif pa.types.is_fixed_size_list(column.type):
+            columns.append(_fixed(values, column.type.list_size))
         else:
-            columns.append(pa.array(values, field.type))
+            columns.append(pa.array(values, column.type))
     return pa.record_batch(columns, schema=SCHEMA)
 
 

@@ -1,24 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of the public vision2tactile recordings (P1): one folder a grasp, `<object>/<unix time>/`.
+"""The format of the public vision2tactile recordings (P1): one folder a grasp, `<object>/<unix time>/`.
 
 A sample folder holds `cloud-object.pcd` (the segmented object, camera optical frame), `best-grasp.txt`
 (g1 then g2 [m]) and `tactile.tac`: a leading comma, then for the middle finger and after it for the
 thumb 24 electrodes, PAC0, PAC1, PDC, TAC and TDC [counts].
 
 The rotation of the hand was not recorded. It follows from the contacts and the object's axis as GeoGrasp
-poses the hand, with the table seen from straight above and a fingertip of 25 mm.
+computes the pose of the hand, for a table seen from straight above and a fingertip of 25 mm.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from foretouch.cloud.io.files import read_cloud
+from foretouch.cloud.io.files import read_cloud, write_cloud
+from foretouch.dataset.record import Identity, SampleRecord, check_id
+from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
 from foretouch.errors import CloudError, DatasetError, FileError, GraspError
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
@@ -27,6 +30,7 @@ from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, Gr
 
 __all__ = [
     "CLOUD_FILE",
+    "DATASET_FORMAT",
     "GRASP_FILE",
     "TOUCH_FILE",
     "folder_sha256",
@@ -40,8 +44,12 @@ __all__ = [
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"
 TOUCH_FILE: Final = "tactile.tac"
+_FILES: Final = (CLOUD_FILE, GRASP_FILE, TOUCH_FILE)
 
 _HAND: Final = GeoGraspConfig(tip_mm=25.0)
+_IDENTITY: Final = Identity(
+    hand={"name": "Shadow Hand with BioTac SP", "source": "vision2tactile"}, camera={"source": "vision2tactile"}
+)
 _EXTRA: Final = ("PAC0", "PAC1", "TAC", "TDC")
 _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
@@ -49,10 +57,7 @@ _NS_PER_S: Final = 1_000_000_000
 
 
 def read_folder(path: str | Path) -> list[GraspSample]:
-    """Read one sample folder, an object folder or the whole collection.
-
-    Args:
-        path: The folder.
+    """Read one sample folder, an object folder or the whole dataset.
 
     Returns:
         The samples, ordered by object and time.
@@ -73,24 +78,35 @@ def sample_folders(path: str | Path) -> list[Path]:
     root = Path(path)
     if not root.is_dir():
         raise DatasetError(f"{root}: no such folder")
-    if is_sample_folder(root):
-        return [root]
-    found = sorted(folder for pattern in ("*", "*/*") for folder in root.glob(pattern) if is_sample_folder(folder))
+    found = sorted(_folders_in(root))
     if not found:
         raise DatasetError(f"{root}: holds no sample: a folder with {CLOUD_FILE}, {GRASP_FILE} and {TOUCH_FILE}")
     return found
 
 
+def _folders_in(root: Path) -> Iterator[Path]:
+    if is_sample_folder(root):
+        yield root
+        return
+    for pattern in ("*", "*/*"):
+        yield from filter(is_sample_folder, root.glob(pattern))
+
+
+def is_sample_folder(path: Path) -> bool:
+    """Whether a folder is meant as a sample: it holds at least one of the three files."""
+    return path.is_dir() and any((path / name).is_file() for name in _FILES)
+
+
 def folder_sha256(path: str | Path) -> str:
-    """One hash over names and contents of all samples' files, wherever the folder lies.
+    """One hash over names and contents of all samples' files, independent of where the folder is.
 
     Raises:
-        DatasetError: As of `sample_folders`.
+        DatasetError: See `sample_folders`.
         FileError: If a file is missing.
     """
     digest = hashlib.sha256()
     for folder in sample_folders(path):
-        for name in (CLOUD_FILE, GRASP_FILE, TOUCH_FILE):
+        for name in _FILES:
             try:
                 content = hashlib.sha256((folder / name).read_bytes()).hexdigest()
             except OSError as err:
@@ -99,16 +115,8 @@ def folder_sha256(path: str | Path) -> str:
     return digest.hexdigest()
 
 
-def is_sample_folder(path: Path) -> bool:
-    """Whether a folder is meant as a sample: it holds at least one of the three files."""
-    return path.is_dir() and any((path / name).is_file() for name in (CLOUD_FILE, GRASP_FILE, TOUCH_FILE))
-
-
 def read_sample(folder: str | Path) -> GraspSample:
-    """Read one sample folder.
-
-    Args:
-        folder: `<object>/<unix time>`.
+    """Read one sample folder, `<object>/<unix time>`.
 
     Returns:
         The sample; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as `TDC_MF` [counts].
@@ -119,7 +127,9 @@ def read_sample(folder: str | Path) -> GraspSample:
     folder = Path(folder).absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
-    stamp_ns = _stamp(folder)
+    if not folder.name.isdecimal():
+        raise FileError(folder, f"the folder's name {folder.name!r} is not a unix time in seconds", field="stamp")
+    stamp_ns = int(folder.name) * _NS_PER_S
     name = folder.parent.name
     return GraspSample(
         id=f"{name}/{folder.name}",
@@ -130,12 +140,6 @@ def read_sample(folder: str | Path) -> GraspSample:
         stamp_ns=stamp_ns,
         extra=extra,
     )
-
-
-def _stamp(folder: Path) -> int:
-    if not folder.name.isdecimal():
-        raise FileError(folder, f"the folder's name {folder.name!r} is not a unix time in seconds", field="stamp")
-    return int(folder.name) * _NS_PER_S
 
 
 def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
@@ -182,7 +186,7 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
 
 
 def _read_numbers(path: Path, count: int) -> Float64:
-    """The file's comma-separated numbers, an empty first field aside."""
+    """The file's comma-separated numbers, without an empty first field."""
     try:
         text = path.read_text(encoding="ascii").strip()
     except FileNotFoundError as err:
@@ -199,3 +203,63 @@ def _read_numbers(path: Path, count: int) -> Float64:
         except ValueError:
             raise FileError(path, f"{field!r} is not a number", field=f"number {i + 1}") from None
     return numbers
+
+
+def _open_samples(path: Path, _: bool) -> SampleSet:
+    folders = sample_folders(path)
+    return SampleSet(
+        path=path,
+        kind="vision2tactile",
+        size=len(folders),
+        record=lambda k: SampleRecord(sample=read_sample(folders[k])),
+        name=lambda k: str(folders[k]),
+        identity=_IDENTITY,
+    )
+
+
+def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
+    out.mkdir(parents=True)
+    exported = {f"{name}_{finger}" for name in _EXTRA for finger in ("MF", "TH")}
+    for record in samples.records():
+        progress()
+        sample = only_finite(record.sample)
+        check_id(sample.id, sample.object)
+        if sample.touch is None:
+            result.left_out["unlabelled"] += 1
+            continue
+        folder = _free_folder(out / sample.object, sample.stamp_ns // _NS_PER_S)
+        folder.mkdir(parents=True)
+        write_cloud(folder / CLOUD_FILE, sample.cloud)
+        (folder / GRASP_FILE).write_text(_as_text([*sample.grasp.g1, *sample.grasp.g2]), encoding="ascii")
+        (folder / TOUCH_FILE).write_text("," + _as_text(_fingers(sample, sample.touch)), encoding="ascii")
+        result.written += 1
+        result.lost["tare"] += sample.tare is not None
+        result.lost["series"] += record.series is not None
+        result.lost["extra"] += bool(sample.extra.keys() - exported)
+        result.lost["id"] += folder.name != sample.id.partition("/")[2]
+
+
+def _free_folder(parent: Path, second: int) -> Path:
+    """Named by the second of the recording, or by the next free one: the format supports no other names."""
+    while (parent / str(second)).exists():
+        second += 1
+    return parent / str(second)
+
+
+def _fingers(sample: GraspSample, touch: Touch) -> list[float]:
+    """Middle finger, then thumb: 24 electrodes, PAC0, PAC1, PDC, TAC, TDC; 0 for channels that the sample lacks."""
+    values: list[float] = []
+    for finger, electrodes, pdc in (("MF", touch.e_mf, touch.pdc_mf), ("TH", touch.e_th, touch.pdc_th)):
+        pac0, pac1, tac, tdc = (sample.extra.get(f"{name}_{finger}", 0.0) for name in _EXTRA)
+        values += [*electrodes, pac0, pac1, pdc, tac, tdc]
+    return values
+
+
+def _as_text(values: Sequence[float]) -> str:
+    """With as many digits as reading the same numbers back requires."""
+    return ",".join(f"{int(value)}" if float(value).is_integer() else repr(float(value)) for value in values)
+
+
+DATASET_FORMAT = DatasetFormat(
+    recognise=lambda path: next(_folders_in(path), None) is not None, open=_open_samples, export=_export
+)

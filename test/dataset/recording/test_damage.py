@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damage of every kind: `verify` finds it, `repair` keeps whatever is intact, and neither takes more memory than the file."""
+"""Damage of every kind: `verify` finds it, `repair` keeps all intact samples, and neither needs more memory than the file."""
 
 import struct
 import tracemalloc
@@ -10,7 +10,7 @@ import pytest
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
-from foretouch.dataset.recording.offset_index import sample_places
+from foretouch.dataset.recording.reader import sample_offsets
 from foretouch.dataset.recording.repair import repair_file
 from foretouch.dataset.recording.scan import mapped
 from foretouch.dataset.recording.verify import verify_file
@@ -25,13 +25,13 @@ def file(tmp_path: Path) -> Path:
 
 
 def spans(path: Path) -> list[tuple[int, int]]:
-    """Where the bytes of each sample lie."""
+    """Start and end of each sample [bytes]."""
     with mapped(path) as data:
-        return [(place.start, place.end) for place in sample_places(path, data)]
+        return [(place.start, place.end) for place in sample_offsets(path, data)]
 
 
 def numbers(path: Path) -> list[int]:
-    """Which samples a file holds, by what is in them."""
+    """The numbers of the samples in a file, from their contents."""
     with RecordedDataset(path) as dataset:
         return [int(stored.record.sample.grasp.id.removeprefix("grasp-")) for stored in dataset]
 
@@ -42,7 +42,7 @@ def check_repaired(path: Path, kept: set[int]) -> None:
     assert report.changed
     assert report.original is not None
     assert report.original.read_bytes() == original
-    assert verify_file(path).told() == []
+    assert verify_file(path).fault_lines() == []
     assert set(numbers(path)) == kept
     assert report.samples == len(kept)
     assert not repair_file(path).changed
@@ -69,7 +69,7 @@ def test_every_flipped_bit_is_found_and_costs_at_most_the_sample_it_is_in(file: 
         file.write_bytes(damaged)
         report = verify_file(file)
         assert not report.clean, f"byte {place} of {len(good)}"
-        assert all(line.startswith(f"{file}: byte ") and "\n" not in line for line in report.told())
+        assert all(line.startswith(f"{file}: byte ") and "\n" not in line for line in report.fault_lines())
         check_repaired(file, {n for n, (start, end) in enumerate(places) if not start <= place < end})
         for kept in file.parent.glob("*.before-repair*"):
             kept.unlink()
@@ -129,7 +129,7 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     other = tmp_path / "photo.mcap"
     other.write_bytes(bytes(range(256)) * 40)
     (report,) = verify_dataset(other)
-    assert report.told()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
+    assert report.fault_lines()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
     with pytest.raises(FileError, match="is no MCAP file, and holds no part of one"):
         repair_file(other)
     assert other.read_bytes() == bytes(range(256)) * 40
@@ -142,7 +142,7 @@ def test_an_id_in_two_sessions_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "ds" / "session-0002.mcap").write_bytes(first.read_bytes())
     reports = verify_dataset(tmp_path / "ds")
     assert reports[0].clean
-    assert any("id ball/000001 is in session-0001.mcap too" in line for line in reports[1].told())
+    assert any("id ball/000001 is in session-0001.mcap too" in line for line in reports[1].fault_lines())
 
 
 def test_every_byte_of_the_manifest_counts(file: Path) -> None:
@@ -168,15 +168,15 @@ def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
 def test_what_a_crash_left_unwritten_is_booked_as_lost(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     writer.config = QUICK.replace(accounts_s=0.1)
-    writer._file._accounted_s -= 1.0
+    writer._file._counted_s -= 1.0
     writer.receive("/cloud", 5)  # in a queue when the process dies
     writer.append(record(0))
     writer._file.abandon()
     writer._release.close()
     (report,) = verify_dataset(tmp_path / "ds")
-    assert report.told() == [f"{writer.file}: byte {report.size}: not finished: no index; repair makes one"]
+    assert report.fault_lines() == [f"{writer.file}: byte {report.size}: not finished: no index; repair creates one"]
     repair_dataset(tmp_path / "ds")
     (report,) = verify_dataset(tmp_path / "ds")
     assert report.clean
-    assert report.accounts is not None
-    assert report.accounts.topics["/cloud"].dropped == {"lost before repair": 5}
+    assert report.counts is not None
+    assert report.counts.topics["/cloud"].dropped == {"lost before repair": 5}

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from recording_builders import IDENTITY, assert_same_sample, record
 
+from foretouch.dataset.record import SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, check_id, decode_sample, encode_sample, is_intact
-from foretouch.dataset.recording.record import SampleRecord, TouchSeries
+from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample, encode_sample, is_intact
 from foretouch.errors import DatasetError
 from foretouch.types import Cloud, Touch
 

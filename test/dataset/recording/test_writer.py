@@ -26,8 +26,8 @@ from recording_builders import (
 
 from foretouch.dataset.recording import (
     SAMPLE_TOPIC,
-    Accounts,
     Identity,
+    MessageCounts,
     RecordedDataset,
     RecordingConfig,
     RecordingWriter,
@@ -43,7 +43,7 @@ def ids(path: Path) -> list[str]:
 
 
 def assert_clean(path: Path) -> None:
-    assert [fault for report in verify_dataset(path) for fault in report.told()] == []
+    assert [fault for report in verify_dataset(path) for fault in report.fault_lines()] == []
 
 
 def test_what_is_appended_is_read_back(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_another_minor_version_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "photo.png").write_bytes(b"x")
-    with pytest.raises(FileError, match="is no dataset to go on with"):
+    with pytest.raises(FileError, match="exists and is no recorded dataset"):
         RecordingWriter(tmp_path, IDENTITY)
     assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]
 
@@ -153,13 +153,13 @@ def test_every_message_is_accounted_for(tmp_path: Path) -> None:
             writer.write(TACTILE, MESSAGE, k)
         writer.drop(TACTILE, "queue full", 3)
         writer.append(record(0))
-        assert writer.accounts.topics[TACTILE].pending == 1
-    account = writer.accounts.topics[TACTILE]
+        assert writer.counts.topics[TACTILE].pending == 1
+    account = writer.counts.topics[TACTILE]
     assert (account.received, account.written) == (10, 6)
     assert account.dropped == {"queue full": 3, "not written when the session ended": 1}
     (report,) = verify_dataset(tmp_path / "ds")
-    assert report.accounts is not None
-    assert report.accounts.topics == writer.accounts.topics
+    assert report.counts is not None
+    assert report.counts.topics == writer.counts.topics
     assert report.messages == {TACTILE: 6, SAMPLE_TOPIC: 1}
 
 
@@ -172,23 +172,23 @@ def test_losses_stand_beside_the_sum_and_outlive_a_repair(tmp_path: Path) -> Non
         writer.write(TACTILE, MESSAGE, 0)
     (report,) = verify_dataset(tmp_path / "ds")
     assert report.clean
-    assert report.accounts is not None
-    account = report.accounts.topics[TACTILE]
+    assert report.counts is not None
+    account = report.counts.topics[TACTILE]
     assert (account.received, account.written, account.lost) == (1, 1, 3)
     writer.file.write_bytes(writer.file.read_bytes()[:-20])
     repair_dataset(tmp_path / "ds")
     (report,) = verify_dataset(tmp_path / "ds")
     assert report.clean
-    assert report.accounts is not None
-    assert report.accounts.topics[TACTILE].lost == 3
+    assert report.counts is not None
+    assert report.counts.topics[TACTILE].lost == 3
 
 
 def test_accounts_of_early_recordings_tell_of_no_loss() -> None:
     early = {TACTILE: '{"received": 7, "written": 5, "dropped": {"queue full": 2}}'}
-    account = Accounts.from_mapping(early).topics[TACTILE]
+    account = MessageCounts.from_mapping(early).topics[TACTILE]
     assert (account.received, account.written, account.dropped, account.lost) == (7, 5, {"queue full": 2}, 0)
-    with pytest.raises(DatasetError, match="is no account"):
-        Accounts.from_mapping({TACTILE: '{"received": "many"}'})
+    with pytest.raises(DatasetError, match="holds no counts"):
+        MessageCounts.from_mapping({TACTILE: '{"received": "many"}'})
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -210,9 +210,9 @@ def test_what_its_owner_still_holds_is_booked_in_the_file_however_the_session_en
     writer.close()
     (report,) = verify_dataset(tmp_path / "ds")
     assert report.clean
-    assert report.accounts is not None
-    account = report.accounts.topics[TACTILE]
-    assert account == writer.accounts.topics[TACTILE]
+    assert report.counts is not None
+    account = report.counts.topics[TACTILE]
+    assert account == writer.counts.topics[TACTILE]
     assert account.received == 5
     assert account.dropped == ({"session ended": 4, "disk full": 1} if full else {"session ended": 4})
 
@@ -241,7 +241,7 @@ def test_accounts_that_do_not_add_up_are_a_fault(tmp_path: Path) -> None:
         writer.add_topic(TACTILE, TACTILE_TYPE)
         writer.write(TACTILE, MESSAGE, 0)  # never received
     (report,) = verify_dataset(tmp_path / "ds")
-    assert any("received 0 is not written 1" in fault for fault in report.told())
+    assert any("received 0 is not written 1" in fault for fault in report.fault_lines())
 
 
 def test_a_topic_must_be_declared_and_keeps_its_type(tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_threads_are_put_in_a_row(tmp_path: Path) -> None:
             writer.append(record(number))
         for thread in threads:
             thread.join()
-    assert writer.accounts.topics[TACTILE].written == 600
+    assert writer.counts.topics[TACTILE].written == 600
     assert_clean(tmp_path / "ds")
     assert len(ids(tmp_path / "ds")) == 20
 
@@ -335,7 +335,7 @@ def test_a_disk_that_is_almost_full_ends_the_session_cleanly(tmp_path: Path) -> 
     writer.close()
     assert_clean(tmp_path / "ds")
     assert ids(tmp_path / "ds") == ["ball/000001"]
-    account = writer.accounts.topics[SAMPLE_TOPIC]
+    account = writer.counts.topics[SAMPLE_TOPIC]
     assert (account.received, account.written, dict(account.dropped)) == (2, 1, {"disk full": 1})
 
 

@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording of grasps that loses nothing, in files that ROS tools open: MCAP, a chunk a sample."""
+"""Crash-safe recording of grasps in files that ROS tools can open: MCAP, one chunk a sample."""
 
-from foretouch.dataset.recording.accounts import Accounts, TopicAccount
+from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries
 from foretouch.dataset.recording.folder import is_dataset
+from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
 from foretouch.dataset.recording.messages import SAMPLE_TOPIC, StoredSample
-from foretouch.dataset.recording.policy import RecordingConfig
 from foretouch.dataset.recording.reader import RecordedDataset, holds_samples
-from foretouch.dataset.recording.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
+from foretouch.dataset.recording.session_file import RecordingConfig
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
+
+TopicAccount = TopicCounts  # alias until merge
 
 __all__ = [
     "APPROACH",
     "HOLD",
     "REST",
     "SAMPLE_TOPIC",
-    "Accounts",
     "FileReport",
     "Identity",
+    "MessageCounts",
     "Outcome",
     "RecordedDataset",
     "RecordingConfig",
@@ -27,6 +29,7 @@ __all__ = [
     "SampleRecord",
     "StoredSample",
     "TopicAccount",
+    "TopicCounts",
     "TouchSeries",
     "holds_samples",
     "is_dataset",

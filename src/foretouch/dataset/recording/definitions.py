@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of message types, found without ROS: a recording holds them beside the messages.
+"""Definitions of message types, found without ROS: a recording stores them beside the messages.
 
-Looked up in this order: ROS 2 Kilted as `rosbags` knows it, the texts that foretouch carries (copies of those
-in `foretouch_msgs`, so that a dataset can be read where ROS is absent), then every installed message package
-on `AMENT_PREFIX_PATH` and in the Python environment.
+Search order: ROS 2 Kilted as included in `rosbags`, the texts included in foretouch (copies of those in
+`foretouch_msgs`, so that datasets can be read without ROS), then every installed message package on
+`AMENT_PREFIX_PATH` and in the Python environment.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")
 
 
 class Definitions:
-    """Message types, found as they are asked for.
+    """Message types, looked up on request.
 
     Attributes:
-        store: Those known so far; it serialises them.
+        store: The types found so far; serialises their messages.
     """
 
     def __init__(self) -> None:
@@ -38,15 +38,15 @@ class Definitions:
 
         self.store: Typestore = get_typestore(Stores.ROS2_KILTED)
 
-    def learn(self, type_name: str, text: str) -> None:
-        """Make a type known by its definition.
+    def register(self, type_name: str, text: str) -> None:
+        """Register a type.
 
         Args:
             type_name: Such as `foretouch_msgs/msg/Biotac`.
-            text: Of its `.msg` file; definitions of the types in it may follow, as MCAP separates them.
+            text: Its `.msg` file; definitions of the types in it may follow, separated as in MCAP.
 
         Raises:
-            DatasetError: If the text is no definition, or another one is known already.
+            DatasetError: If the text is no definition, or contradicts a registered one.
         """
         from rosbags.typesys import TypesysError, get_types_from_msg
 
@@ -56,10 +56,10 @@ class Definitions:
             raise DatasetError(f"{type_name}: {' '.join(str(err).split())}") from err
 
     def text(self, type_name: str) -> str:
-        """The definition with those of all types in it, as MCAP holds them (`ros2msg`).
+        """The definition with those of all types in it, as MCAP stores them (`ros2msg`).
 
         Raises:
-            DatasetError: If the type, or one in it, is found nowhere.
+            DatasetError: If the type, or one in it, cannot be found.
         """
         self._require(type_name)
         return self.store.generate_msgdef(type_name, ros_version=2)[0]
@@ -68,7 +68,7 @@ class Definitions:
         if type_name not in self.store.fielddefs:
             if not _TYPE_NAME.fullmatch(type_name):
                 raise DatasetError(f"{type_name!r} is no message type, such as std_msgs/msg/String")
-            self.learn(type_name, _find(type_name))
+            self.register(type_name, _find(type_name))
         for needed in _types_in(self.store, type_name):
             self._require(needed)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator changed afterwards: a log beside the recordings, which themselves are never rewritten.
+"""The operator's later changes, in a log beside the recordings, which themselves are never rewritten.
 
-`edits.jsonl` in the dataset's folder is only ever appended to, one JSON object a line, each with the SHA-256 of itself
-and all before it. Whoever reads the dataset sees the samples as edited; an edit is taken back by one more line. A last
-line that was cut off was never acknowledged, and does not count.
+`edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with the SHA-256 over itself
+and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A last line that was
+cut off was never acknowledged, and is ignored.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from foretouch.dataset.recording.folder import sync_folder
-from foretouch.dataset.recording.record import DISCARDED, SampleRecord, check_name
+from foretouch.dataset.disk import disk_errors, sync_folder
+from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
 
 __all__ = ["Edit", "EditLog", "append_edit", "read_edits"]
 
 EDITS: Final = "edits.jsonl"
-_BEYOND: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # more than a crash can leave of a line
+_COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
 _ACTIONS: Final = ("relabel", "drop", "undo")
 
 
@@ -33,10 +33,10 @@ class Edit:
     """One change.
 
     Attributes:
-        action: `relabel` gives samples another object, `drop` discards them, `undo` takes an edit back.
-        ids: Of the samples, as they were recorded.
-        object: For `relabel`.
-        edit: For `undo`, the number of the edit that is taken back; the first is 1.
+        action: `relabel` assigns samples to another object, `drop` discards them, `undo` reverts an edit.
+        ids: Ids of the samples, as they were recorded.
+        object: For `relabel`, the new object.
+        edit: For `undo`, the number of the reverted edit; the first is 1.
     """
 
     action: Literal["relabel", "drop", "undo"]
@@ -44,22 +44,19 @@ class Edit:
     object: str = ""
     edit: int = 0
 
-    def told(self) -> str:
-        """In words."""
+    def description(self) -> str:
+        """The edit in words."""
         if self.action == "undo":
             return f"undo {self.edit}"
         return " ".join(filter(None, [self.action, self.object, f"({len(self.ids)} samples)"]))
 
 
 class EditLog:
-    """The edits of a dataset, and what they make of its samples.
-
-    Args:
-        edits: In their order.
+    """The edits of a dataset, in order, and their effect on its samples.
 
     Attributes:
-        edits: Likewise.
-        undone: Numbers of those that were taken back.
+        edits: All edits.
+        undone: Numbers of the edits that were undone.
     """
 
     def __init__(self, edits: Sequence[Edit] = ()) -> None:
@@ -74,12 +71,12 @@ class EditLog:
                 self._dropped.update(edit.ids)
 
     def in_force(self) -> dict[int, Edit]:
-        """Those that hold, by number."""
+        """The edits that were not undone, by number."""
         numbered = enumerate(self.edits, 1)
         return {number: edit for number, edit in numbered if edit.action != "undo" and number not in self.undone}
 
     def apply(self, record: SampleRecord) -> SampleRecord:
-        """The record as edited; its id follows its object."""
+        """Apply the edits to a record; a new object also changes the id."""
         recorded = record.sample.id
         label = self._labels.get(recorded)
         if label is not None:
@@ -89,16 +86,16 @@ class EditLog:
             record = replace(record, flags=(*record.flags, DISCARDED))
         return record
 
-    def told(self) -> list[str]:
-        """Each in words, with its number."""
+    def descriptions(self) -> list[str]:
+        """Each edit in words, with its number."""
         return [
-            f"{number}: {edit.told()}{' (undone)' if number in self.undone else ''}"
+            f"{number}: {edit.description()}{' (undone)' if number in self.undone else ''}"
             for number, edit in enumerate(self.edits, 1)
         ]
 
 
 def read_edits(path: Path) -> EditLog:
-    """The edits of a dataset.
+    """Read the log of a dataset.
 
     Raises:
         FileError: If the log is damaged or of a newer version; names the line.
@@ -107,7 +104,7 @@ def read_edits(path: Path) -> EditLog:
 
 
 def append_edit(path: Path, edit: Edit) -> int:
-    """Add an edit; it is on the disk when this returns. The caller holds the dataset's lock.
+    """Append an edit; it is on the disk when this returns. The caller must hold the dataset's lock.
 
     Returns:
         Its number.
@@ -119,20 +116,18 @@ def append_edit(path: Path, edit: Edit) -> int:
     edits, digest, size = _read(file)
     body = {"action": edit.action, "ids": list(edit.ids), "object": edit.object, "edit": edit.edit}
     line = json.dumps({**body, "sha256": _digest(digest, body)}, ensure_ascii=False) + "\n"
-    try:
+    with disk_errors(file):
         with file.open("ab") as log:
-            log.truncate(size)  # what a crash left of a line
+            log.truncate(size)  # remove a line that a crash cut off
             log.write(line.encode())
             log.flush()
             os.fsync(log.fileno())
         sync_folder(path)
-    except OSError as err:
-        raise FileError(file, f"{err.strerror or err} (errno {err.errno})") from err
     return len(edits) + 1
 
 
 def _read(file: Path) -> tuple[list[Edit], str, int]:
-    """The edits, the digest of the last, and where the next one goes."""
+    """The edits, the digest of the last one, and the offset of the next one [bytes]."""
     try:
         data = file.read_bytes()
     except FileNotFoundError:
@@ -142,8 +137,8 @@ def _read(file: Path) -> tuple[list[Edit], str, int]:
     edits: list[Edit] = []
     digest = ""
     size = data.rfind(b"\n") + 1
-    if _BEYOND.search(data, size):
-        raise FileError(file, "damaged: the last line is whole, and does not end", field=f"byte {size}")
+    if _COMPLETE_LINE.search(data, size):
+        raise FileError(file, "damaged: the last line is complete, but has no line end", field=f"byte {size}")
     for number, line in enumerate(data[:size].split(b"\n")[:-1], 1):
         try:
             edit, digest = _edit(line, digest, len(edits))
@@ -157,9 +152,11 @@ def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
     content: Any = json.loads(line)
     if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
-        raise DatasetError("damaged: this and the lines before are not those of which the checksum was taken")
+        raise DatasetError("damaged: this line and those before it do not match their checksum")
     if content["action"] not in _ACTIONS:
-        raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}: a newer foretouch wrote it")
+        raise DatasetError(
+            f"action {content['action']!r} is none of {', '.join(_ACTIONS)}: it was written by a newer foretouch"
+        )
     edit = Edit(action=content["action"], ids=tuple(content["ids"]), object=content["object"], edit=content["edit"])
     if edit.action == "relabel":
         check_name(edit.object, "object")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A grasp to the bytes of a `foretouch_msgs/GraspSample` and back, without ROS.
+"""Encodes a recorded grasp as a `foretouch_msgs/GraspSample` and decodes it, without ROS.
 
-The last 32 bytes are the SHA-256 of all before, so that a sample can be proven intact wherever its bytes lie.
+The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 """
 
 from __future__ import annotations
@@ -17,54 +17,47 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
+from foretouch.dataset.cdr import cloud_fields, cloud_of, header_fields, stamp_ns_of
+from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.message_fields import (
-    cloud_fields,
-    cloud_of,
-    grasp_fields,
-    grasp_of,
-    header_fields,
-    require_finite,
-    series_of,
-    stamp_ns_of,
-    touch_fields,
-    touch_of,
-)
-from foretouch.dataset.recording.record import Identity, Outcome, SampleRecord, check_name
 from foretouch.errors import DatasetError, ForetouchError
-from foretouch.types import GraspSample
+from foretouch.grasp.pose import quaternion_xyzw
+from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
 
 __all__ = [
     "ABOUT",
-    "ACCOUNTS",
+    "COUNTS",
     "SAMPLE_TOPIC",
     "SAMPLE_TYPE",
     "SCHEMA_VERSION",
     "StoredSample",
-    "check_id",
     "decode_sample",
     "encode_sample",
+    "grasp_of",
     "is_intact",
+    "sample_types",
 ]
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
 SAMPLE_TOPIC: Final = "/foretouch/samples"
-ABOUT: Final = "foretouch"  # metadata of a file: versions, hand, camera
-ACCOUNTS: Final = "foretouch_accounts"  # metadata of a file, the last counts
+ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
+COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
 SCHEMA_VERSION: Final = 1
 
 _DIGEST_SIZE: Final = 32
 _OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
+_TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+_FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "others", "extra_values")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredSample:
-    """A sample as it was read back.
+    """A decoded sample.
 
     Attributes:
         record: The sample.
         identity: Hand and camera that it was recorded with.
-        foretouch: Version that wrote it.
+        foretouch: The version that wrote it.
     """
 
     record: SampleRecord
@@ -72,28 +65,11 @@ class StoredSample:
     foretouch: str
 
 
-def check_id(sample_id: str, label: str) -> None:
-    """Refuse an id that is not `<object>/<name>`.
-
-    Raises:
-        DatasetError: Names the rule.
-    """
-    head, slash, name = sample_id.partition("/")
-    if not slash or head != label:
-        raise DatasetError(f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name")
-    check_name(head, "object")
-    check_name(name, "id")
-
-
 def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
-    """CDR of a `foretouch_msgs/GraspSample`, encapsulation header included.
-
-    Args:
-        record: With its id.
-        identity: Hand and camera.
+    """Encode a record, whose id is set, as the CDR of a `foretouch_msgs/GraspSample` with encapsulation header.
 
     Raises:
-        DatasetError: If the id, a stamp or a number cannot be kept: nothing that is not finite, scores of grasps aside.
+        DatasetError: If the id or a stamp is invalid, or a number other than the score of a grasp is not finite.
     """
     sample = record.sample
     check_id(sample.id, sample.object)
@@ -107,12 +83,12 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         object=sample.object,
         outcome=_OUTCOMES.index(record.outcome),
         note=record.note,
-        cloud=cloud_fields(sample.cloud),
-        grasp=grasp_fields(sample.grasp),
+        cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
+        grasp=_grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
-        candidates=[grasp_fields(grasp) for grasp in record.candidates],
-        **touch_fields(sample.touch, "labelled", ""),
-        **touch_fields(sample.tare, "tared", "tare_"),
+        candidates=[_grasp_fields(grasp) for grasp in record.candidates],
+        **_touch_fields(sample.touch, "labelled", ""),
+        **_touch_fields(sample.tare, "tared", "tare_"),
         series_stamps=np.asarray([] if series is None else series.stamps_ns, np.int64),
         series_phase=np.asarray([] if series is None else series.phases, np.uint8),
         series=np.asarray([] if series is None else series.counts, np.float32).ravel(),
@@ -129,53 +105,48 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         camera=_facts(identity.camera),
         sha256=np.zeros(_DIGEST_SIZE, np.uint8),
     )
-    require_finite(message)
-    body = bytes(_definitions().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    for name in _FINITE:
+        if not np.isfinite(getattr(message, name)).all():
+            raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
+    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
     return body + hashlib.sha256(body).digest()
 
 
 def is_intact(data: bytes | memoryview) -> bool:
-    """Whether the bytes are those that `encode_sample` gave."""
+    """Whether the bytes are an unchanged result of `encode_sample`."""
     return len(data) > _DIGEST_SIZE and hashlib.sha256(data[:-_DIGEST_SIZE]).digest() == bytes(data[-_DIGEST_SIZE:])
 
 
 def decode_sample(data: bytes | memoryview) -> StoredSample:
-    """The sample in a message.
-
-    Returns:
-        The cloud and the series look into `data`.
+    """Decode a sample; its cloud and series are views of `data`.
 
     Raises:
         DatasetError: If the bytes are damaged, of another schema version, or break a rule.
     """
     if not is_intact(data):
-        raise DatasetError("damaged: the bytes are not those that their SHA-256 was taken of")
+        raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
-        message: Any = _definitions().store.deserialize_cdr(data, SAMPLE_TYPE)
+        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
         if message.schema_version != SCHEMA_VERSION:
-            raise DatasetError(_other_version(message.schema_version))
+            newer = "newer than" if message.schema_version > SCHEMA_VERSION else "not"
+            rule = f"{message.schema_version} is {newer} {SCHEMA_VERSION}, the one that foretouch {__version__} reads"
+            raise DatasetError(f"schema_version: {rule}")
         check_id(message.id, message.object)
         return _stored(message)
     except ForetouchError as err:
         raise DatasetError(str(err)) from err
-    except Exception as err:  # whatever the parser trips over, for the digest says nothing of who wrote it
+    except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
         raise DatasetError(f"damaged: {type(err).__name__}: {' '.join(str(err).split())}") from err
 
 
-def _other_version(version: int) -> str:
-    newer = "newer than" if version > SCHEMA_VERSION else "not"
-    return f"schema_version: {version} is {newer} {SCHEMA_VERSION}, the one that foretouch {__version__} reads"
-
-
 def _stored(message: Any) -> StoredSample:
-    cloud = cloud_of(message.cloud)
     sample = GraspSample(
         id=message.id,
         object=message.object,
-        cloud=cloud,
+        cloud=cloud_of(message.cloud),
         grasp=grasp_of(message.grasp, float(message.score)),
-        touch=touch_of(message, "labelled", ""),
-        tare=touch_of(message, "tared", "tare_"),
+        touch=_touch_of(message, "labelled", ""),
+        tare=_touch_of(message, "tared", "tare_"),
         stamp_ns=stamp_ns_of(message.header),
         extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
     )
@@ -184,7 +155,7 @@ def _stored(message: Any) -> StoredSample:
         candidates=tuple(grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
         outcome=_OUTCOMES[message.outcome],
         note=message.note,
-        series=series_of(message),
+        series=_series_of(message),
         contact_ns=message.contact or None,
         detector=message.detector,
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
@@ -195,7 +166,8 @@ def _stored(message: Any) -> StoredSample:
 
 
 @functools.cache
-def _definitions() -> Definitions:
+def sample_types() -> Definitions:
+    """The definitions of a sample and of all types in it."""
     definitions = Definitions()
     definitions.text(SAMPLE_TYPE)
     return definitions
@@ -203,3 +175,63 @@ def _definitions() -> Definitions:
 
 def _facts(facts: Mapping[str, str]) -> str:
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
+
+
+def _grasp_fields(grasp: Grasp) -> SimpleNamespace:
+    """A grasp as `foretouch_msgs/Grasp`."""
+    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
+    return SimpleNamespace(
+        id=grasp.id,
+        object_id=grasp.object_id,
+        g1=_point(grasp.g1),
+        g2=_point(grasp.g2),
+        pose=SimpleNamespace(position=_point(grasp.midpoint), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)),
+        rotation=np.ascontiguousarray(grasp.rotation.reshape(9), np.float64),
+        score=float(grasp.score),
+        status=0,
+        reason="",
+    )
+
+
+def _point(position: Any) -> SimpleNamespace:
+    x, y, z = map(float, position)
+    return SimpleNamespace(x=x, y=y, z=z)
+
+
+def grasp_of(message: Any, score: float) -> Grasp:
+    """The grasp in a decoded `foretouch_msgs/Grasp`.
+
+    Raises:
+        GraspError: If its numbers are no grasp.
+    """
+    g1, g2 = (np.array([point.x, point.y, point.z], np.float64) for point in (message.g1, message.g2))
+    rotation = np.asarray(message.rotation, np.float64).reshape(3, 3)
+    return Grasp(g1, g2, rotation, score, message.id, message.object_id)
+
+
+def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:
+    """A touch by field, with `prefix` before each name; zeros and a false `flag` if there is none."""
+    values = Touch.from_vector(np.zeros(TOUCH_SIZE) if touch is None else touch.vector())
+    return {flag: touch is not None, **{f"{prefix}{name}": getattr(values, name) for name in _TOUCH}}
+
+
+def _touch_of(message: Any, flag: str, prefix: str) -> Touch | None:
+    """The inverse of `_touch_fields`."""
+    if not getattr(message, flag):
+        return None
+    pdc_th, pdc_mf, e_th, e_mf = (getattr(message, f"{prefix}{name}") for name in _TOUCH)
+    return Touch(float(pdc_th), float(pdc_mf), np.asarray(e_th, np.float64), np.asarray(e_mf, np.float64))
+
+
+def _series_of(message: Any) -> TouchSeries | None:
+    """The series in a sample as views of the message; None if it is empty."""
+    length = len(message.series_stamps)
+    if length == 0:
+        return None
+    others = np.asarray(message.others, np.float32).reshape(len(message.other_names), length)
+    return TouchSeries(
+        stamps_ns=np.asarray(message.series_stamps, np.int64),
+        counts=np.asarray(message.series, np.float32).reshape(length, TOUCH_SIZE),
+        phases=np.asarray(message.series_phase, np.uint8),
+        others=dict(zip(message.other_names, others, strict=True)),
+    )

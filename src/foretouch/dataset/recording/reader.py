@@ -1,82 +1,99 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the samples of a recorded dataset, in the order of their recording."""
+"""Reads the samples of a recorded dataset, in the order of their recording.
+
+The offsets of the samples are found without decoding other messages: a chunk's index lists its channels, so chunks
+without samples are skipped unread. A recording that was cut off is read as far as it is intact.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
-from mcap.records import Metadata
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
 
-from foretouch.dataset.recording.accounts import Accounts
+from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.edits import EditLog, read_edits
-from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
+from foretouch.dataset.recording.folder import is_dataset, recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
-from foretouch.dataset.recording.messages import ACCOUNTS, SAMPLE_TYPE, StoredSample, decode_sample
-from foretouch.dataset.recording.offset_index import Place, sample_places
-from foretouch.dataset.recording.scan import RawRecord, declaration, mapped, records
+from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.messages import COUNTS, SAMPLE_TYPE, StoredSample, decode_sample
+from foretouch.dataset.recording.recovery import samples_after_damage
+from foretouch.dataset.recording.scan import (
+    INDEX_HEAD,
+    Chunk,
+    Damage,
+    RawMessage,
+    RawRecord,
+    check_record,
+    chunk_at,
+    declaration,
+    magic_damage,
+    mapped,
+    messages_of,
+    records,
+)
+from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
 
-__all__ = ["RecordedDataset", "holds_samples", "is_finished"]
+__all__ = ["DATASET_FORMAT", "RecordedDataset", "SampleOffset", "holds_samples", "sample_ids", "sample_offsets"]
+
+_T = TypeVar("_T")
+
+
+class SampleOffset(NamedTuple):
+    """Start and end of a sample's CDR in its file [bytes], and when it was logged [ns]."""
+
+    start: int
+    end: int
+    log_time_ns: int
 
 
 class _Sample(NamedTuple):
     file: Path
     data: memoryview
-    place: Place
+    offset: SampleOffset
 
 
 class RecordedDataset:
-    """The samples of a dataset, or of one of its files; a context manager.
-
-    Args:
-        path: Of the dataset, or of a `.mcap` file.
+    """The samples of a recorded dataset, or of one of its `.mcap` files; a context manager.
 
     Attributes:
         path: As given.
-        files: The recordings in it.
-        unfinished: Those that were cut off; what they hold up to there is read.
-        edits: What was changed afterwards; samples are given as edited. A single file has none.
+        files: The MCAP files.
+        unfinished: Files that were cut off; they are read as far as they are intact.
+        edits: Later changes, which are applied to the samples. A single file has none.
 
     Raises:
-        FileError: If there is no such thing, or a manifest or recording is damaged; names file and place.
+        FileError: If the path is no recorded dataset, or a manifest or recording is damaged; names file and position.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if is_dataset(self.path):
-            read_identity(self.path)
-            self.files = session_files(self.path)
-            self.edits = read_edits(self.path)
-        elif self.path.is_file():
-            self.files = [self.path]
-            self.edits = EditLog()
-        else:
-            rule = "is no recorded dataset" if self.path.exists() else "does not exist"
-            raise FileError(self.path, rule)
+        self.files = recorded_files(self.path)
+        self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
         self._closed = False
         self._samples: list[_Sample] = []
         with ExitStack() as stack:
             for file in self.files:
                 data = stack.enter_context(mapped(file))
-                self._samples += [_Sample(file, data, place) for place in sample_places(file, data)]
+                self._samples += [_Sample(file, data, offset) for offset in sample_offsets(file, data)]
             self._open = stack.pop_all()
-        self.unfinished = [file for file in self.files if not is_finished(file)]
+        self.unfinished = [file for file in self.files if not _is_finished(file)]
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files; more than once does no harm."""
+        """Close the files; may be called more than once."""
         self._closed = True
         self._samples = []
         self._open.close()
@@ -85,10 +102,10 @@ class RecordedDataset:
         return len(self._samples)
 
     def __getitem__(self, index: int) -> StoredSample:
-        """One sample as edited, its bytes proven by their SHA-256.
+        """One sample with the edits applied, its bytes verified by their SHA-256.
 
         Raises:
-            FileError: If it is damaged or of another schema version; names file and place.
+            FileError: If it is damaged or of another schema version; names file and position.
         """
         stored = self._stored(index)
         return replace(stored, record=self.edits.apply(stored.record)) if self.edits.edits else stored
@@ -101,47 +118,47 @@ class RecordedDataset:
         if self._closed:
             raise FileError(self.path, "is closed")
         sample = self._samples[index]
-        start, end, _ = sample.place
+        start, end, _ = sample.offset
         try:
             return decode_sample(bytes(sample.data[start:end]))
         except DatasetError as err:
             raise FileError(sample.file, str(err), field=f"sample at byte {start}") from err
 
     def recorded_id(self, index: int) -> str:
-        """The id that a sample was recorded with (raises as indexing)."""
+        """The id of a sample before any edit (raises as indexing)."""
         return self._stored(index).record.sample.id
 
-    def accounts(self) -> Accounts:
-        """What became of every message, summed over the recordings: the last word of each.
+    def message_counts(self) -> MessageCounts:
+        """The message counts, summed over the last ones of each recording.
 
         Raises:
-            FileError: If an account is damaged.
+            FileError: If they are damaged.
         """
-        total = Accounts()
+        total = MessageCounts()
         for file in self.files:
             with mapped(file) as data:
-                total.add(_last_accounts(file, data))
+                total.add(_last_counts(file, data))
         return total
 
     def name(self, index: int) -> str:
-        """Where a sample lies, for messages."""
+        """File and offset of a sample, for messages."""
         sample = self._samples[index]
-        return f"{sample.file}[{sample.place.start}]"
+        return f"{sample.file}[{sample.offset.start}]"
 
 
-def _last_accounts(path: Path, data: memoryview) -> Accounts:
-    last = Accounts()
+def _last_counts(path: Path, data: memoryview) -> MessageCounts:
+    last = MessageCounts()
     for record in records(data, len(MAGIC)):
         content = declaration(data, record) if isinstance(record, RawRecord) else None
-        if isinstance(content, Metadata) and content.name == ACCOUNTS:
+        if isinstance(content, Metadata) and content.name == COUNTS:
             try:
-                last = Accounts.from_mapping(content.metadata)
+                last = MessageCounts.from_mapping(content.metadata)
             except DatasetError as err:
                 raise FileError(path, str(err), field=f"byte {record.offset}") from err
     return last
 
 
-def is_finished(path: Path) -> bool:
+def _is_finished(path: Path) -> bool:
     """Whether a recording was closed, so that it has an index."""
     with path.open("rb") as file:
         size = file.seek(0, 2)
@@ -160,3 +177,109 @@ def holds_samples(path: Path) -> bool:
     with path.open("rb") as file:
         start = file.read(65536)
     return start.startswith(MAGIC) and SAMPLE_TYPE.encode() in start
+
+
+def sample_offsets(path: Path, data: memoryview) -> Iterator[SampleOffset]:
+    """The offsets of the samples in a file, in order, up to its end or to where it is cut off.
+
+    Args:
+        path: For error messages.
+        data: The file.
+
+    Raises:
+        FileError: At the first invalid record, unless the file merely ends within it.
+    """
+    schemas: set[int] = set()
+    channels: set[int] = set()
+    damage = magic_damage(data)
+    if damage is not None and len(data) >= len(MAGIC):
+        raise damage.error(path)
+    waiting: Chunk | None = None
+    indexed: set[int] = set()  # channels of the waiting chunk, according to the index after it
+    for record in records(data, len(MAGIC)):
+        if isinstance(record, RawRecord) and record.opcode == Opcode.MESSAGE_INDEX:
+            _require(path, check_record(data, record))
+            indexed.add(INDEX_HEAD.unpack_from(data, record.start)[0])
+            continue
+        if waiting is not None and (not indexed or indexed & channels or isinstance(record, Damage)):
+            yield from _offsets_in(path, data, waiting, channels)
+        waiting, indexed = None, set()
+        if isinstance(record, Damage):
+            if record.rule.startswith("cut off"):
+                return
+            raise record.error(path)
+        if record.opcode == Opcode.DATA_END:
+            return
+        if record.opcode == Opcode.CHUNK:
+            waiting = _require(path, chunk_at(data, record))
+            continue
+        _require(path, check_record(data, record))
+        content = _require(path, declaration(data, record))
+        if isinstance(content, Schema) and content.name == SAMPLE_TYPE:
+            schemas.add(content.id)
+        elif isinstance(content, Channel) and content.schema_id in schemas:
+            channels.add(content.id)
+    if waiting is not None:
+        yield from _offsets_in(path, data, waiting, channels)
+
+
+def sample_ids(path: Path) -> list[str]:
+    """The ids in a file, including those after damage that `repair` would save (raises as `sample_offsets`)."""
+    with mapped(path) as data:
+        ids = [_id_of(path, data, offset) for offset in sample_offsets(path, data)]
+        cut = next((one.offset for one in records(data, len(MAGIC)) if isinstance(one, Damage)), len(data))
+        return ids + [decode_sample(bytes(cdr)).record.sample.id for cdr in samples_after_damage(data, cut)]
+
+
+def _require(path: Path, found: _T | Damage) -> _T:
+    if isinstance(found, Damage):
+        raise found.error(path)
+    return found
+
+
+def _offsets_in(path: Path, data: memoryview, chunk: Chunk, channels: set[int]) -> Iterator[SampleOffset]:
+    for item in messages_of(data, chunk.start, chunk.end):
+        message = _require(path, item)
+        if isinstance(message, RawMessage) and message.channel in channels:
+            yield SampleOffset(message.start, message.end, message.log_time_ns)
+
+
+def _id_of(path: Path, data: memoryview, sample: SampleOffset) -> str:
+    """The id in a serialised sample, which follows the header (stamp, frame) and the schema version."""
+    try:
+        start = sample.start + 4  # CDR aligns from the end of the encapsulation header
+        (frame,) = struct.unpack_from("<I", data, start + 8)
+        offset = 12 + frame
+        offset += -offset % 2 + 2  # the schema version
+        offset += -offset % 4
+        (length,) = struct.unpack_from("<I", data, start + offset)
+        begin = start + offset + 4
+        if begin + length > sample.end:
+            raise ValueError("an id longer than its message")
+        return bytes(data[begin : begin + length]).rstrip(b"\0").decode()
+    except (struct.error, ValueError) as err:
+        rule = f"damaged: the id of a sample cannot be read: {err}"
+        raise FileError(path, rule, field=f"byte {sample.start}") from err
+
+
+def _open_samples(path: Path, unfinished: bool) -> SampleSet:
+    dataset = RecordedDataset(path)
+    cut = tuple(dataset.unfinished)
+    if cut and not unfinished:
+        dataset.close()
+        raise FileError(cut[0], "is not finished: run `foretouch dataset repair`")
+    return SampleSet(
+        path=path,
+        kind="recording",
+        size=len(dataset),
+        record=lambda k: dataset[k].record,
+        name=dataset.name,
+        identity=dataset[0].identity if len(dataset) else Identity(),
+        close=dataset.close,
+        unfinished=cut,
+        message_counts=lambda: dataset.message_counts().to_record(),
+        edits=tuple(dataset.edits.descriptions()),
+    )
+
+
+DATASET_FORMAT = DatasetFormat(recognise=holds_samples, open=_open_samples)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds what is intact in a damaged recording: chunks by their checksums, declarations and samples by their own."""
+"""Finds the intact parts of a damaged recording: chunks by their checksums, samples and declarations by their own."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from foretouch.dataset.recording.accounts import Accounts
 from foretouch.dataset.recording.mcap_file import MAGIC
-from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, decode_sample, is_intact
+from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.messages import ABOUT, COUNTS, decode_sample, is_intact
 from foretouch.dataset.recording.scan import (
     Chunk,
     Damage,
@@ -27,14 +27,14 @@ from foretouch.dataset.recording.scan import (
 )
 from foretouch.errors import DatasetError
 
-__all__ = ["Declarations", "is_readable", "samples_beyond", "samples_in", "walk"]
+__all__ = ["Declarations", "intact_parts", "is_readable", "samples_after_damage", "samples_in"]
 
-_HEAD = 31  # bytes of a message's record before its CDR
+_HEAD = 31  # bytes of a message record before its CDR
 _MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
 
-def walk(data: memoryview, start: int = len(MAGIC)) -> Iterator[Chunk | RawRecord | Damage]:
-    """All that can be found from a record on, in order; a `Damage` stands for bytes that are skipped."""
+def intact_parts(data: memoryview, start: int = len(MAGIC)) -> Iterator[Chunk | RawRecord | Damage]:
+    """The chunks and records found from offset `start` on, in order; a `Damage` stands for skipped bytes."""
     while start < len(data):
         for record in records(data, start):
             start = record.offset
@@ -57,51 +57,48 @@ def walk(data: memoryview, start: int = len(MAGIC)) -> Iterator[Chunk | RawRecor
 
 
 class Declarations:
-    """Schemas, channels and metadata of a file, wherever an intact copy of them stands.
-
-    Args:
-        data: The file.
+    """Schemas, channels and metadata of a file, from any intact copy of them.
 
     Attributes:
         schemas: By number.
         channels: By number.
         about: Versions, hand and camera, as text.
-        accounts: The last in the file that can be read.
+        counts: The last readable message counts.
     """
 
     def __init__(self, data: memoryview) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.about: dict[str, str] = {}
-        self.accounts = Accounts()
-        proven: list[Schema | Channel] = []
-        for item in walk(data):
+        self.counts = MessageCounts()
+        verified: list[Schema | Channel] = []
+        for item in intact_parts(data):
             if isinstance(item, RawRecord):
-                self._take(declaration(data, item))
+                self._add(declaration(data, item))
             elif isinstance(item, Chunk) and item.intact(data):
                 inside = messages_of(data, item.start, item.end)
                 contents = (declaration(data, record) for record in inside if isinstance(record, RawRecord))
-                proven += [content for content in contents if isinstance(content, (Schema, Channel))]
-        for content in proven:  # those under a checksum come last, and so count
-            self._take(content)
+                verified += [content for content in contents if isinstance(content, (Schema, Channel))]
+        for content in verified:  # copies under a checksum replace the others
+            self._add(content)
 
-    def _take(self, content: Declaration | Damage | None) -> None:
+    def _add(self, content: Declaration | Damage | None) -> None:
         if isinstance(content, Schema):
             self.schemas[content.id] = content
         elif isinstance(content, Channel):
             self.channels[content.id] = content
         elif isinstance(content, Metadata) and content.name == ABOUT:
             self.about = content.metadata
-        elif isinstance(content, Metadata) and content.name == ACCOUNTS:
+        elif isinstance(content, Metadata) and content.name == COUNTS:
             try:
-                self.accounts = Accounts.from_mapping(content.metadata)
+                self.counts = MessageCounts.from_mapping(content.metadata)
             except DatasetError:
-                return  # the one before counts
+                return  # keep the previous ones
 
 
-def samples_beyond(data: memoryview, start: int) -> Iterator[memoryview]:
-    """Intact samples from a record on that cannot be right, whatever follows it."""
-    for item in walk(data, start):
+def samples_after_damage(data: memoryview, start: int) -> Iterator[memoryview]:
+    """The intact samples from an invalid record on."""
+    for item in intact_parts(data, start):
         if isinstance(item, Damage):
             following = next_chunk(data, item.offset + 1)
             yield from samples_in(data, item.offset, len(data) if following is None else following.offset)
@@ -114,7 +111,7 @@ def samples_beyond(data: memoryview, start: int) -> Iterator[memoryview]:
 
 
 def samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
-    """Intact samples between two places, whatever of the records around them is damaged."""
+    """The intact samples between two offsets, even if the records around them are damaged."""
     at = start
     for head, stop in _message_heads(data, start, end):
         if head < at:
@@ -128,7 +125,7 @@ def samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
 
 
 def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, int]]:
-    """Where messages may begin and end: as a walk finds them up to the damage, and whatever looks like one."""
+    """Possible start and end offsets of messages: from the records before the damage, and from byte patterns."""
     heads: dict[int, int] = {}
     for match in _MESSAGE_START.finditer(data, start, end):
         length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
@@ -139,7 +136,7 @@ def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, in
 
 
 def is_readable(cdr: memoryview) -> bool:
-    """Whether the bytes are a whole sample."""
+    """Whether the bytes are a complete sample."""
     if not is_intact(cdr):
         return False
     try:

@@ -1,26 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a whole recording of an unfinished or damaged one, and keeps the original.
+"""Repairs an unfinished or damaged recording, and keeps the original.
 
-All that proves itself is kept: every chunk that has its checksum, and out of damaged ones every sample that has its
-own. What is lost is told with its place. The repaired file takes the place of the original in one step, and the
-original stays beside it under `<name>.before-repair`.
+Everything that can be verified is kept: every chunk with a valid checksum, and every sample with a valid checksum in a
+damaged chunk. Losses are reported with their offsets. The repaired file replaces the original in one step, and the
+original is kept beside it as `<name>.before-repair`.
 """
 
 from __future__ import annotations
 
 import os
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from foretouch import __version__
-from foretouch.dataset.recording.accounts import Accounts, TopicAccount
+from foretouch.dataset.disk import disk_errors, sync_folder
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.folder import is_dataset, lock, read_identity, session_files, sync_folder
+from foretouch.dataset.recording.folder import lock, recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC, McapFile, McapMessage
-from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
-from foretouch.dataset.recording.recovery import Declarations, is_readable, samples_in, walk
+from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
+from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TOPIC, SAMPLE_TYPE, decode_sample, is_intact
+from foretouch.dataset.recording.recovery import Declarations, intact_parts, is_readable, samples_in
 from foretouch.dataset.recording.scan import Chunk, Damage, RawMessage, RawRecord, mapped, messages_of, next_chunk
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError
@@ -33,15 +35,15 @@ _LOST: Final = "lost before repair"
 
 @dataclass(eq=False)
 class RepairReport:
-    """What was done to one file.
+    """The repair of one file.
 
     Attributes:
         path: The file.
-        changed: False where there was nothing to do.
+        changed: Whether it needed a repair.
         samples: Samples in it now.
-        messages: Messages in it now, samples included.
-        original: Where the original is kept, or None.
-        lost: What was not kept, by place in the original.
+        messages: Messages in it now, including samples.
+        original: The file that keeps the original, or None.
+        lost: The parts that were not kept, with their offsets in the original.
     """
 
     path: Path
@@ -59,20 +61,16 @@ def repair_dataset(path: str | Path) -> list[RepairReport]:
         FileError: If another process records into the dataset, or its manifest is damaged or of another version.
     """
     path = Path(path)
-    if path.is_file():
-        return [repair_file(path)]
-    if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    read_identity(path)
-    with lock(path):
-        return [repair_file(file) for file in session_files(path)]
+    recorded_files(path)  # refuses other folders, before a lock file is created there
+    with lock(path) if path.is_dir() else nullcontext():
+        return [repair_file(file) for file in recorded_files(path)]
 
 
 def repair_file(path: str | Path) -> RepairReport:
-    """Repair one recording; a clean one is left alone, so that repairing twice is repairing once.
+    """Repair one recording; a clean one is not changed.
 
     Raises:
-        FileError: If it cannot be read or is no MCAP file, or there is no room for the repaired one.
+        FileError: If it cannot be read or is no MCAP file, or the disk has no space for the repaired one.
     """
     path = Path(path)
     found = verify_file(path)
@@ -94,21 +92,19 @@ def repair_file(path: str | Path) -> RepairReport:
 
 
 def _replace(path: Path, repaired: Path) -> Path:
-    """Put the repaired file in the original's place, which is under another name before it loses its own."""
+    """Replace the original by the repaired file; the original gets its second name before it loses the first."""
     kept = path.with_name(path.name + _KEPT)
     number = 2
     while kept.exists():
         kept = path.with_name(f"{path.name}{_KEPT}-{number}")
         number += 1
-    try:
+    with disk_errors(path, "cannot be replaced"):
         try:
             os.link(path, kept)
         except OSError:
-            path.rename(kept)  # a file system without links: for an instant nothing has the original's name
+            path.rename(kept)  # a file system without links: for a moment no file has the original's name
         repaired.replace(path)
         sync_folder(path.parent)
-    except OSError as err:
-        raise FileError(path, f"cannot be replaced: {err.strerror or err} (errno {err.errno})") from err
     return kept
 
 
@@ -118,17 +114,17 @@ def _write_repaired(part: Path, data: memoryview, report: RepairReport) -> None:
     try:
         copy = _Copy(file, declared, report)
         file.write_metadata(ABOUT, {**declared.about, "repaired_by": f"foretouch {__version__}"})
-        for item in walk(data):
-            copy.take(data, item)
+        for item in intact_parts(data):
+            copy.add(data, item)
         report.messages = file.message_count
-        file.write_metadata(ACCOUNTS, copy.accounts().to_mapping())
+        file.write_metadata(COUNTS, copy.counts().to_mapping())
         file.finish()
     finally:
         file.abandon()
 
 
 class _Copy:
-    """Copies what is intact into a new file."""
+    """Copies the intact parts into a new file."""
 
     def __init__(self, file: McapFile, declared: Declarations, report: RepairReport) -> None:
         self._file = file
@@ -138,41 +134,41 @@ class _Copy:
         self._topics: dict[str, int] = {}
         self._written: Counter[str] = Counter()
         self._chunk_end: int | None = None
-        definition = Definitions().text(SAMPLE_TYPE)  # our own: the file's copy may be damaged
-        self._add(SAMPLE_TOPIC, SAMPLE_TYPE, definition, "")
+        definition = Definitions().text(SAMPLE_TYPE)  # the file's own copy may be damaged
+        self._declare(SAMPLE_TOPIC, SAMPLE_TYPE, definition, "")
         for number, channel in sorted(declared.channels.items()):
             schema = declared.schemas.get(channel.schema_id)
             if schema is not None and channel.message_encoding == "cdr" and schema.encoding == "ros2msg":
                 qos = channel.metadata.get("offered_qos_profiles", "")
                 text = definition if schema.name == SAMPLE_TYPE else schema.data.decode("utf-8", "replace")
-                self._numbers[number] = self._add(channel.topic, schema.name, text, qos)
+                self._numbers[number] = self._declare(channel.topic, schema.name, text, qos)
 
-    def take(self, data: memoryview, item: Chunk | RawRecord | Damage) -> None:
-        """Copy one thing that the walk found."""
+    def add(self, data: memoryview, item: Chunk | RawRecord | Damage) -> None:
+        """Copy one item of `intact_parts`."""
         if isinstance(item, Chunk):
             if item.intact(data):
                 self._copy_chunk(data, item)
             else:
-                self._report.lost.append(Damage(item.offset, "damaged: a chunk without its checksum"))
-                self._rescue(data, item.start, item.end)
+                self._report.lost.append(Damage(item.offset, "damaged: a chunk that does not match its checksum"))
+                self._recover(data, item.start, item.end)
         elif isinstance(item, Damage):
             self._report.lost.append(item)
             following = next_chunk(data, item.offset + 1)
-            self._rescue(data, item.offset, len(data) if following is None else following.offset)
+            self._recover(data, item.offset, len(data) if following is None else following.offset)
 
-    def accounts(self) -> Accounts:
-        """The last accounts of the file, made to agree with what is in the new one."""
-        result = Accounts()
-        for topic in sorted(self._declared.accounts.topics.keys() | self._written.keys()):
-            old = self._declared.accounts.topics.get(topic, TopicAccount())
+    def counts(self) -> MessageCounts:
+        """The last message counts of the file, corrected for the contents of the new one."""
+        result = MessageCounts()
+        for topic in sorted(self._declared.counts.topics.keys() | self._written.keys()):
+            old = self._declared.counts.topics.get(topic, TopicCounts())
             written, dropped = self._written[topic], Counter(old.dropped)
             lost = old.received - written - dropped.total()
             if lost > 0:
                 dropped[_LOST] += lost
-            result.topics[topic] = TopicAccount(written + dropped.total(), written, dropped, old.lost)
+            result.topics[topic] = TopicCounts(written + dropped.total(), written, dropped, old.lost)
         return result
 
-    def _add(self, topic: str, type_name: str, definition: str, qos: str) -> int:
+    def _declare(self, topic: str, type_name: str, definition: str, qos: str) -> int:
         if topic not in self._topics:
             self._topics[topic] = self._file.add_channel(topic, type_name, definition, qos)
         return self._topics[topic]
@@ -196,8 +192,8 @@ class _Copy:
                 topics.append(names[number])
         self._write(kept, topics)
 
-    def _rescue(self, data: memoryview, start: int, end: int) -> None:
-        """Keep the samples in bytes that are damaged somewhere: each is proven by its own checksum."""
+    def _recover(self, data: memoryview, start: int, end: int) -> None:
+        """Copy the samples in a damaged range of bytes; each is verified by its own checksum."""
         for cdr in samples_in(data, start, end):
             stamp_ns = decode_sample(bytes(cdr)).record.sample.stamp_ns
             number = self._topics[SAMPLE_TOPIC]

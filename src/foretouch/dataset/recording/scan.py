@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Walks through the bytes of a recording and believes none of its lengths.
+"""Scans the bytes of a recording record by record without trusting any length in it.
 
-The file is mapped into memory, so nothing is copied but what is asked for, and no length in it can make us take
-more memory than the file is large. A walk goes from record to record; where one cannot be right it says so with
-the place, and can go on at the next chunk that proves itself by its checksum.
+The file is mapped into memory, so only requested bytes are copied, and no length in it can make the reader allocate
+more memory than the size of the file. A scan ends at an invalid record with its offset, and can continue at the next
+chunk with a valid checksum.
 """
 
 from __future__ import annotations
@@ -57,23 +57,23 @@ _P = TypeVar("_P", bound=McapRecord)
 
 
 class Damage(NamedTuple):
-    """Something that cannot be right.
+    """An invalid part of a file.
 
     Attributes:
-        offset: Where in the file [bytes].
-        rule: What it breaks, in words.
+        offset: Its position [bytes].
+        rule: The rule that it breaks.
     """
 
     offset: int
     rule: str
 
     def error(self, path: Path) -> FileError:
-        """As an error that names file and place."""
+        """As an error that names file and position."""
         return FileError(path, self.rule, field=f"byte {self.offset}")
 
 
 class RawRecord(NamedTuple):
-    """One record: its opcode, where it begins, and where its body begins and ends."""
+    """One record: its opcode, its offset, and the start and end of its body."""
 
     opcode: int
     offset: int
@@ -82,7 +82,7 @@ class RawRecord(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """A chunk whose sizes fit: where its data begin and end, and the checksum that they should have."""
+    """A chunk with consistent sizes: start and end of its data, and their declared checksum."""
 
     offset: int
     start: int
@@ -90,7 +90,7 @@ class Chunk(NamedTuple):
     crc: int
 
     def intact(self, data: memoryview) -> bool:
-        """Whether the data have the checksum."""
+        """Whether the data match the checksum."""
         return zlib.crc32(data[self.start : self.end]) == self.crc
 
 
@@ -107,7 +107,7 @@ class RawMessage(NamedTuple):
 
 @contextmanager
 def mapped(path: Path) -> Iterator[memoryview]:
-    """The bytes of a file, read from the disk as they are looked at.
+    """The bytes of a file, read from the disk on access.
 
     Raises:
         FileError: If it cannot be read.
@@ -123,22 +123,14 @@ def mapped(path: Path) -> Iterator[memoryview]:
 
 
 def magic_damage(data: memoryview) -> Damage | None:
-    """What is wrong with the first bytes, if anything is."""
+    """The fault of the first bytes, if there is one."""
     if len(data) == 0:
         return Damage(0, "is empty")
     return None if bytes(data[: len(MAGIC)]) == MAGIC else Damage(0, "is no MCAP file: it does not begin as one")
 
 
 def records(data: memoryview, start: int, end: int | None = None) -> Iterator[RawRecord | Damage]:
-    """The records from `start` on; a `Damage` ends the walk.
-
-    The footer and what follows it belong to the last record of a file: the walk ends behind the footer.
-
-    Args:
-        data: The file.
-        start: Of a record.
-        end: Where they must end; by default the end of the file.
-    """
+    """The records from offset `start` to `end`, by default the end of the file; ends after a `Damage` or the footer."""
     end = len(data) if end is None else end
     while start < end:
         if end - start < _HEAD.size:
@@ -160,19 +152,19 @@ def records(data: memoryview, start: int, end: int | None = None) -> Iterator[Ra
 
 
 def chunk_at(data: memoryview, record: RawRecord) -> Chunk | Damage:
-    """The chunk in a record; ours are not compressed."""
+    """The chunk in a record; foretouch writes them uncompressed."""
     if record.end - record.start < _CHUNK.size:
         return Damage(record.offset, "damaged: a chunk too short for its head")
     _, _, size, crc, compression, data_size = _CHUNK.unpack_from(data, record.start)
     if compression:
-        return Damage(record.offset, "damaged, or compressed, which foretouch does not")
+        return Damage(record.offset, "damaged, or compressed, which foretouch does not support")
     if not size == data_size == record.end - record.start - _CHUNK.size:
         return Damage(record.offset, "damaged: the sizes of a chunk do not add up")
     return Chunk(record.offset, record.start + _CHUNK.size, record.end, crc)
 
 
 def next_chunk(data: memoryview, start: int) -> Chunk | None:
-    """The first chunk from `start` on that has its checksum, wherever it begins; None if there is none."""
+    """The first chunk with a valid checksum at any offset from `start` on; None if there is none."""
     for match in _CHUNK_START.finditer(data, start):
         found = next(records(data, match.start()))
         if isinstance(found, RawRecord):
@@ -183,7 +175,7 @@ def next_chunk(data: memoryview, start: int) -> Chunk | None:
 
 
 def messages_of(data: memoryview, start: int, end: int) -> Iterator[RawMessage | RawRecord | Damage]:
-    """What a chunk's data hold: messages, and the records of schemas and channels."""
+    """The contents of a chunk's data: messages, and the records of schemas and channels."""
     for record in records(data, start, end):
         if isinstance(record, Damage) or record.opcode != Opcode.MESSAGE:
             yield record
@@ -205,12 +197,12 @@ def parse(kind: type[_P], data: memoryview, record: RawRecord) -> _P | Damage:
             record.offset, f"damaged: no {kind.__name__.lower()}: {' '.join(str(err).split()) or type(err).__name__}"
         )
     if stream.count != record.end - record.start:
-        return Damage(record.offset, f"damaged: bytes behind a {kind.__name__.lower()}")
+        return Damage(record.offset, f"damaged: extra bytes after a {kind.__name__.lower()}")
     return content
 
 
 def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | None:
-    """What a record declares, if it is one that does."""
+    """The schema, channel or metadata in a record; None for other records."""
     if record.opcode == Opcode.SCHEMA:
         return parse(Schema, data, record)
     if record.opcode == Opcode.CHANNEL:
@@ -219,7 +211,7 @@ def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | N
 
 
 def check_record(data: memoryview, record: RawRecord) -> Damage | None:
-    """Whether a record's length fits what is in it, where no checksum says so: a wrong one would skip what follows."""
+    """Check the length of a record without checksum against its content: a wrong one would skip valid records."""
     content: object = None
     if record.opcode == Opcode.HEADER:
         content = parse(Header, data, record)
@@ -228,7 +220,7 @@ def check_record(data: memoryview, record: RawRecord) -> Damage | None:
         if size < 0 or size % 16 or size != INDEX_HEAD.unpack_from(data, record.start)[1]:
             content = Damage(record.offset, "damaged: the sizes of an index do not add up")
     elif record.opcode not in _KNOWN:
-        content = Damage(record.offset, f"damaged: a record of number {record.opcode} has no place here")
+        content = Damage(record.offset, f"damaged: a record of number {record.opcode} is not allowed here")
     else:
         content = declaration(data, record)
     return content if isinstance(content, Damage) else None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proves that a recording is what was written: every byte of it stands under a checksum.
+"""Verifies that a recording is unchanged: every byte of it is covered by a checksum.
 
-Chunks have a CRC-32 each, the whole data section another, index and summary a third; each sample carries its own
-SHA-256, and the manifest too. Beyond the bytes: samples can be decoded, ids are given once, the index leads to
-the chunks, and the accounts agree with what is there.
+Each chunk has a CRC-32, the whole data section another, index and summary a third; each sample has its own SHA-256,
+and so does the manifest. Besides the bytes: samples can be decoded, ids are unique, the index matches the chunks, and
+the message counts match the contents.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -19,11 +18,11 @@ from typing import Final
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
 
-from foretouch.dataset.recording.accounts import Accounts
 from foretouch.dataset.recording.edits import read_edits
-from foretouch.dataset.recording.folder import is_dataset, read_identity, session_files
+from foretouch.dataset.recording.folder import recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
-from foretouch.dataset.recording.messages import ABOUT, ACCOUNTS, SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TYPE, decode_sample
 from foretouch.dataset.recording.scan import (
     Damage,
     RawMessage,
@@ -36,35 +35,29 @@ from foretouch.dataset.recording.scan import (
     parse,
     records,
 )
-from foretouch.errors import DatasetError, FileError
+from foretouch.errors import DatasetError
 
 __all__ = ["FileReport", "verify_dataset", "verify_file"]
 
-_DATA_RECORDS: Final = {
-    Opcode.HEADER,
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.METADATA,
-}
+_DECLARATIONS: Final = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA}
+_DATA_RECORDS: Final = _DECLARATIONS | {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
 _FOOTER = struct.Struct("<QQI")
-_MAX_FAULTS: Final = 100  # of one file that are kept
+_MAX_FAULTS: Final = 100  # faults reported for one file
 
 
 @dataclass(eq=False)
 class FileReport:
-    """What was found in one file.
+    """The verification of one file.
 
     Attributes:
         path: The file.
-        size: Of it [bytes].
+        size: Its size [bytes].
         finished: Whether it was closed.
-        ids: Of its samples, in order.
+        ids: Ids of its samples, in order.
         messages: Messages by topic.
-        accounts: The last in the file; None if there is none.
+        counts: The last message counts in the file; None if there are none.
         about: Schema version, hand, camera and so on, as text.
-        faults: What is wrong, by place.
+        faults: The faults, with their offsets.
     """
 
     path: Path
@@ -72,17 +65,24 @@ class FileReport:
     finished: bool = False
     ids: list[str] = field(default_factory=list)
     messages: Counter[str] = field(default_factory=Counter)
-    accounts: Accounts | None = None
+    counts: MessageCounts | None = None
     about: dict[str, str] = field(default_factory=dict)
     faults: list[Damage] = field(default_factory=list)
 
     @property
     def clean(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there are no faults."""
         return not self.faults
 
-    def told(self) -> list[str]:
-        """The faults, one line each, with file and place."""
+    @property
+    def accounts(self) -> MessageCounts | None:  # noqa: D102  # alias until merge
+        return self.counts
+
+    def told(self) -> list[str]:  # noqa: D102  # alias until merge
+        return self.fault_lines()
+
+    def fault_lines(self) -> list[str]:
+        """The faults, one line each, with file and offset."""
         return [str(fault.error(self.path)) for fault in self.faults]
 
 
@@ -90,19 +90,16 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     """Verify the manifest, the log of edits and every recording of a dataset, or a single recording.
 
     Returns:
-        A report for the manifest (of a dataset) and one a file; an id that two samples share is a fault of the later.
+        One report a file; an id that two samples share is a fault of the later file.
 
     Raises:
-        FileError: If there is nothing of the kind, the manifest or the log is damaged, or of another version.
+        FileError: If there is no recorded dataset, or its manifest or log is damaged or of another version.
     """
     path = Path(path)
-    if path.is_file():
-        return [verify_file(path)]
-    if not is_dataset(path):
-        raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    read_identity(path)
-    read_edits(path)
-    reports = [verify_file(file) for file in session_files(path)]
+    files = recorded_files(path)
+    if path.is_dir():
+        read_edits(path)
+    reports = [verify_file(file) for file in files]
     owners: dict[str, Path] = {}
     for report in reports:
         for sample_id in report.ids:
@@ -134,27 +131,25 @@ class _Verification:
         self.data = data
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.counts: Counter[int] = Counter()
+        self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
 
     def run(self) -> None:
-        damage = magic_damage(self.data)
-        if damage is not None:
+        if (damage := magic_damage(self.data)) is not None:
             self.report.faults.append(damage)
-        end = self._data_section()
-        if end is not None:
+        if (end := self._data_section()) is not None:
             self._summary(end)
         if not self.report.finished and self.report.clean:
-            self._fault(len(self.data), "not finished: no index; repair makes one")
-        for number, count in self.counts.items():
+            self._fault(len(self.data), "not finished: no index; repair creates one")
+        for number, count in self.found.items():
             self.report.messages[self.channels[number].topic] += count
-        self._accounts()
+        self._check_counts()
 
     def _fault(self, offset: int, rule: str) -> None:
         self.report.faults.append(Damage(offset, rule))
 
     def _data_section(self) -> RawRecord | None:
-        """Up to the record that ends the data; None where there is none."""
+        """Check up to the record that ends the data, and return that record; None if it is missing."""
         for number, record in enumerate(records(self.data, len(MAGIC))):
             if isinstance(record, Damage):
                 self.report.faults.append(record)
@@ -165,7 +160,7 @@ class _Verification:
                 self._check_data_crc(record)
                 return record
             if record.opcode not in _DATA_RECORDS:
-                self._fault(record.offset, f"damaged: a record of number {record.opcode} has no place here")
+                self._fault(record.offset, f"damaged: a record of number {record.opcode} is not allowed here")
             elif record.opcode == Opcode.CHUNK:
                 self._chunk(record)
             else:
@@ -179,7 +174,7 @@ class _Verification:
     def _check_data_crc(self, record: RawRecord) -> None:
         stored = int.from_bytes(self.data[record.start : record.end], "little")
         if stored != zlib.crc32(self.data[: record.offset]) or record.end - record.start != 4:
-            self._fault(record.offset, "damaged: the bytes before are not those of which this checksum was taken")
+            self._fault(record.offset, "damaged: the bytes before do not match this checksum")
 
     def _chunk(self, record: RawRecord) -> None:
         chunk = chunk_at(self.data, record)
@@ -187,7 +182,7 @@ class _Verification:
             self.report.faults.append(chunk)
             return
         if not chunk.intact(self.data):
-            self._fault(chunk.offset, "damaged: a chunk's bytes are not those of which its checksum was taken")
+            self._fault(chunk.offset, "damaged: a chunk that does not match its checksum")
             return
         self.chunks.append(chunk.offset)
         for item in messages_of(self.data, chunk.start, chunk.end):
@@ -206,15 +201,11 @@ class _Verification:
             self.schemas[content.id] = content
         elif isinstance(content, Channel):
             self.channels[content.id] = content
-        elif isinstance(content, Metadata):
-            self._metadata(record, content)
-
-    def _metadata(self, record: RawRecord, content: Metadata) -> None:
-        if content.name == ABOUT:
+        elif isinstance(content, Metadata) and content.name == ABOUT:
             self.report.about = content.metadata
-        elif content.name == ACCOUNTS:
+        elif isinstance(content, Metadata) and content.name == COUNTS:
             try:
-                self.report.accounts = Accounts.from_mapping(content.metadata)
+                self.report.counts = MessageCounts.from_mapping(content.metadata)
             except DatasetError as err:
                 self._fault(record.offset, str(err))
 
@@ -224,7 +215,7 @@ class _Verification:
         if channel is None or schema is None:
             self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
             return
-        self.counts[message.channel] += 1
+        self.found[message.channel] += 1
         if schema.name != SAMPLE_TYPE:
             return
         try:
@@ -248,14 +239,15 @@ class _Verification:
             elif record.opcode == Opcode.FOOTER:
                 self._footer(data_end.end, record)
                 if self.report.clean and chunks != self.chunks:
-                    self._fault(data_end.end, f"the index leads to {len(chunks)} chunks, {len(self.chunks)} are there")
+                    self._fault(data_end.end, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
                 return
         self._fault(len(self.data), "cut off: no footer")
 
     def _statistics(self, record: RawRecord) -> None:
         statistics = parse(Statistics, self.data, record)
-        if self.report.clean and isinstance(statistics, Statistics) and statistics.message_count != self.counts.total():
-            self._fault(record.offset, f"tells of {statistics.message_count} messages, {self.counts.total()} are there")
+        declared = statistics.message_count if isinstance(statistics, Statistics) else None
+        if self.report.clean and declared not in (None, self.found.total()):
+            self._fault(record.offset, f"declares {declared} messages, {self.found.total()} are there")
 
     def _footer(self, summary: int, record: RawRecord) -> None:
         self.report.finished = True
@@ -264,23 +256,22 @@ class _Verification:
             return
         start, _, crc = _FOOTER.unpack_from(self.data, record.start)
         if start != summary or crc != zlib.crc32(self.data[summary : record.end - 4]):
-            self._fault(record.offset, "damaged: the summary is not that of which this checksum was taken")
+            self._fault(record.offset, "damaged: the summary does not match its checksum")
         if bytes(self.data[record.end :]) != MAGIC:
             self._fault(record.end, "damaged: the file does not end as an MCAP file")
 
-    def _accounts(self) -> None:
-        report = self.report
-        if not (report.finished and report.clean):
+    def _check_counts(self) -> None:
+        """Compare the message counts with the contents, if the file is otherwise clean."""
+        if not (self.report.finished and self.report.clean):
             return
-        if report.accounts is None:
-            self._fault(0, "holds no accounts")
+        if self.report.counts is None:
+            self._fault(0, "holds no message counts")
             return
-        for rule in self._account_faults(report.accounts):
+        topics, found = self.report.counts.topics, self.report.messages
+        rules = self.report.counts.faults()
+        for topic in sorted(topics.keys() | found.keys()):
+            written = topics[topic].written if topic in topics else 0
+            if written != found[topic]:
+                rules.append(f"{topic}: {written} messages are counted as written, {found[topic]} are there")
+        for rule in rules:
             self._fault(0, rule)
-
-    def _account_faults(self, accounts: Accounts) -> Iterator[str]:
-        yield from accounts.faults()
-        for topic in sorted(accounts.topics.keys() | self.report.messages.keys()):
-            booked = accounts.topics[topic].written if topic in accounts.topics else 0
-            if booked != self.report.messages[topic]:
-                yield f"{topic}: {booked} messages are booked as written, {self.report.messages[topic]} are there"

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The actions of `foretouch dataset`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch.cli.output import print_json, print_table, warn
+from foretouch.errors import ConfigError, FileError, ForetouchError
+
+if TYPE_CHECKING:
+    from foretouch.dataset.info import SampleSetInfo
+    from foretouch.dataset.record import Identity
+    from foretouch.dataset.samples import SampleSet
+    from foretouch.types import GraspSample
+
+__all__ = ["ACTIONS"]
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.info import PAIRING_EDGES_MS, describe
+
+    found = describe(arguments.path)
+    if arguments.json:
+        edges = [None if edge == float("inf") else edge for edge in PAIRING_EDGES_MS]
+        print_json({"path": arguments.path, **vars(found), "pairing_edges_ms": edges})
+        return 0
+    print_table(arguments.path, ["", "value"], [[name, value] for name, value in _info_rows(found) if value])
+    return 0
+
+
+def _info_rows(found: SampleSetInfo) -> Iterator[tuple[str, str]]:
+    from foretouch.dataset.info import PAIRING_EDGES_MS
+
+    yield "kind", found.kind
+    numbers = f"{found.labelled} labelled, {found.tared} with tare, {found.discarded} discarded"
+    yield "samples", f"{found.samples} ({numbers})"
+    yield "objects", _counts(found.objects)
+    yield "outcomes", _counts(found.outcomes)
+    yield "flags", _counts(found.flags)
+    yield "time", f"{_utc(found.first_ns)} to {_utc(found.last_ns)}"
+    yield "points a cloud", f"{found.points[0]} to {found.points[2]} (median {found.points[1]})"
+    yield from ((name, f"{low:g} to {high:g} counts") for name, (low, high) in found.ranges.items())
+    yield "hand", _properties(found.hand)
+    yield "camera", _properties(found.camera)
+    if found.unfinished:
+        yield "not finished", f"{', '.join(found.unfinished)}: repair with `foretouch dataset repair`"
+    bins = zip(PAIRING_EDGES_MS, PAIRING_EDGES_MS[1:], found.pairing_ms, strict=False)
+    yield "pairing error", ", ".join(f"{a:g}-{b:g} ms: {n}" for a, b, n in bins if n)
+    yield from ((topic, _message_counts(counts)) for topic, counts in found.accounts.items())
+    yield from (("edit", text) for text in found.edits)
+
+
+def _message_counts(counts: Mapping[str, Any]) -> str:
+    """The counts of one topic; messages lost before arrival are not among the received ones."""
+    dropped = sum(counts["dropped"].values())
+    reasons = f" ({_counts(counts['dropped'])})" if dropped else ""
+    return f"{counts['received']} = {counts['written']} written + {dropped} dropped{reasons}; {counts['lost']} lost"
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+
+
+def _properties(properties: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}: {value}" for name, value in properties.items())
+
+
+def _utc(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    failed = False
+    rows = []
+    for path in arguments.paths:
+        for record in _verified(path):
+            failed |= record["status"] != "ok"
+            if arguments.json:
+                print_json({"input": path, **record})
+            for fault in record["faults"]:
+                warn(fault)
+            counts = ["" if record[name] is None else str(record[name]) for name in ("samples", "messages", "bytes")]
+            lost = str(sum(record.get("lost", {}).values()))
+            rows.append([str(record["file"]), record["status"], *counts, lost, str(len(record["faults"]))])
+    if not arguments.json:
+        print_table("verified", ["file", "state", "samples", "messages", "bytes", "lost", "faults"], rows)
+    return int(failed)
+
+
+def _verified(path: str) -> Iterator[dict[str, Any]]:
+    """One record for each file of a recorded dataset, or one for a training store."""
+    from foretouch.dataset.recording import is_dataset, verify_dataset
+    from foretouch.dataset.store import Store, is_store
+
+    empty = {"file": path, "samples": None, "messages": None, "bytes": None}
+    try:
+        if is_store(path) and not is_dataset(path):
+            store = Store(path)
+            store.verify()
+            yield {**empty, "status": "ok", "samples": len(store), "sha256": store.sha256, "faults": []}
+            return
+        for report in verify_dataset(path):
+            counts = {} if report.counts is None else report.counts.to_record()
+            yield {
+                "file": str(report.path),
+                "status": "ok" if report.clean else "damaged" if report.finished else "unfinished",
+                "samples": len(report.ids),
+                "messages": report.messages.total(),
+                "bytes": report.size,
+                "dropped": {topic: one["dropped"] for topic, one in counts.items() if one["dropped"]},
+                "lost": {topic: one["lost"] for topic, one in counts.items() if one["lost"]},
+                "faults": report.fault_lines(),
+            }
+    except ForetouchError as err:
+        yield {**empty, "status": "damaged", "faults": [str(err)]}
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.samples import open_samples
+    from foretouch.report.contact_sheet import save_contact_sheet
+
+    with open_samples(arguments.source) as samples:
+        selected = list(_selected(samples, arguments))
+    if not selected:
+        raise FileError(arguments.source, "holds no sample to show")
+    title = f"{Path(arguments.source).name}: {len(selected)} of {len(samples)} samples"
+    save_contact_sheet(arguments.out, selected, title)
+    record = {"out": str(arguments.out), "samples": [sample.id for sample in selected]}
+    return _print_result("drawn", record, as_json=arguments.json)
+
+
+def _selected(samples: SampleSet, arguments: argparse.Namespace) -> Iterator[GraspSample]:
+    """The samples named by --id, or some evenly spaced over the dataset."""
+    from foretouch.dataset.samples import only_finite
+
+    if arguments.id:
+        missing = set(arguments.id)
+        for record in samples.records(discarded=True):
+            if record.sample.id in missing:
+                missing.discard(record.sample.id)
+                yield only_finite(record.sample)
+        if missing:
+            raise FileError(arguments.source, f"holds no sample {', '.join(sorted(missing))}")
+        return
+    count = min(arguments.count, len(samples))
+    for k in range(count):
+        yield only_finite(samples.record(k * len(samples) // count).sample)
+
+
+def _repair(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.recording import repair_dataset
+
+    rows = []
+    for path in arguments.paths:
+        for report in repair_dataset(path):
+            lost = [str(damage.error(report.path)) for damage in report.lost]
+            if arguments.json:
+                original = None if report.original is None else str(report.original)
+                counts = {"samples": report.samples, "messages": report.messages}
+                record = {"file": str(report.path), "changed": report.changed, **counts, "original": original}
+                print_json({"input": path, **record, "lost": lost})
+            for line in lost:
+                warn(f"{line}: not kept")
+            kept = report.original.name if report.original else ""
+            state = "repaired" if report.changed else "not damaged"
+            rows.append([str(report.path), state, str(report.samples), str(report.messages), kept])
+    if not arguments.json:
+        print_table("repaired", ["file", "state", "samples", "messages", "original"], rows)
+    return 0
+
+
+def _edit(arguments: argparse.Namespace) -> int:
+    """Apply one edit; without one, list the edits."""
+    from foretouch.dataset import editing
+    from foretouch.dataset.recording import RecordedDataset
+
+    path, ids = arguments.path, arguments.id
+    needs_ids = arguments.relabel is not None or arguments.drop
+    if needs_ids != bool(ids):
+        raise ConfigError("--relabel and --drop need --id" if needs_ids else "--id needs --relabel or --drop")
+    record: dict[str, Any] = {}
+    if arguments.relabel is not None:
+        record["edit"] = editing.relabel(path, ids, arguments.relabel)
+    elif arguments.drop:
+        record["edit"] = editing.drop(path, ids)
+    elif arguments.merge:
+        record["edit"] = editing.merge(path, *arguments.merge)
+    elif arguments.undo:
+        record["undone"] = editing.undo(path)
+    with RecordedDataset(path) as dataset:
+        edits = dataset.edits.descriptions()
+    if arguments.json:
+        print_json({**record, "edits": edits})
+    else:
+        print_table("edits", ["number", "edit"], [text.split(": ", 1) for text in edits])
+    return 0
+
+
+def _build(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.store_writer import build_store
+    from foretouch.learning.data.splits import SPLITS_FILE, make_splits
+
+    files: dict[str, str] = {}
+
+    def attach(samples: Sequence[Any]) -> Mapping[str, str]:
+        files[SPLITS_FILE] = make_splits(samples, arguments.seed)
+        return files
+
+    with _progress("building", as_json=arguments.json) as advance:
+        result = build_store(arguments.sources, arguments.out, attach=attach, progress=advance)
+    splits = json.loads(files[SPLITS_FILE])
+    record = {
+        "out": str(arguments.out),
+        "samples": len(result.samples),
+        "labelled": sum(sample.labelled for sample in result.samples),
+        "left_out": dict(result.left_out),
+        "sha256": result.sha256,
+        "seed": splits["seed"],
+        "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},
+        "omitted": splits["omitted"],
+    }
+    return _print_result("built", record, as_json=arguments.json)
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.importing import BagTopics, import_samples
+
+    topics = BagTopics(
+        clouds=arguments.cloud_topic,
+        grasps=arguments.grasp_topic,
+        executed=arguments.executed_topic,
+        tactile=arguments.tactile_topic,
+        object=arguments.object,
+        fingers=arguments.fingers,
+    )
+    with _progress("importing", as_json=arguments.json) as advance:
+        result = import_samples(
+            arguments.source, arguments.out, identity=_identity(arguments), topics=topics, progress=advance
+        )
+    record = {
+        "out": str(arguments.out),
+        "samples": result.samples,
+        "labelled": result.labelled,
+        "left_out": {reason: count for reason, count in result.left_out.items() if count},
+    }
+    return _print_result("imported", record, as_json=arguments.json)
+
+
+def _identity(arguments: argparse.Namespace) -> Identity | None:
+    from foretouch.dataset.record import Identity
+
+    if not arguments.hand and not arguments.camera:
+        return None
+    hand, camera = (dict(_name_and_value(text) for text in texts) for texts in (arguments.hand, arguments.camera))
+    return Identity(hand=hand, camera=camera)
+
+
+def _name_and_value(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise ConfigError(f"{text}: is not NAME=VALUE")
+    return name, value
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from foretouch.dataset.samples import export_samples
+
+    with _progress("exporting", as_json=arguments.json) as advance:
+        result = export_samples(arguments.source, arguments.out, arguments.format, advance)
+    record = {
+        "out": str(arguments.out),
+        "format": arguments.format,
+        "samples": result.written,
+        "left_out": dict(result.left_out),
+        "lost": {name: count for name, count in result.lost.items() if count},
+    }
+    return _print_result("exported", record, as_json=arguments.json)
+
+
+@contextmanager
+def _progress(what: str, *, as_json: bool) -> Iterator[Callable[[], None]]:
+    """Count samples on stderr during a conversion; prints nothing for programs that read JSON."""
+    if as_json:
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed}} samples"), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda: bar.advance(task)
+
+
+def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:
+    """Print a JSON object, or a table without empty values; exit status 0."""
+    if as_json:
+        print_json(record)
+        return 0
+    rows = [[name.replace("_", " "), _text(value)] for name, value in record.items() if value not in ({}, [], "")]
+    print_table(title, ["", "value"], rows)
+    return 0
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "; ".join(f"{name}: {_text(item)}" for name, item in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+ACTIONS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "info": _info,
+    "verify": _verify,
+    "repair": _repair,
+    "edit": _edit,
+    "build": _build,
+    "import": _import,
+    "export": _export,
+    "show": _show,
+}

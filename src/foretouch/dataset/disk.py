@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""File operations that datasets share: readable disk errors, durable names, folders that appear complete or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from foretouch.errors import FileError
+
+__all__ = ["disk_errors", "new_folder", "sync_folder"]
+
+
+@contextmanager
+def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
+    """Turn an `OSError` into a `FileError` with its description and number, after `rule` if there is one."""
+    try:
+        yield
+    except OSError as err:
+        prefix = f"{rule}: " if rule else ""
+        raise FileError(path, f"{prefix}{err.strerror or err} (errno {err.errno})") from err
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Write a folder beside its final position and move it there at the end; an error leaves nothing behind.
+
+    Args:
+        path: The final position; must not exist.
+
+    Yields:
+        Where to create the folder; nothing exists there.
+
+    Raises:
+        FileError: If `path` exists, or the disk fails.
+    """
+    if path.exists():
+        raise FileError(path, "exists already and is not overwritten")
+    part = path.with_name(f".{path.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        with disk_errors(path):
+            yield part
+            part.rename(path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def sync_folder(path: Path) -> None:
+    """Put the names of a folder on the disk, so that a new file survives a power cut."""
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The formats of datasets: one line each in `FORMATS`, from which commands and readers take what is supported.
+
+To add a format, write one module with a `DATASET_FORMAT` (see `foretouch.dataset.samples.DatasetFormat`) and add its
+line here. This module imports no reader, so that help texts do not wait for the libraries of all formats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["FORMATS", "FormatEntry", "export_formats", "readable_formats"]
+
+
+@dataclass(frozen=True)
+class FormatEntry:
+    """One format, described without importing its module.
+
+    Attributes:
+        name: In options, JSON and error messages.
+        title: In help texts; a noun phrase.
+        module: Python module that holds its `DATASET_FORMAT`.
+        files: Suffixes of single files that may be of this format.
+        folders: Glob patterns; a folder with a match may be of this format.
+        exported: Whether samples can be written in this format.
+    """
+
+    name: str
+    title: str
+    module: str
+    files: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
+    exported: bool = False
+
+    @property
+    def readable(self) -> bool:
+        """Whether samples can be read from this format."""
+        return bool(self.files or self.folders)
+
+    def may_hold(self, path: Path) -> bool:
+        """Whether the name of a file, or those in a folder, allow this format; its module decides."""
+        if path.is_dir():
+            return any(next(path.glob(pattern), None) is not None for pattern in self.folders)
+        return path.suffix in self.files and path.is_file()
+
+
+FORMATS: tuple[FormatEntry, ...] = (  # the first that recognises a path reads it
+    FormatEntry("recording", "recorded dataset (MCAP)", "foretouch.dataset.recording.reader", (".mcap",), ("manifest.json",)),
+    FormatEntry("store", "training store (Arrow)", "foretouch.dataset.store", (), ("manifest.json",)),
+    FormatEntry("vision2tactile", "vision2tactile folders", "foretouch.dataset.vision2tactile", (), ("*",), exported=True),
+    FormatEntry("npz", "NumPy archives", "foretouch.dataset.npz", exported=True),
+    FormatEntry("rosbag2", "ROS 2 bag", "foretouch.dataset.bag_writer", exported=True),
+)  # fmt: skip
+
+
+def readable_formats() -> str:
+    """The formats that can be read, for help texts and error messages."""
+    *others, last = [entry.title for entry in FORMATS if entry.readable]
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def export_formats() -> list[str]:
+    """Names of the formats that samples can be exported to."""
+    return [entry.name for entry in FORMATS if entry.exported]

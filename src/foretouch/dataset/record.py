@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The record of one grasp: the sample that models train on, and what is needed to assess it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import DatasetError
+from foretouch.types import TOUCH_SIZE, Float32, Grasp, GraspSample
+
+__all__ = [
+    "APPROACH",
+    "DISCARDED",
+    "HOLD",
+    "REST",
+    "Identity",
+    "Outcome",
+    "SampleRecord",
+    "TouchSeries",
+    "check_id",
+    "check_name",
+]
+
+REST: Final = 0
+APPROACH: Final = 1
+HOLD: Final = 2
+
+DISCARDED: Final = "discarded"
+"""Flag of a sample that the operator discarded: it stays in the recording, and builds and exports leave it out."""
+
+Outcome = Literal["unknown", "success", "failure"]
+
+_FORBIDDEN = re.compile(r"[\x00-\x1f\x7f/\\:]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """The hand and the camera; all recordings of a dataset share them.
+
+    Attributes:
+        hand: Properties by name, such as model, serial number and which of its fingers are thumb and middle finger.
+        camera: Properties by name, such as model, serial number and image size.
+    """
+
+    hand: Mapping[str, str] = field(default_factory=dict)
+    camera: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class TouchSeries:
+    """The readings around one grasp, in the order of their stamps.
+
+    Attributes:
+        stamps_ns: (T,) int64, from the sensor's headers [ns]; equal stamps are kept.
+        counts: (T, 50) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts].
+        phases: (T,) uint8: REST, APPROACH or HOLD.
+        others: Further channels by name, such as `PAC0_TH`: (T,) float32 each [counts].
+
+    Raises:
+        DatasetError: If a shape differs from these.
+    """
+
+    stamps_ns: npt.NDArray[np.int64]
+    counts: Float32
+    phases: npt.NDArray[np.uint8]
+    others: Mapping[str, Float32] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        length = len(self.stamps_ns)
+        arrays: dict[str, npt.NDArray[Any]] = {"counts": self.counts, "phases": self.phases}
+        arrays |= {f"others.{name}": values for name, values in self.others.items()}
+        for name, array in arrays.items():
+            shape = (length, TOUCH_SIZE) if name == "counts" else (length,)
+            if array.shape != shape:
+                raise DatasetError(f"series.{name}: shape {array.shape} is not {shape}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampleRecord:
+    """One recorded grasp; it is labelled if `sample.touch` is set.
+
+    Attributes:
+        sample: If its id is "", the writer assigns `<object>/<number>`. Unlabelled: `grasp` is the best planned one.
+        candidates: The other grasps planned on the same cloud.
+        outcome: The operator's verdict.
+        note: The operator's remark.
+        series: The readings around the grasp.
+        contact_ns: Stamp of the first contact [ns].
+        detector: Description of the method that detected the contact.
+        pairing_error_ns: Widest gap between the requested interval and the readings found [ns].
+        flags: Such as `arrival_stamped`.
+    """
+
+    sample: GraspSample
+    candidates: tuple[Grasp, ...] = ()
+    outcome: Outcome = "unknown"
+    note: str = ""
+    series: TouchSeries | None = None
+    contact_ns: int | None = None
+    detector: str = ""
+    pairing_error_ns: int | None = None
+    flags: tuple[str, ...] = ()
+
+
+def check_name(name: str, what: str) -> str:
+    """Check a label that becomes part of an id and the name of a folder, and return it.
+
+    Args:
+        name: The label.
+        what: The field, for the error message.
+
+    Raises:
+        DatasetError: If it is empty, longer than 100 characters, `.` or `..`, or holds a slash, a colon or a control character.
+    """
+    if not name or len(name) > 100 or name.strip(".") == "" or _FORBIDDEN.search(name):
+        raise DatasetError(
+            f"{what}: {name[:100]!r} is no plain name (1 to 100 characters, no slash, colon or dots alone)"
+        )
+    return name
+
+
+def check_id(sample_id: str, label: str) -> None:
+    """Check that an id is `<object>/<name>` for the object `label`.
+
+    Raises:
+        DatasetError: If it is not; names the rule.
+    """
+    head, slash, name = sample_id.partition("/")
+    if not slash or head != label:
+        raise DatasetError(f"id: {sample_id[:200]!r} is not {label[:100]!r}, a slash and a name")
+    check_name(head, "object")
+    check_name(name, "id")

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message counts of a recording: received = written + dropped (by reason), for each topic.
+
+Messages that the middleware lost before they arrived were never received; they are counted separately.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from foretouch.errors import DatasetError
+
+__all__ = ["MessageCounts", "TopicCounts"]
+
+
+@dataclass
+class TopicCounts:
+    """Counts of one topic.
+
+    Attributes:
+        received: Messages that arrived.
+        written: Messages in the file.
+        dropped: Messages discarded, by reason.
+        lost: Messages that the middleware lost before they arrived.
+    """
+
+    received: int = 0
+    written: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    lost: int = 0
+
+    @property
+    def pending(self) -> int:
+        """Received, and neither written nor dropped yet: in a queue or in the next chunk."""
+        return self.received - self.written - self.dropped.total()
+
+
+class MessageCounts:
+    """The counts of a recording, by topic."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, TopicCounts] = {}
+
+    def topic(self, name: str) -> TopicCounts:
+        """The counts of one topic, created if needed."""
+        return self.topics.setdefault(name, TopicCounts())
+
+    def add(self, other: MessageCounts) -> None:
+        """Add the counts of another recording."""
+        for name, theirs in other.topics.items():
+            counts = self.topic(name)
+            counts.received += theirs.received
+            counts.written += theirs.written
+            counts.dropped.update(theirs.dropped)
+            counts.lost += theirs.lost
+
+    def drop_pending(self, reason: str) -> None:
+        """Count all pending messages as dropped, at the end of a recording."""
+        for counts in self.topics.values():
+            if counts.pending > 0:
+                counts.dropped[reason] += counts.pending
+
+    def faults(self) -> list[str]:
+        """Topics whose counts do not add up, one line each."""
+        return [
+            f"{name}: received {counts.received} is not written {counts.written} + dropped {counts.dropped.total()}"
+            for name, counts in sorted(self.topics.items())
+            if counts.pending
+        ]
+
+    def to_record(self) -> dict[str, dict[str, Any]]:
+        """By topic, in plain types."""
+        return {
+            name: {
+                "received": counts.received,
+                "written": counts.written,
+                "dropped": dict(sorted(counts.dropped.items())),
+                "lost": counts.lost,
+            }
+            for name, counts in sorted(self.topics.items())
+        }
+
+    def to_mapping(self) -> dict[str, str]:
+        """As MCAP metadata: one JSON text a topic."""
+        return {name: json.dumps(counts) for name, counts in self.to_record().items()}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, str]) -> MessageCounts:
+        """Parse the result of `to_mapping`; recordings of early versions hold no losses, which read as 0.
+
+        Raises:
+            DatasetError: If a text is invalid.
+        """
+        result = cls()
+        for name, text in mapping.items():
+            try:
+                counts = json.loads(text)
+                dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
+                received, written, lost = (
+                    int(n) for n in (counts["received"], counts["written"], counts.get("lost", 0))
+                )
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
+                raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
+            result.topics[name] = TopicCounts(received, written, dropped, lost)
+        return result
