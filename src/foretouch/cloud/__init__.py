@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds: files, messages, segmentation, filters, sampling, and the frame that models see them in."""
 
-from foretouch.cloud.geometry.sampling import sample_indices
-from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
 from foretouch.cloud.segmentation.crop import CropConfig, crop_box, crop_range
