@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import grasp_slab
+from foretouch.grasp.candidates import find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
 COUNTS = ("n_filtered", "n_voxel", "n_plane", "n_first", "n_second", "n_fv", "n_sv", "n_nan_normals")
@@ -52,7 +52,7 @@ class ReferenceRow:
 
 @dataclass(frozen=True, eq=False)
 class ExecutedGrasp:
-    """A grasp that the robot executed, and the slides of the slab that explain it."""
+    """A grasp that the robot executed, and the slides of the grasp plane that explain it."""
 
     cloud: Path
     contacts: Float64  # (2, 3) [m]
@@ -132,7 +132,7 @@ def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
 
 
 def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:
-    """Whether the initial points of a slab slid by this are the executed contacts."""
+    """Whether the initial points of a grasp plane shifted by this are the executed contacts."""
     plan = plan_grasps(read_cloud(grasp.cloud), TOP_VIEW, GeoGraspConfig(), slide_m=slide_m)
     return plan.initial_points is not None and _are_executed(grasp, plan.initial_points)
 
@@ -147,8 +147,8 @@ def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
     slides = np.linspace(*grasp.slide_range_m, n)
     for slide in slides[np.argsort(np.abs(slides - grasp.slide_m), kind="stable")]:
         centre = axis.centroid + slide * axis.direction
-        slab = grasp_slab(xyz, centre, axis.direction, side, config.slab_half_width_m)
-        if _are_executed(grasp, xyz[[slab.first, slab.second]]) and reproduces(grasp, float(slide)):
+        grasp_plane = find_grasp_plane(xyz, centre, axis.direction, side, config.slab_half_width_m)
+        if _are_executed(grasp, xyz[[grasp_plane.first, grasp_plane.second]]) and reproduces(grasp, float(slide)):
             return float(slide)
     return None
 

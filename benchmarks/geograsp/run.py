@@ -18,7 +18,7 @@ import baseline
 import numpy as np
 import parity
 
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps

@@ -33,7 +33,10 @@ class GeoGraspConfig(Settings):
         0.007, "Points closer than this to the grasp plane may be contacts", unit="m", minimum=0.0005, maximum=0.5
     )
     slide_fraction: float = setting(
-        0.8, "Fraction of the object's extent along its axis from which a random slide is drawn", minimum=0.0, maximum=1.0
+        0.8,
+        "Fraction of the object's extent along its axis from which a random slide is drawn",
+        minimum=0.0,
+        maximum=1.0,
     )
 
     @property

@@ -34,9 +34,9 @@ from foretouch.types import ELECTRODES, Float64
 
 __all__ = [
     "FINGER_COLUMNS",
-    "ContactEvent",
     "ContactConfig",
     "ContactDetector",
+    "ContactEvent",
     "FingerContact",
     "contact_scores",
     "find_contact",
@@ -77,8 +77,12 @@ class ContactConfig(Settings):
         minimum=0.0,
         maximum=60.0,
     )
-    electrode_noise: float = setting(4.4, "Minimum standard deviation of an electrode at rest", unit="counts", minimum=0.1)
-    pdc_noise: float = setting(0.4, "Minimum standard deviation of the static pressure at rest", unit="counts", minimum=0.01)
+    electrode_noise: float = setting(
+        4.4, "Minimum standard deviation of an electrode at rest", unit="counts", minimum=0.1
+    )
+    pdc_noise: float = setting(
+        0.4, "Minimum standard deviation of the static pressure at rest", unit="counts", minimum=0.01
+    )
     longest_s: float = setting(120.0, "Longer contacts are considered drift", unit="s", minimum=1.0, maximum=1e6)
 
 

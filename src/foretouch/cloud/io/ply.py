@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PLY files (Stanford polygon format): the vertices, as a cloud.
+"""Read and write the vertices of PLY files (Stanford polygon format) as clouds.
 
-Read here, since Open3D fills a file that is cut off with zeros and only warns. The order of an image is kept
-in the two `obj_info` lines, `num_cols` and `num_rows`, that Stanford's range scans introduced.
+Decoded here, since Open3D fills a truncated file with zeros and only warns. The shape of an organised cloud is in the
+two `obj_info` lines `num_cols` and `num_rows`, as in Stanford's range scans.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from foretouch.types import Cloud, UInt8
 
 __all__ = ["read_ply", "write_ply"]
 
-_HEADER_LIMIT = 65536  # bytes within which end_header must stand
+_HEADER_LIMIT = 65536  # bytes within which end_header must occur
 _TYPES = {
     "char": "i1",
     "uchar": "u1",
@@ -44,13 +44,13 @@ _COLOURS = ("red", "green", "blue")
 
 @dataclass
 class _Header:
-    """What the text says before the data.
+    """The text before the data.
 
     Attributes:
         encoding: Key of `_ORDERS`.
         points: Number of vertices.
-        properties: Of a vertex, name and NumPy type.
-        image: `num_cols` and `num_rows`, where given.
+        properties: Name and NumPy type of each property of a vertex.
+        image: `num_cols` and `num_rows`, if given.
     """
 
     encoding: str = ""
@@ -60,16 +60,13 @@ class _Header:
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices of a PLY file, which must be its first element.
-
-    Args:
-        path: The file, ascii or binary.
+    """Read the vertices of an ASCII or binary PLY file, which must be its first element.
 
     Returns:
-        (H, W, 3) where `obj_info` says so, else (N, 3), with colours where it has red, green, blue of uchar.
+        (H, W, 3) if `obj_info` gives the shape, else (N, 3), with colours of red, green and blue of uchar.
 
     Raises:
-        FileError: If the header is incomplete, there is no x, y, z, or the data is cut off.
+        FileError: If the header is incomplete, there is no x, y, z, or the data is truncated.
         OSError: If the file cannot be read.
     """
     content = path.read_bytes()
@@ -111,7 +108,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
     end = content.find(b"end_header", 0, _HEADER_LIMIT)
     newline = content.find(b"\n", end)
     if end < 0 or newline < 0:
-        raise FileError(path, "no line end_header: cut off", field="header")
+        raise FileError(path, "no line end_header: truncated", field="header")
     header = _Header()
     element = ""
     for line in content[:end].decode("ascii", errors="replace").splitlines():
@@ -122,7 +119,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
         raise FileError(path, "element vertex is missing", field="header")
     names = [name for name, _ in header.properties]
     if len(set(names)) != len(names):
-        raise FileError(path, f"{' '.join(names)}: a name stands twice", field="property")
+        raise FileError(path, f"{' '.join(names)}: a name occurs twice", field="property")
     for axis in "xyz":
         if axis not in names:
             raise FileError(path, f"is no property of the vertices; there are: {' '.join(names)}", field=axis)
@@ -130,7 +127,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
 
 
 def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> str:
-    """Note one line of the header; the element that the next one belongs to."""
+    """Parse one line of the header; returns the element to which the next line belongs."""
     match words:
         case ["format", encoding, *_]:
             header.encoding = encoding
