@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The things that travel between the steps: clouds, planes, grasps, touches.
+"""Data types shared by all packages: clouds, planes, grasps, tactile readings.
 
-All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor
-counts. Clouds and all that is derived from them are in the camera's optical frame (x right,
-y down, z forward) unless `frame_id` says otherwise.
+All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor counts. Clouds and
+everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 
 from __future__ import annotations
@@ -36,22 +35,22 @@ Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches"]
 
-ELECTRODES = 24  # of one BioTac SP
+ELECTRODES = 24  # per BioTac SP
 TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A point cloud, ordered like an image or not.
+    """A point cloud, organised like an image or not.
 
     Attributes:
-        xyz: (N, 3) or organised (H, W, 3), float32 [m]. A pixel without depth holds NaN in all three.
-        rgb: The same leading shape, uint8, or None.
+        xyz: (N, 3) or organised (H, W, 3), float32 [m]. All three are NaN for a pixel without depth.
+        rgb: The same shape, uint8, or None.
         frame_id: The frame of `xyz`.
-        stamp_ns: When it was measured [ns].
+        stamp_ns: Time of measurement [ns].
 
     Raises:
-        CloudError: If a shape or a dtype is another.
+        CloudError: If a shape or a dtype is wrong.
     """
 
     xyz: Float32
@@ -72,20 +71,16 @@ class Cloud:
 
     @property
     def organised(self) -> bool:
-        """Whether neighbours in the array are neighbours in the image."""
+        """Whether the points form an image."""
         return self.xyz.ndim == 3
 
     @property
     def size(self) -> int:
-        """Number of points, those without depth included."""
+        """Number of points, including those without depth."""
         return self.xyz.size // 3
 
     def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Cloud:
-        """Some of the points, as an unorganised cloud.
-
-        Args:
-            index: Indices into the flattened cloud, or a mask of (N,) or (H, W).
-        """
+        """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
@@ -97,7 +92,7 @@ class Plane:
     """The plane n·p + d = 0.
 
     Attributes:
-        normal: (3,) float64, of unit length, towards the camera where the plane was measured.
+        normal: (3,) float64, unit length, towards the camera if the plane was measured.
         offset: d [m].
     """
 
@@ -106,11 +101,7 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
-        """From (a, b, c, d) of any scale.
-
-        Raises:
-            CloudError: If a number is not finite or (a, b, c) is zero.
-        """
+        """A plane from (a, b, c, d) of any scale; a `CloudError` if they are not finite or (a, b, c) is zero."""
         abcd = np.asarray(coefficients, dtype=np.float64)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
@@ -131,18 +122,18 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """Two contacts and the pose of the hand (P2: g1, g2, R).
+    """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
     Attributes:
         g1: (3,) float64 [m], cloud frame.
         g2: (3,) float64 [m], cloud frame.
         rotation: (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis.
-        score: Rank of GeoGrasp, higher is better; NaN where the original's rule gives no finite one.
+        score: Score of GeoGrasp, higher is better; NaN if it is undefined.
         id: Unique within a session.
-        object_id: The object that it was planned on.
+        object_id: The object for which it was planned.
 
     Raises:
-        GraspError: If a contact or the rotation is not finite or of another shape, or g1 is g2.
+        GraspError: If a contact or the rotation is not finite or has a wrong shape, or g1 equals g2.
     """
 
     g1: Float64
@@ -164,7 +155,7 @@ class Grasp:
 
     @property
     def midpoint(self) -> Float64:
-        """(3,) float64 [m]: the origin of the hand frame."""
+        """(3,) float64 [m], the origin of the hand frame."""
         return (self.g1 + self.g2) / 2.0
 
     @property
@@ -175,7 +166,7 @@ class Grasp:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """One reading of both fingers [counts].
+    """A tactile reading of both fingers [counts].
 
     Attributes:
         pdc_th: Static pressure of the thumb.
@@ -184,7 +175,7 @@ class Touch:
         e_mf: (24,) float64, electrodes of the middle finger.
 
     Raises:
-        TactileError: If a shape is another. Values are not judged here: see `foretouch.tactile`.
+        TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.check_touch`.
     """
 
     pdc_th: float
@@ -200,7 +191,7 @@ class Touch:
 
     @classmethod
     def from_vector(cls, vector: npt.NDArray[np.floating]) -> Touch:
-        """From (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
+        """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
         if vector.shape != (TOUCH_SIZE,):
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
         v = vector.astype(np.float64)
@@ -213,16 +204,16 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class TouchPrediction:
-    """What the fingertips would read if `grasp` were executed.
+    """The predicted reading of both fingertips if `grasp` were executed.
 
     Attributes:
         grasp: The grasp.
-        value: Prediction [counts]; None where `status` is not "ok".
-        lower, upper: Bounds of the interval [counts]; None until the model's card holds a calibration.
-        reference: What the prediction could lean on.
-        flags: Of `out_of_range`, `unfamiliar`, `late`, `fallback_model`.
+        value: Prediction [counts]; None if `status` is not "ok".
+        lower, upper: Bounds of the prediction interval [counts]; None if the model is not calibrated.
+        reference: Tactile readings to which the prediction was adapted.
+        flags: Any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`.
         status: "ok" or "refused".
-        reason: Why, in words, where it is refused.
+        reason: Why it was refused; "" if ok.
     """
 
     grasp: Grasp
@@ -242,12 +233,12 @@ class GraspSample:
     Attributes:
         id: `<object>/<source id>`.
         object: Label of the object.
-        cloud: The object's cloud that the grasp was planned on.
+        cloud: The object's cloud on which the grasp was planned.
         grasp: The grasp.
-        touch: What was read in contact; None for an unlabelled sample.
-        tare: What was read without contact; None if nothing was.
-        stamp_ns: When it was recorded [ns].
-        extra: Whatever else the source holds, by name.
+        touch: Reading in contact; None for an unlabelled sample.
+        tare: Reading without contact; None if there is none.
+        stamp_ns: Time of recording [ns].
+        extra: Further values of the source, by name.
     """
 
     id: str
