@@ -29,7 +29,7 @@ TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 
 @dataclass(frozen=True, eq=False)
 class ReferenceRow:
-    """One run of the original: the cloud, its settings, and what came out."""
+    """One run of the original: the cloud, its settings, and the results."""
 
     name: str
     cloud: Path

@@ -31,32 +31,19 @@ __all__ = ["SettingInfo", "Settings", "load_yaml", "parse_overrides", "setting",
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SettingInfo:
-    """Declaration of one setting.
+    """Declaration of one setting."""
 
-    Attributes:
-        name: Field name; names of nested settings are joined with dots.
-        type: bool, int, float, str, or a tuple's item type with `is_list`.
-        default: Default value.
-        description: One sentence.
-        unit: Unit of the value, "" if it has none.
-        minimum, maximum: Inclusive bounds, or None.
-        choices: Allowed values; empty if unrestricted.
-        read_only: Whether a running node rejects changes.
-        is_list: Whether it is a tuple of `type`.
-        optional: Whether None is allowed.
-    """
-
-    name: str
-    type: type
-    default: Any
-    description: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: tuple[Any, ...]
-    read_only: bool
-    is_list: bool
-    optional: bool
+    name: str  # field name; names of nested settings are joined with dots
+    type: type  # bool, int, float, str, or a tuple's item type with `is_list`
+    default: Any  # default value
+    description: str  # one sentence
+    unit: str  # unit of the value, "" if it has none
+    minimum: float | None  # inclusive, or None
+    maximum: float | None  # inclusive, or None
+    choices: tuple[Any, ...]  # allowed values; empty if unrestricted
+    read_only: bool  # whether a running node rejects changes
+    is_list: bool  # whether it is a tuple of `type`
+    optional: bool  # whether None is allowed
 
 
 def setting(
@@ -70,17 +57,9 @@ def setting(
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    return dataclasses.field(
-        default=default,
-        metadata={
-            "description": description,
-            "unit": unit,
-            "minimum": minimum,
-            "maximum": maximum,
-            "choices": tuple(choices),
-            "read_only": read_only,
-        },
-    )
+    bounds = {"minimum": minimum, "maximum": maximum, "choices": tuple(choices)}
+    metadata = {"description": description, "unit": unit, **bounds, "read_only": read_only}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -184,18 +163,16 @@ def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
-        infos.append(
-            SettingInfo(name=f.name, type=item, default=f.default, is_list=is_list, optional=optional, **f.metadata)
-        )
+        kind: dict[str, Any] = {"type": item, "is_list": is_list, "optional": optional}
+        infos.append(SettingInfo(name=f.name, default=f.default, **kind, **f.metadata))
     return infos
 
 
 def _analyse(hint: Any) -> tuple[type, bool, bool]:
     """The item type of an annotation, whether it is a tuple, and whether None is allowed."""
-    optional = False
     arguments = typing.get_args(hint)
-    if type(None) in arguments:
-        optional = True
+    optional = type(None) in arguments
+    if optional:
         (hint,) = [a for a in arguments if a is not type(None)]
     origin = typing.get_origin(hint)
     if origin is tuple:
@@ -222,25 +199,19 @@ def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
     if info.type is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
-        raise ConfigError(f"{name}: {value!r} is not {_article(info.type)}")
+        kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+        raise ConfigError(f"{name}: {value!r} is not {kinds.get(info.type, info.type.__name__)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {value} is not finite")
     number = value if isinstance(value, (int, float)) else 0.0
+    unit = f" {info.unit}" if info.unit else ""
     if info.minimum is not None and number < info.minimum:
-        raise ConfigError(f"{name}: {value} is below {info.minimum}{_unit(info)}")
+        raise ConfigError(f"{name}: {value} is below {info.minimum}{unit}")
     if info.maximum is not None and number > info.maximum:
-        raise ConfigError(f"{name}: {value} is above {info.maximum}{_unit(info)}")
+        raise ConfigError(f"{name}: {value} is above {info.maximum}{unit}")
     if info.choices and value not in info.choices:
         raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(str, info.choices))}")
     return value
-
-
-def _article(kind: type) -> str:
-    return {int: "a whole number", float: "a number", str: "text", bool: "true or false"}.get(kind, kind.__name__)
-
-
-def _unit(info: SettingInfo) -> str:
-    return f" {info.unit}" if info.unit else ""
 
 
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:

@@ -43,20 +43,14 @@ TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 class Cloud:
     """A point cloud, organised like an image or not.
 
-    Attributes:
-        xyz: (N, 3) or organised (H, W, 3), float32 [m]. All three are NaN for a pixel without depth.
-        rgb: The same shape, uint8, or None.
-        frame_id: The frame of `xyz`.
-        stamp_ns: Time of measurement [ns].
-
     Raises:
         CloudError: If a shape or a dtype is wrong.
     """
 
-    xyz: Float32
-    rgb: UInt8 | None = None
-    frame_id: str = ""
-    stamp_ns: int = 0
+    xyz: Float32  # (N, 3) or organised (H, W, 3), float32 [m]. All three are NaN for a pixel without depth
+    rgb: UInt8 | None = None  # the same shape, uint8, or None
+    frame_id: str = ""  # the frame of `xyz`
+    stamp_ns: int = 0  # time of measurement [ns]
 
     def __post_init__(self) -> None:
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
@@ -89,15 +83,10 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """The plane n·p + d = 0.
+    """The plane n·p + d = 0."""
 
-    Attributes:
-        normal: (3,) float64, unit length, towards the camera if the plane was measured.
-        offset: d [m].
-    """
-
-    normal: Float64
-    offset: float
+    normal: Float64  # (3,) float64, unit length, towards the camera if the plane was measured
+    offset: float  # d [m]
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
@@ -124,24 +113,16 @@ class Plane:
 class Grasp:
     """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
-    Attributes:
-        g1: (3,) float64 [m], cloud frame.
-        g2: (3,) float64 [m], cloud frame.
-        rotation: (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis.
-        score: Score of GeoGrasp, higher is better; NaN if it is undefined.
-        id: Unique within a session.
-        object_id: The object for which it was planned.
-
     Raises:
         GraspError: If a contact or the rotation is not finite or has a wrong shape, or g1 equals g2.
     """
 
-    g1: Float64
-    g2: Float64
-    rotation: Float64
-    score: float = float("nan")
-    id: str = ""
-    object_id: str = ""
+    g1: Float64  # (3,) float64 [m], cloud frame
+    g2: Float64  # (3,) float64 [m], cloud frame
+    rotation: Float64  # (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis
+    score: float = float("nan")  # score of GeoGrasp, higher is better; NaN if it is undefined
+    id: str = ""  # unique within a session
+    object_id: str = ""  # the object for which it was planned
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
@@ -168,20 +149,14 @@ class Grasp:
 class Touch:
     """A tactile reading of both fingers [counts].
 
-    Attributes:
-        pdc_th: Static pressure of the thumb.
-        pdc_mf: Static pressure of the middle finger.
-        e_th: (24,) float64, electrodes of the thumb.
-        e_mf: (24,) float64, electrodes of the middle finger.
-
     Raises:
         TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.check_touch`.
     """
 
-    pdc_th: float
-    pdc_mf: float
-    e_th: Float64
-    e_mf: Float64
+    pdc_th: float  # static pressure of the thumb
+    pdc_mf: float  # static pressure of the middle finger
+    e_th: Float64  # (24,) float64, electrodes of the thumb
+    e_mf: Float64  # (24,) float64, electrodes of the middle finger
 
     def __post_init__(self) -> None:
         for name in ("e_th", "e_mf"):
@@ -204,48 +179,27 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class TouchPrediction:
-    """The predicted reading of both fingertips if `grasp` were executed.
-
-    Attributes:
-        grasp: The grasp.
-        value: Prediction [counts]; None if `status` is not "ok".
-        lower, upper: Bounds of the prediction interval [counts]; None if the model is not calibrated.
-        reference: Tactile readings to which the prediction was adapted.
-        flags: Any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`.
-        status: "ok" or "refused".
-        reason: Why it was refused; "" if ok.
-    """
+    """The predicted reading of both fingertips if `grasp` were executed."""
 
     grasp: Grasp
-    value: Touch | None
-    lower: Touch | None = None
-    upper: Touch | None = None
-    reference: Reference = "none"
-    flags: tuple[str, ...] = ()
+    value: Touch | None  # prediction [counts]; None if `status` is not "ok"
+    lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
+    upper: Touch | None = None  # upper bounds
+    reference: Reference = "none"  # tactile readings to which the prediction was adapted
+    flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`
     status: Literal["ok", "refused"] = "ok"
-    reason: str = ""
+    reason: str = ""  # why it was refused; "" if ok
 
 
 @dataclass(frozen=True, eq=False)
 class GraspSample:
-    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>).
+    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
-    Attributes:
-        id: `<object>/<source id>`.
-        object: Label of the object.
-        cloud: The object's cloud on which the grasp was planned.
-        grasp: The grasp.
-        touch: Reading in contact; None for an unlabelled sample.
-        tare: Reading without contact; None if there is none.
-        stamp_ns: Time of recording [ns].
-        extra: Further values of the source, by name.
-    """
-
-    id: str
-    object: str
-    cloud: Cloud
+    id: str  # `<object>/<source id>`
+    object: str  # label of the object
+    cloud: Cloud  # the object's cloud on which the grasp was planned
     grasp: Grasp
-    touch: Touch | None = None
-    tare: Touch | None = None
-    stamp_ns: int = 0
-    extra: Mapping[str, float] = field(default_factory=dict)
+    touch: Touch | None = None  # reading in contact; None for an unlabelled sample
+    tare: Touch | None = None  # reading without contact; None if there is none
+    stamp_ns: int = 0  # time of recording [ns]
+    extra: Mapping[str, float] = field(default_factory=dict)  # further values of the source, by name

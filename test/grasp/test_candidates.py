@@ -6,7 +6,7 @@ import pytest
 
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig
-from foretouch.grasp.candidates import candidate_points, contact_radius, find_grasp_plane
+from foretouch.grasp.candidates import contact_radius, contact_side, find_grasp_plane
 
 CONFIG = GeoGraspConfig()
 Y = np.array([0.0, 1.0, 0.0])
@@ -43,7 +43,7 @@ def test_two_spheres_of_candidates_stay_apart(width, radius):
 
 def test_candidates_average_their_voxels(rng):
     xyz = rng.uniform([-0.02, -0.02, 0.98], [0.02, 0.02, 1.02], (400, 3)).astype(np.float32)
-    candidates, initial, n_near = candidate_points(xyz, 7, 0.015, CONFIG)
+    candidates, initial, n_near = contact_side(xyz, 7, 0.015, CONFIG)
     assert n_near == np.count_nonzero(np.linalg.norm(xyz.astype(float) - xyz[7], axis=1) < 0.015)
     np.testing.assert_allclose(np.linalg.norm(candidates.normal, axis=1), 1.0)
     np.testing.assert_array_equal(initial.xyz[0], xyz[7])
@@ -57,7 +57,7 @@ def test_a_point_without_a_normal_takes_it_from_its_voxel():
     )
     lonely = [[0.5, 0.0, 1.0]]
     xyz = np.concatenate([plane, lonely]).astype(np.float32)
-    candidates, initial, n_near = candidate_points(xyz, 400, 0.02, CONFIG)
+    candidates, initial, n_near = contact_side(xyz, 400, 0.02, CONFIG)
     assert n_near == 1
     assert np.isnan(candidates.normal).all()
     assert np.isnan(initial.curvature).all()

@@ -23,19 +23,12 @@ _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
 
 @dataclass(frozen=True, eq=False)
 class ObjectAxis:
-    """Main axis and centroid of an object.
+    """Main axis and centroid of an object."""
 
-    Attributes:
-        direction: (3,) float64, unit length, sign fixed by the rule of `find_axis`.
-        centroid: (3,) float64 [m], mean of the voxel points.
-        ratio: Middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis.
-        grid: The voxel grid from which both were computed.
-    """
-
-    direction: Float64
-    centroid: Float64
-    ratio: float
-    grid: VoxelGrid
+    direction: Float64  # (3,) float64, unit length, sign fixed by the rule of `find_axis`
+    centroid: Float64  # (3,) float64 [m], mean of the voxel points
+    ratio: float  # middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis
+    grid: VoxelGrid  # the voxel grid from which both were computed
 
 
 def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Float64, Float64]:

@@ -8,6 +8,7 @@ belongs are made in float32 where the original does, since points do lie on the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,29 +18,21 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Float32, Float64
 
-__all__ = ["GraspPlane", "SurfacePoints", "candidate_points", "contact_radius", "find_grasp_plane"]
+__all__ = ["ContactSide", "GraspPlane", "SurfacePoints", "contact_radius", "contact_side", "find_grasp_plane"]
 
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 
 
 @dataclass(frozen=True, eq=False)
 class GraspPlane:
-    """The plane across the object's axis, and the initial points: the extremes of the object near it.
+    """The plane across the object's axis, and the initial points: the extremes of the object near it."""
 
-    Attributes:
-        origin: (3,) float64 [m], a point of the plane.
-        normal: (3,) float64, the object's axis.
-        first, second: Indices of the initial points in the filtered cloud: minimum and maximum coordinate.
-        n_points: Number of points near the plane.
-        width_m: Distance of the initial points [m].
-    """
-
-    origin: Float64
-    normal: Float64
-    first: int
-    second: int
-    n_points: int
-    width_m: float
+    origin: Float64  # (3,) float64 [m], a point of the plane
+    normal: Float64  # (3,) float64, the object's axis
+    first: int  # index of the initial point with the minimum coordinate
+    second: int  # index of the initial point with the maximum coordinate
+    n_points: int  # number of points near the plane
+    width_m: float  # distance of the initial points [m]
 
     def distance(self, points: npt.NDArray[np.floating]) -> Float64:
         """(N,) float64: distance of (N, 3) points from the plane [m], not negative."""
@@ -48,17 +41,19 @@ class GraspPlane:
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Points of the object's surface with normals: single points, or averages of voxels.
+    """Points of the object's surface with normals: single points, or averages of voxels."""
 
-    Attributes:
-        xyz: (M, 3) float64 [m].
-        normal: (M, 3) float64, unit length; NaN where unknown.
-        curvature: (M,) float64; NaN where unknown.
-    """
+    xyz: Float64  # (M, 3) float64 [m]
+    normal: Float64  # (M, 3) float64, unit length; NaN where unknown
+    curvature: Float64  # (M,) float64; NaN where unknown
 
-    xyz: Float64
-    normal: Float64
-    curvature: Float64
+
+class ContactSide(NamedTuple):
+    """The contact candidates on one side of the object."""
+
+    candidates: SurfacePoints  # in the order of their voxels
+    initial: SurfacePoints  # the initial point alone, with its own normal and curvature
+    n_points: int  # points that the candidates average
 
 
 def find_grasp_plane(xyz: Float32, centre: Float64, axis: Float64, side: int, half_width_m: float) -> GraspPlane:
@@ -95,20 +90,14 @@ def contact_radius(width_m: float, config: GeoGraspConfig) -> float:
     return _OVERLAP_FRACTION * width_m if 2.0 * full >= width_m else full
 
 
-def candidate_points(
-    xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig
-) -> tuple[SurfacePoints, SurfacePoints, int]:
-    """The surface around one initial point, averaged in voxels.
+def contact_side(xyz: Float32, initial: int, radius_m: float, config: GeoGraspConfig) -> ContactSide:
+    """Contact candidates: the surface around one initial point, averaged in voxels.
 
     Args:
         xyz: (N, 3) float32 [m], the filtered cloud.
         initial: Index of the initial point.
         radius_m: Points strictly within are candidates [m].
         config: Settings.
-
-    Returns:
-        The M candidates, in the order of their voxels; the initial point alone, with its own normal and
-        curvature; and the number of points that the candidates average.
     """
     x, y, z = np.ascontiguousarray(xyz.T) - xyz[initial, :, None]
     near = np.flatnonzero(x * x + y * y + z * z < np.float32(radius_m) * np.float32(radius_m))
@@ -120,4 +109,5 @@ def candidate_points(
     length[length == 0.0] = np.nan  # opposite normals cancel: the voxel has none
     own = near == initial
     candidates = SurfacePoints(mean[:, :3], mean[:, 3:6] / length, mean[:, 6])
-    return candidates, SurfacePoints(xyz[near][own].astype(np.float64), normal[own], curvature[own]), len(near)
+    point = SurfacePoints(xyz[near][own].astype(np.float64), normal[own], curvature[own])
+    return ContactSide(candidates, point, len(near))

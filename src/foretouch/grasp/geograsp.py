@@ -24,13 +24,7 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import (
-    GraspPlane,
-    SurfacePoints,
-    candidate_points,
-    contact_radius,
-    find_grasp_plane,
-)
+from foretouch.grasp.candidates import ContactSide, GraspPlane, contact_radius, contact_side, find_grasp_plane
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
@@ -179,15 +173,15 @@ def _plan(
         builder.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
     with builder.stage("candidates"):
         radius = contact_radius(grasp_plane.width_m, config)
-        first, p1, counts["n_first"] = candidate_points(xyz, grasp_plane.first, radius, config)
-        second, p2, counts["n_second"] = candidate_points(xyz, grasp_plane.second, radius, config)
-        counts["n_fv"], counts["n_sv"] = len(first.xyz), len(second.xyz)
-    return _best_grasps((first, second), (p1, p2), grasp_plane, found.centroid, config.count, builder)
+        first = contact_side(xyz, grasp_plane.first, radius, config)
+        second = contact_side(xyz, grasp_plane.second, radius, config)
+        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
+        counts["n_fv"], counts["n_sv"] = len(first.candidates.xyz), len(second.candidates.xyz)
+    return _best_grasps((first, second), grasp_plane, found.centroid, config.count, builder)
 
 
 def _best_grasps(
-    sides: tuple[SurfacePoints, SurfacePoints],
-    initials: tuple[SurfacePoints, SurfacePoints],
+    sides: tuple[ContactSide, ContactSide],
     grasp_plane: GraspPlane,
     centroid: Float64,
     count: int,
@@ -195,19 +189,19 @@ def _best_grasps(
 ) -> GraspPlan:
     """The best ranked pairs, or the initial points if no pair passes the filters."""
     with builder.stage("ranking"):
-        ranking = rank_pairs(sides, initials, grasp_plane, centroid)
+        ranking = rank_pairs(sides, grasp_plane, centroid)
         builder.counts.update(ranking.counts)
         ranked = len(ranking.score)
-        score, unscored = (0.0, "") if ranked else initial_score(sides, initials, grasp_plane, centroid)
+        score, unscored = (0.0, "") if ranked else initial_score(sides, grasp_plane, centroid)
     with builder.stage("pose"):
         if ranked:
             contacts = [
-                (sides[0].xyz[a], sides[1].xyz[b], float(s))
+                (sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s))
                 for a, b, s in zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
             ]
             reason = f"{ranked} of {ranking.counts['n_pairs']} pairs of candidates rank"
         else:
-            contacts = [(initials[0].xyz[0], initials[1].xyz[0], score)]
+            contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
             reason = f"none of {ranking.counts['n_pairs']} pairs of candidates ranks"
         axis = grasp_plane.normal
         grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)

@@ -23,19 +23,12 @@ _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in an
 
 @dataclass(frozen=True, eq=False)
 class FinitePoints:
-    """The finite points of a cloud.
+    """The finite points of a cloud."""
 
-    Attributes:
-        xyz: (N, 3) float32 [m].
-        n_dropped: Number of points that were not finite.
-        pixels: (N,) int64, flat indices into the image, or None.
-        image_shape: (H, W) of that image, or None.
-    """
-
-    xyz: Float32
-    n_dropped: int
-    pixels: npt.NDArray[np.int64] | None = None
-    image_shape: tuple[int, int] | None = None
+    xyz: Float32  # (N, 3) float32 [m]
+    n_dropped: int  # number of points that were not finite
+    pixels: npt.NDArray[np.int64] | None = None  # (N,) int64, flat indices into the image, or None
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
 
     def downsampled(self, config: GeoGraspConfig) -> FinitePoints:
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.grasp.candidates import GraspPlane, SurfacePoints
+from foretouch.grasp.candidates import ContactSide, GraspPlane, SurfacePoints
 from foretouch.types import Float64
 
 __all__ = ["Ranking", "initial_score", "rank_pairs"]
@@ -29,18 +29,12 @@ _MIN_RANK = 1.0  # of either ranking
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Pairs that pass every filter, best first.
+    """Pairs that pass every filter, best first."""
 
-    Attributes:
-        first, second: (P,) int64, indices of a and b.
-        score: (P,) float64, finite.
-        counts: Number of pairs: all, dropped by each filter, and ranked.
-    """
-
-    first: npt.NDArray[np.int64]
+    first: npt.NDArray[np.int64]  # (P,) int64, indices of a and b
     second: npt.NDArray[np.int64]
-    score: Float64
-    counts: dict[str, int]
+    score: Float64  # (P,) float64, finite
+    counts: dict[str, int]  # number of pairs: all, dropped by each filter, and ranked
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ class _Scale:
         return np.asarray((values + _EPSILON - self.low) / extent, np.float64)
 
 
-class _Side:
+class _ScaledSide:
     """The candidates of one side, and the scales of their three quantities."""
 
     def __init__(self, points: SurfacePoints, grasp_plane: GraspPlane, centroid: Float64) -> None:
@@ -95,27 +89,21 @@ class _Side:
         return _length(xyz - self._centroid)
 
 
-def rank_pairs(
-    sides: tuple[SurfacePoints, SurfacePoints],
-    initials: tuple[SurfacePoints, SurfacePoints],
-    grasp_plane: GraspPlane,
-    centroid: Float64,
-) -> Ranking:
+def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64) -> Ranking:
     """All pairs of candidates that pass GeoGrasp's filters, best first; ties keep their order (a outer, b inner).
 
     Args:
-        sides: Candidates of the first and the second side.
-        initials: The initial points p1 and p2.
+        sides: The first and the second side.
         grasp_plane: The grasp plane.
         centroid: (3,) float64 [m], of the object.
     """
-    a, b = (_Side(side, grasp_plane, centroid) for side in sides)
-    p1, p2 = (initial.xyz[0] for initial in initials)
+    a, b = (_ScaledSide(side.candidates, grasp_plane, centroid) for side in sides)
+    p1, p2 = (side.initial for side in sides)
     w = grasp_plane.width_m
     # No contact may be deeper in the object than its initial point, nor closer to the opposite one.
-    skip_a = (a.cd < a.scaled(initials[0])[0]) | (_length(a.xyz - p2) < w)
-    skip_b = b.cd < _TOLERANCE * b.scaled(initials[1])[0]
-    skip_b |= _length(b.xyz - p1) < _TOLERANCE * w
+    skip_a = (a.cd < a.scaled(p1)[0]) | (_length(a.xyz - p2.xyz[0]) < w)
+    skip_b = b.cd < _TOLERANCE * b.scaled(p2)[0]
+    skip_b |= _length(b.xyz - p1.xyz[0]) < _TOLERANCE * w
     apart = b.xyz[None] - a.xyz[:, None]
     distance = _length(apart)
     near = distance < _TOLERANCE * w
@@ -142,10 +130,7 @@ def rank_pairs(
 
 
 def initial_score(
-    sides: tuple[SurfacePoints, SurfacePoints],
-    initials: tuple[SurfacePoints, SurfacePoints],
-    grasp_plane: GraspPlane,
-    centroid: Float64,
+    sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64
 ) -> tuple[float, str]:
     """Score of the initial points as a grasp, in the scales of the candidates and without thresholds.
 
@@ -155,8 +140,8 @@ def initial_score(
     Returns:
         The score and "", or NaN and the reason.
     """
-    first, second = (_Side(side, grasp_plane, centroid) for side in sides)
-    p1, p2 = initials
+    first, second = (_ScaledSide(side.candidates, grasp_plane, centroid) for side in sides)
+    p1, p2 = (side.initial for side in sides)
     for name, side, initial in (("first", first, p1), ("second", second, p2)):
         if not np.isfinite(initial.curvature[0]):
             return float("nan"), f"no score: the {name} initial point has fewer than 3 points around it and no normal"

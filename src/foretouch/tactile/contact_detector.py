@@ -88,17 +88,11 @@ class ContactConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactEvent:
-    """The onset or the release of a contact.
+    """The onset or the release of a contact."""
 
-    Attributes:
-        finger: `TH` or `MF`.
-        kind: "onset" or "release".
-        stamp_ns: Stamp of the first reading that shows it [ns]; it is confirmed a few readings later.
-    """
-
-    finger: str
-    kind: Literal["onset", "release"]
-    stamp_ns: int
+    finger: str  # `TH` or `MF`
+    kind: Literal["onset", "release"]  # "onset" or "release"
+    stamp_ns: int  # stamp of the first reading that shows it [ns]; it is confirmed a few readings later
 
 
 class FingerContact:

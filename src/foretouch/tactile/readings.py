@@ -54,15 +54,10 @@ _ZERO_CELSIUS_K: Final = 273.15
 
 @dataclass(frozen=True, kw_only=True)
 class TouchValidity:
-    """Whether a reading is valid, and what is wrong with it.
+    """Whether a reading is valid, and what is wrong with it."""
 
-    Attributes:
-        faults: Why a working sensor cannot have produced it, one line each; empty if it is valid.
-        out_of_range: The modalities with a value outside their range.
-    """
-
-    faults: tuple[str, ...] = ()
-    out_of_range: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()  # why a working sensor cannot have produced it, one line each; empty if it is valid
+    out_of_range: tuple[str, ...] = ()  # the modalities with a value outside their range
 
     @property
     def valid(self) -> bool:

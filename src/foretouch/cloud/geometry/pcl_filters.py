@@ -36,17 +36,11 @@ _LINE = 1e-8  # middle over major eigenvalue, below which the neighbours lie on 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Assignment of N points to M occupied cells of a grid anchored at the origin.
+    """Assignment of N points to M occupied cells of a grid anchored at the origin."""
 
-    Attributes:
-        cell: (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z.
-        counts: (M,) int64, points per cell, at least 1.
-        leaf_m: Edge of a cell [m].
-    """
-
-    cell: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]
-    leaf_m: float
+    cell: npt.NDArray[np.int64]  # (N,) int64, 0 ... M - 1; cells are ordered x fastest, then y, then z
+    counts: npt.NDArray[np.int64]  # (M,) int64, points per cell, at least 1
+    leaf_m: float  # edge of a cell [m]
 
     def mean(self, values: npt.NDArray[np.floating]) -> Float64:
         """Mean over the points of each cell.

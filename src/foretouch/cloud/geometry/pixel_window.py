@@ -41,17 +41,11 @@ _REACH = 5
 
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
-    """The pixels of the points of a depth image, at most one point per pixel.
+    """The pixels of the points of a depth image, at most one point per pixel."""
 
-    Attributes:
-        row: (N,) int64, 0 ... height - 1.
-        column: (N,) int64, 0 ... width - 1.
-        height, width: Size of the part of the image that contains the points.
-    """
-
-    row: npt.NDArray[np.int64]
-    column: npt.NDArray[np.int64]
-    height: int
+    row: npt.NDArray[np.int64]  # (N,) int64, 0 ... height - 1
+    column: npt.NDArray[np.int64]  # (N,) int64, 0 ... width - 1
+    height: int  # size of the part of the image that contains the points
     width: int
 
     @classmethod
@@ -126,24 +120,15 @@ def window_mean_distance(xyz: Float32, grid: PixelGrid, k: int) -> tuple[Float32
         return mean, proven
     clearance = _squared_clearance(xyz, grid)
     image = _PaddedImage(xyz, grid)
-    for band in image.bands():
-        window = image.squared_distances(band)
-        for part in np.array_split(band.points, len(band.points) // _BLOCK_POINTS + 1):
-            squared = np.ascontiguousarray(window.take(image.slot[part] - band.start, axis=1).T)
+    for start, stop, points in image.bands():
+        window = image.squared_distances(start, stop)
+        for part in np.array_split(points, len(points) // _BLOCK_POINTS + 1):
+            squared = np.ascontiguousarray(window.take(image.slot[part] - start, axis=1).T)
             squared.partition(k, axis=1)  # the point itself, at distance 0, is among the k + 1 nearest
             proven[part] = squared[:, k] <= clearance[part]
             # Sums of a few float32 are exact in float64: their order, which differs from the tree's, has no effect.
             mean[part] = np.sqrt(squared[:, : k + 1]).sum(axis=1, dtype=np.float64) / k
     return mean, proven
-
-
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """Consecutive slots of an image, `start` ... `stop` - 1, and the indices of the points in them."""
-
-    start: int
-    stop: int
-    points: npt.NDArray[np.int64]
 
 
 class _PaddedImage:
@@ -165,27 +150,26 @@ class _PaddedImage:
         offsets = np.arange(-_REACH, _REACH + 1)
         self._offsets = (offsets[:, None] * width + offsets).reshape(-1)
 
-    def bands(self) -> Iterator[_Band]:
-        """Pieces of the image whose windows fit the cache; those without points are skipped."""
+    def bands(self) -> Iterator[tuple[int, int, npt.NDArray[np.int64]]]:
+        """First slot, end and points of each piece of the image whose windows fit the cache; empty ones are skipped."""
         order = np.argsort(self.slot)
         starts = np.arange(self._margin, self._channels.shape[1] - self._margin, _BAND_SLOTS)
         for start, points in zip(starts, np.split(order, np.searchsorted(self.slot[order], starts[1:])), strict=True):
             if len(points):
-                stop = min(int(start) + _BAND_SLOTS, self._channels.shape[1] - self._margin)
-                yield _Band(int(start), stop, points)
+                yield int(start), min(int(start) + _BAND_SLOTS, self._channels.shape[1] - self._margin), points
 
-    def squared_distances(self, band: _Band) -> Float32:
+    def squared_distances(self, start: int, stop: int) -> Float32:
         """((2 reach + 1)², stop - start) float32 [m²]: from each slot to those of its window.
 
         Distances are symmetric, so only half of the offsets are computed.
         """
-        size = band.stop - band.start
+        size = stop - start
         result = np.zeros((len(self._offsets), size), np.float32)
         squares = np.empty((3, size + self._margin), np.float32)
         middle = len(self._offsets) // 2
         for i in range(1, middle + 1):
             offset = int(self._offsets[middle + i])
-            here, there = slice(band.start - offset, band.stop), slice(band.start, band.stop + offset)
+            here, there = slice(start - offset, stop), slice(start, stop + offset)
             square = squares[:, : size + offset]
             np.subtract(self._channels[:, there], self._channels[:, here], out=square)
             np.multiply(square, square, out=square)

@@ -101,15 +101,10 @@ def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generat
 
 @dataclass(frozen=True, eq=False)
 class UnitSphereFrame:
-    """Transforms a cloud and its grasps to the unit sphere and back (P1, section III.A).
+    """Transforms a cloud and its grasps to the unit sphere and back (P1, section III.A)."""
 
-    Attributes:
-        centre: (3,) float64 [m], centroid of the cloud.
-        scale: Distance of its farthest point from the centroid [m].
-    """
-
-    centre: Float64
-    scale: float
+    centre: Float64  # (3,) float64 [m], centroid of the cloud
+    scale: float  # distance of its farthest point from the centroid [m]
 
     @classmethod
     def fit(cls, xyz: npt.NDArray[np.floating]) -> Self:

@@ -19,7 +19,7 @@ from foretouch.errors import FileError
 from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud, UInt8
 
-__all__ = ["read_pcd", "write_pcd"]
+__all__ = ["ascii_records", "read_pcd", "write_pcd"]
 
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -30,21 +30,13 @@ _REQUIRED = ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA")
 
 @dataclass(frozen=True)
 class _Header:
-    """The text before the data.
+    """The text before the data."""
 
-    Attributes:
-        dtype: Type of one point, unaligned, little-endian.
-        width: Points per row.
-        height: Rows.
-        data: "ascii", "binary" or "binary_compressed".
-        size: Size of the header [bytes].
-    """
-
-    dtype: np.dtype[Any]
-    width: int
-    height: int
-    data: str
-    size: int
+    dtype: np.dtype[Any]  # type of one point, unaligned, little-endian
+    width: int  # points per row
+    height: int  # rows
+    data: str  # "ascii", "binary" or "binary_compressed"
+    size: int  # size of the header [bytes]
 
     @property
     def points(self) -> int:
@@ -78,7 +70,11 @@ def read_pcd(path: Path) -> Cloud:
             )
         records = np.frombuffer(body, header.dtype, header.points)  # PCL pads files to whole pages
     else:
-        records = _ascii_records(path, header, body)
+        words, columns = body.split(), sum(int(np.prod(header.dtype[name].shape)) for name in header.dtype.names or ())
+        if len(words) != header.points * columns:
+            rule = f"{len(words)} numbers are not {header.points} points of {columns} = {header.points * columns}"
+            raise FileError(path, rule, field="DATA")
+        records = ascii_records(path, words, header.points, header.dtype, "DATA")
     xyz = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=-1)
     rgb = _colours(path, records)
     return Cloud(xyz.reshape(*header.shape, 3), None if rgb is None else rgb.reshape(*header.shape, 3))
@@ -159,26 +155,19 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
     return np.dtype(parts)
 
 
-def _ascii_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
-    columns = sum(int(np.prod(header.dtype[name].shape)) for name in header.dtype.names or ())
-    words = body.split()
-    if len(words) != header.points * columns:
-        raise FileError(
-            path,
-            f"{len(words)} numbers are not {header.points} points of {columns} = {header.points * columns}",
-            field="DATA",
-        )
+def ascii_records(path: Path, words: list[bytes], points: int, dtype: np.dtype[Any], field: str) -> npt.NDArray[Any]:
+    """(points,) records of a structured type from numbers in text; a `FileError` if a word is not a number."""
+    names = dtype.names or ()
+    widths = [int(np.prod(dtype[name].shape)) for name in names]
     try:
-        table = np.array(words, np.float64).reshape(header.points, columns)
+        table = np.array(words, np.float64).reshape(points, sum(widths))
     except ValueError as err:
-        raise FileError(path, f"not a number: {err}", field="DATA") from err
-    records = np.zeros(header.points, header.dtype)
-    column = 0
+        raise FileError(path, f"not a number: {err}", field=field) from err
+    records = np.zeros(points, dtype)
+    columns = np.split(table, np.cumsum(widths)[:-1], axis=1)
     with np.errstate(invalid="ignore", over="ignore"):
-        for name in header.dtype.names or ():
-            wide = int(np.prod(header.dtype[name].shape))
-            records[name] = table[:, column : column + wide].reshape(records[name].shape)
-            column += wide
+        for name, column in zip(names, columns, strict=True):
+            records[name] = column.reshape(records[name].shape)
     return records
 
 

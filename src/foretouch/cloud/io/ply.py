@@ -14,49 +14,29 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.io.pcd import ascii_records
 from foretouch.errors import FileError
 from foretouch.types import Cloud, UInt8
 
 __all__ = ["read_ply", "write_ply"]
 
 _HEADER_LIMIT = 65536  # bytes within which end_header must occur
-_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+# The two PLY names of each NumPy type.
+_NAMES = "i1 char int8, u1 uchar uint8, i2 short int16, u2 ushort uint16, i4 int int32, u4 uint uint32, "
+_NAMES += "f4 float float32, f8 double float64"
+_TYPES = {name: kind for kind, *names in map(str.split, _NAMES.split(",")) for name in names}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS = ("red", "green", "blue")
 
 
 @dataclass
 class _Header:
-    """The text before the data.
+    """The text before the data."""
 
-    Attributes:
-        encoding: Key of `_ORDERS`.
-        points: Number of vertices.
-        properties: Name and NumPy type of each property of a vertex.
-        image: `num_cols` and `num_rows`, if given.
-    """
-
-    encoding: str = ""
-    points: int = -1
-    properties: list[tuple[str, str]] = field(default_factory=list)
-    image: dict[str, int] = field(default_factory=dict)
+    encoding: str = ""  # key of `_ORDERS`
+    points: int = -1  # number of vertices
+    properties: list[tuple[str, str]] = field(default_factory=list)  # name and NumPy type of each property of a vertex
+    image: dict[str, int] = field(default_factory=dict)  # `num_cols` and `num_rows`, if given
 
 
 def read_ply(path: Path) -> Cloud:
@@ -149,33 +129,19 @@ def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> 
 
 
 def _vertices(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
-    if header.encoding == "ascii":
-        return _ascii_vertices(path, header.points, header.properties, body)
+    points, columns = header.points, len(header.properties)
     dtype = np.dtype([(name, _ORDERS[header.encoding] + kind) for name, kind in header.properties])
-    expected = header.points * dtype.itemsize
+    if header.encoding == "ascii":
+        words = body.split(None, points * columns)[: points * columns]
+        if len(words) < points * columns:
+            rule = f"{len(words)} numbers are fewer than {points} x {columns} = {points * columns}"
+            raise FileError(path, rule, field="vertex")
+        return ascii_records(path, words, points, dtype, "vertex")
+    expected = points * dtype.itemsize
     if len(body) < expected:
-        raise FileError(
-            path, f"{len(body)} bytes are fewer than {header.points} of {dtype.itemsize} = {expected}", field="vertex"
-        )
-    return np.frombuffer(body, dtype, header.points)
-
-
-def _ascii_vertices(path: Path, points: int, properties: list[tuple[str, str]], body: bytes) -> npt.NDArray[Any]:
-    expected = points * len(properties)
-    words = body.split(None, expected)[:expected]
-    if len(words) < expected:
-        raise FileError(
-            path, f"{len(words)} numbers are fewer than {points} x {len(properties)} = {expected}", field="vertex"
-        )
-    try:
-        table = np.array(words, np.float64).reshape(points, len(properties))
-    except ValueError as err:
-        raise FileError(path, f"not a number: {err}", field="vertex") from err
-    vertices = np.zeros(points, properties)
-    with np.errstate(invalid="ignore", over="ignore"):
-        for column, (name, _) in enumerate(properties):
-            vertices[name] = table[:, column]
-    return vertices
+        rule = f"{len(body)} bytes are fewer than {points} of {dtype.itemsize} = {expected}"
+        raise FileError(path, rule, field="vertex")
+    return np.frombuffer(body, dtype, points)
 
 
 def _colours(vertices: npt.NDArray[Any]) -> UInt8 | None:

@@ -35,19 +35,12 @@ _HOST_IS_BIGENDIAN = sys.byteorder == "big"
 
 @dataclass(frozen=True)
 class PointField:
-    """One field of a point, as `sensor_msgs/PointField`.
+    """One field of a point, as `sensor_msgs/PointField`."""
 
-    Attributes:
-        name: For example "x" or "rgb".
-        offset: Offset from the start of the point [bytes].
-        datatype: Key of `DATATYPES`.
-        count: Number of elements.
-    """
-
-    name: str
-    offset: int
-    datatype: int
-    count: int = 1
+    name: str  # for example "x" or "rgb"
+    offset: int  # offset from the start of the point [bytes]
+    datatype: int  # key of `DATATYPES`
+    count: int = 1  # number of elements
 
     @property
     def end(self) -> int:
@@ -56,41 +49,27 @@ class PointField:
 
 
 class PointArrays(NamedTuple):
-    """Contents of a message.
+    """Contents of a message."""
 
-    Attributes:
-        xyz: (N, 3), or (H, W, 3) if the height is above 1, float32 [m], read-only; a view where possible.
-        rgb: The same leading shape, uint8, read-only, or None.
-    """
-
-    xyz: Float32
-    rgb: UInt8 | None
+    xyz: Float32  # (N, 3), or (H, W, 3) if the height is above 1, float32 [m], read-only; a view where possible
+    rgb: UInt8 | None  # the same leading shape, uint8, read-only, or None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloud2Layout:
     """Layout of the bytes of a message; the fields are those of `sensor_msgs/PointCloud2`.
 
-    Attributes:
-        height: Rows; 1 for an unorganised cloud.
-        width: Points per row.
-        fields: Fields of a point.
-        is_bigendian: Byte order of the numbers.
-        point_step: Size of a point [bytes].
-        row_step: Size of a row [bytes].
-        is_dense: Whether the sender declares all points finite; ignored.
-
     Raises:
         CloudError: With the field and the rule it breaks.
     """
 
-    height: int
-    width: int
-    fields: tuple[PointField, ...]
-    point_step: int
-    row_step: int
-    is_bigendian: bool = False
-    is_dense: bool = False
+    height: int  # rows; 1 for an unorganised cloud
+    width: int  # points per row
+    fields: tuple[PointField, ...]  # fields of a point
+    point_step: int  # size of a point [bytes]
+    row_step: int  # size of a row [bytes]
+    is_bigendian: bool = False  # byte order of the numbers
+    is_dense: bool = False  # whether the sender declares all points finite; ignored
 
     def __post_init__(self) -> None:
         for name in ("height", "width", "point_step", "row_step"):

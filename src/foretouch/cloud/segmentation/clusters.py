@@ -67,37 +67,22 @@ class ClusterConfig(Settings):
 
 
 class Clusters(NamedTuple):
-    """Cluster labels of a window of the cloud.
+    """Cluster labels of a window of the cloud."""
 
-    Attributes:
-        labels: (h, w) or (n,) int32; 0 is none.
-        solid: The same shape, bool: labelled, with a reliable depth.
-        n_labels: The largest label.
-        rows: First row of the window, 0 if unorganised.
-        columns: First column of the window.
-    """
-
-    labels: Int32
-    solid: Bool
-    n_labels: int
-    rows: int = 0
-    columns: int = 0
+    labels: Int32  # (h, w) or (n,) int32; 0 is none
+    solid: Bool  # the same shape, bool: labelled, with a reliable depth
+    n_labels: int  # the largest label
+    rows: int = 0  # first row of the window, 0 if unorganised
+    columns: int = 0  # first column of the window
 
 
 class HeightThreshold(NamedTuple):
-    """Height from which a point does not belong to the table; it grows with depth like stereo noise.
+    """Height from which a point does not belong to the table; it grows with depth like stereo noise."""
 
-    Attributes:
-        plane: The table.
-        low_m: Minimum height [m].
-        noise_per_m: Minimum height divided by z² [1/m].
-        high_m: Maximum height [m].
-    """
-
-    plane: Plane
-    low_m: float
-    noise_per_m: float
-    high_m: float
+    plane: Plane  # the table
+    low_m: float  # minimum height [m]
+    noise_per_m: float  # minimum height divided by z² [1/m]
+    high_m: float  # maximum height [m]
 
     def at(self, z: Float32) -> Float32:
         """The minimum height of points at depth z (...), float32 [m]."""

@@ -22,21 +22,13 @@ TargetMode = Literal["nearest", "largest", "point", "all"]
 
 @dataclass(frozen=True, eq=False)
 class ObjectSegment:
-    """One object.
+    """One object."""
 
-    Attributes:
-        id: 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`.
-        cloud: Its points, unorganised, all finite, in the order of the input.
-        pixels: (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending.
-        centroid: (3,) float64, mean of the points [m].
-        bounds: (2, 3) float64, smallest and largest x, y, z [m].
-    """
-
-    id: int
-    cloud: Cloud
-    pixels: npt.NDArray[np.int64]
-    centroid: Float64
-    bounds: Float64
+    id: int  # 1 for the object whose centroid is nearest to the camera, and so on; its label in `Segmentation.labels`
+    cloud: Cloud  # its points, unorganised, all finite, in the order of the input
+    pixels: npt.NDArray[np.int64]  # (n,) int64, rows of `cloud` as flat indices into the input cloud, ascending
+    centroid: Float64  # (3,) float64, mean of the points [m]
+    bounds: Float64  # (2, 3) float64, smallest and largest x, y, z [m]
 
     @property
     def n_points(self) -> int:

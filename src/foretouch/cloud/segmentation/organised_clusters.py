@@ -33,25 +33,15 @@ _STRAIGHT = 3  # of four directions in which a steep face continues with the sam
 
 
 class _Window(NamedTuple):
-    """A part of the image whose upper left corner is on the coarse grid.
+    """A part of the image whose upper left corner is on the coarse grid."""
 
-    Attributes:
-        z: (h, w) float32 [m].
-        height: (h, w) float32, above the table [m].
-        above: (h, w) bool, in range and above the height threshold.
-        threshold: Height threshold above the table.
-        stride: Step of the coarse grid [px].
-        pitch: Lateral distance of neighbouring pixels per depth.
-        config: Settings.
-    """
-
-    z: Float32
-    height: Float32
-    above: Bool
-    threshold: HeightThreshold
-    stride: int
-    pitch: float
-    config: ClusterConfig
+    z: Float32  # (h, w) float32 [m]
+    height: Float32  # (h, w) float32, above the table [m]
+    above: Bool  # (h, w) bool, in range and above the height threshold
+    threshold: HeightThreshold  # height threshold above the table
+    stride: int  # step of the coarse grid [px]
+    pitch: float  # lateral distance of neighbouring pixels per depth
+    config: ClusterConfig  # settings
 
     @property
     def grid(self) -> tuple[slice, slice]:

@@ -50,23 +50,14 @@ class PlaneConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class PlaneFit:
-    """Result of the plane fit.
+    """Result of the plane fit."""
 
-    Attributes:
-        plane: The dominant plane, its normal towards the camera; None if there is none.
-        reason: Why there is none; "" otherwise.
-        rms_m: Root mean square distance of its points [m].
-        noise_per_m: s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points.
-        inliers: Number of points within the threshold.
-        scored: Number of points used.
-    """
-
-    plane: Plane | None
-    reason: str = ""
-    rms_m: float = 0.0
-    noise_per_m: float = 0.0
-    inliers: int = 0
-    scored: int = 0
+    plane: Plane | None  # the dominant plane, its normal towards the camera; None if there is none
+    reason: str = ""  # why there is none; "" otherwise
+    rms_m: float = 0.0  # root mean square distance of its points [m]
+    noise_per_m: float = 0.0  # s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points
+    inliers: int = 0  # number of points within the threshold
+    scored: int = 0  # number of points used
 
 
 def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
