@@ -61,14 +61,14 @@ class ExecutedGrasp:
 
 
 def read_reference(data: Path) -> list[ReferenceRow]:
-    """All rows of the original's output, which stands beside the folder of recordings."""
+    """All rows of the original's output, in a folder next to the recordings."""
     path = data.parent / "reference" / "geograsp_reference.csv"
     with path.open(encoding="utf-8", newline="") as stream:
         return [_reference_row(row, data) for row in csv.DictReader(stream)]
 
 
 def read_executed(data: Path) -> list[ExecutedGrasp]:
-    """The executed grasps, with the interval of slides known for each."""
+    """The executed grasps, with the known interval of slides of each."""
     path = data.parent / "reference" / "executed_slab_offsets.csv"
     grasps = []
     with path.open(encoding="utf-8", newline="") as stream:
@@ -82,7 +82,7 @@ def read_executed(data: Path) -> list[ExecutedGrasp]:
 
 
 def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
-    """Names of what differs from the original; `score_undefined` where the original's is not finite."""
+    """Names of the differences from the original; `score_undefined` if the original score is not finite."""
     if plan.status == "no_grasp":
         return ["status"]
     best = plan.grasps[0]
@@ -121,7 +121,7 @@ def _pose_faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
 
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
-    """How many rows show each fault."""
+    """Number of rows with each difference."""
     clouds: dict[Path, Cloud] = {}
     found: Counter[str] = Counter()
     for row in rows:
@@ -138,7 +138,7 @@ def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:
 
 
 def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
-    """A slide of the known interval that reproduces the grasp, the nearest to its middle; None if none does."""
+    """The slide in the known interval, nearest to its middle, that reproduces the grasp; None if there is none."""
     config = GeoGraspConfig()
     xyz = read_cloud(grasp.cloud).xyz.reshape(-1, 3)
     xyz = xyz[inlier_mask(xyz, config.neighbours, config.outlier_deviations)]

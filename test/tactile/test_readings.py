@@ -49,7 +49,7 @@ def test_faults_are_named(change, message: str) -> None:
         check.require()
 
 
-def test_all_faults_are_told_at_once() -> None:
+def test_all_faults_are_reported_at_once() -> None:
     with pytest.raises(TactileError, match=r"pdc_th.*; e_mf"):
         check_touch(dataclasses.replace(REST, pdc_th=-1.0, e_mf=np.zeros(24))).require()
 

@@ -23,7 +23,7 @@ def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
     """Rotation of the hand: Z = g1 - g2, X = Z x axis, Y = Z x X, each of unit length.
 
     If Z is parallel to the axis, X would be zero. By convention the coordinate axis that is least
-    aligned with Z (the first of equals) then replaces the object's axis.
+    aligned with Z (the first of equal ones) then replaces the object's axis.
 
     Args:
         g1: (3,) floating [m], contact of the first finger.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The BioTac SP: modalities, ranges, electrode positions, validity, tare, units; contact detection beside them."""
+"""The BioTac SP: modalities, ranges, electrode positions, validity, tare, units and contact detection."""
 
 from foretouch.tactile.channels import (
     MODALITIES,

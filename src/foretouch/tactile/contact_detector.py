@@ -212,10 +212,10 @@ def resting_noise(readings: npt.ArrayLike, config: ContactConfig, *, with_pdc: b
     """
     values = np.asarray(readings, np.float64)
     spread = _MAD_TO_SIGMA * np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    least = np.full(values.shape[1], config.electrode_noise)
+    minimum = np.full(values.shape[1], config.electrode_noise)
     if with_pdc:
-        least[0] = config.pdc_noise
-    return np.asarray(np.maximum(spread, least), np.float64)
+        minimum[0] = config.pdc_noise
+    return np.asarray(np.maximum(spread, minimum), np.float64)
 
 
 def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None) -> Float64:

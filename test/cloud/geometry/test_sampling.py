@@ -111,7 +111,7 @@ def test_a_shift_and_a_scale_change_nothing(rng: np.random.Generator) -> None:
     ("xyz", "message"),
     [
         (np.zeros((0, 3)), "N > 0"),
-        (np.ones((5, 3)), "5 points are in one place"),
+        (np.ones((5, 3)), "5 points coincide at"),
         (np.array([[0.0, 0, 1], [np.nan, 0, 1]]), "not finite"),
         (np.zeros((5, 2)), r"\(5, 2\)"),
     ],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which object is meant, and when none can be told."""
+"""Selection of the target object, and ambiguous cases."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_rule_decides(config: TargetConfig, ids: list[int]) -> None:
         ),
     ],
 )
-def test_doubt_has_a_reason(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
+def test_ambiguity_is_reported(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
     assert select_targets(objects, config) == ([], reason)
 
 

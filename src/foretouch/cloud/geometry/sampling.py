@@ -124,7 +124,7 @@ class UnitSphereFrame:
         centre = points.mean(axis=0)
         scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
         if scale < _MIN_SCALE_M:
-            raise CloudError(f"xyz: all {len(points)} points are in one place, {centre.tolist()}")
+            raise CloudError(f"xyz: all {len(points)} points coincide at {centre.tolist()}")
         return cls(centre, scale)
 
     def apply_points(self, points: npt.NDArray[np.floating]) -> Float64:

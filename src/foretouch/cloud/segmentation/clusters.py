@@ -86,9 +86,9 @@ class HeightThreshold(NamedTuple):
 
     def at(self, z: Float32) -> Float32:
         """The minimum height of points at depth z (...), float32 [m]."""
-        least: Float32 = z * np.float32(self.noise_per_m)
-        least *= z
-        return np.maximum(least, np.float32(self.low_m), out=least)
+        minimum: Float32 = z * np.float32(self.noise_per_m)
+        minimum *= z
+        return np.maximum(minimum, np.float32(self.low_m), out=minimum)
 
     def measure(self, xyz: Float32, z: Float32) -> tuple[Float32, Bool]:
         """Heights of points, and whether they are between the minimum and the maximum height.

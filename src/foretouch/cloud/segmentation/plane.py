@@ -79,7 +79,7 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     scored = _some(points, _SCORED, rng).astype(np.float32)
     best = _ransac(scored, config, rng)
     if best is None:
-        return PlaneFit(None, "all points lie in one place or on a line", scored=len(scored))
+        return PlaneFit(None, "all points coincide or are collinear", scored=len(scored))
     return _refit(points, origin, best, config)
 
 

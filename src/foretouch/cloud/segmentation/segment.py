@@ -185,6 +185,6 @@ def _why_no_object(rejected: int, config: ClusterConfig) -> str:
     if rejected == 0:
         return f"nothing stands more than {config.min_height_m * 1e3:g} mm above the table"
     return (
-        f"{rejected} clusters stand out, none with {config.min_points} points, "
+        f"{rejected} clusters above the table, none with {config.min_points} points, "
         f"higher than {config.min_top_m * 1e3:g} mm and within {config.max_extent_m:g} m"
     )
