@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Print every predicted touch: stamp, frame, grasp, and what the fingertips would read.
+"""Print every touch prediction: stamp, frame, grasp, and the predicted readings.
 
     python examples/listen_touch.py [--topic /foretouch/touch] [--count N]
 
-Needs rclpy and the messages, and nothing else of foretouch: what a program on another robot would do.
-Each cloud gets one array, empty with a reason where there is nothing to say; both are printed.
+Requires rclpy and the messages, but no other part of foretouch, like a program on another robot.
+One array is published per cloud, empty with a reason if there is no prediction; both are printed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 import os
 import sys
 
-# Where rclpy comes from PyPI, nobody has sourced a setup file.
+# If rclpy was installed from PyPI, no setup file has been sourced.
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 import rclpy
@@ -23,14 +23,18 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
 
-REFERENCES = {TouchPrediction.NONE: "sight", TouchPrediction.TARE: "tare", TouchPrediction.TOUCHES: "touches"}
+REFERENCES = {
+    TouchPrediction.NONE: "the cloud only",
+    TouchPrediction.TARE: "a tare",
+    TouchPrediction.TOUCHES: "earlier touches",
+}
 
 
 class TouchListener(Node):
     """Prints the arrays of one topic.
 
     Args:
-        topic: Of `foretouch_msgs/TouchPredictionArray`.
+        topic: Topic of type `foretouch_msgs/TouchPredictionArray`.
     """
 
     def __init__(self, topic: str) -> None:
@@ -45,13 +49,13 @@ class TouchListener(Node):
         stamp = message.header.stamp
         start = f"{stamp.sec}.{stamp.nanosec:09d} {message.header.frame_id}"
         if not message.predictions:
-            print(f"{start}: nothing: {message.reason}", flush=True)
+            print(f"{start}: no prediction: {message.reason}", flush=True)
         for prediction in message.predictions:
             print(f"{start}: grasp {prediction.grasp.id}: {describe(prediction)}", flush=True)
 
 
 def describe(prediction: object) -> str:
-    """One line [counts]: pressures with their half widths, mean and range of the electrodes, and what that leans on."""
+    """One line [counts]: pressures with half widths, mean and range of the electrodes, and the inputs used."""
     if prediction.reason:
         return prediction.reason
     words = []
@@ -62,16 +66,18 @@ def describe(prediction: object) -> str:
         values = [electrode.value for electrode in electrodes]
         mean = sum(values) / len(values)
         half = (pressure.upper - pressure.lower) / 2.0
-        doubt = "" if math.isnan(half) else f" ± {half:.0f}"
-        words.append(f"{finger} PDC {pressure.value:.0f}{doubt}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})")
-    return "; ".join([*words, f"leans on {REFERENCES[prediction.reference]}", *prediction.flags])
+        interval = "" if math.isnan(half) else f" ± {half:.0f}"
+        words.append(
+            f"{finger} PDC {pressure.value:.0f}{interval}, E {mean:.0f} ({min(values):.0f} to {max(values):.0f})"
+        )
+    return "; ".join([*words, f"based on {REFERENCES[prediction.reference]}", *prediction.flags])
 
 
 def main() -> int:
-    """Listen until Ctrl-C, or until `--count` arrays have come."""
+    """Print until Ctrl-C, or until `--count` arrays have been received."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--topic", default="/foretouch/touch")
-    parser.add_argument("--count", type=int, default=0, help="end after so many arrays; 0 never ends")
+    parser.add_argument("--count", type=int, default=0, help="exit after this number of arrays; 0 never exits")
     arguments, others = parser.parse_known_args()
     rclpy.init(args=others)
     listener = TouchListener(arguments.topic)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make a small recording of synthetic depth scenes, for replay where there is no camera.
+"""Write a small recording of synthetic depth scenes, for replay without a camera.
 
     python examples/make_recording.py OUT [key=value ...]
 
-OUT becomes a rosbag2 directory with MCAP storage. The keys are the settings of
+OUT is a rosbag2 directory with MCAP storage. The keys are the settings of
 `foretouch.simulation.recording.SceneRecordingConfig`, such as `count=50 width=424 height=240 seed=7`.
-The same settings give the same clouds.
+The same settings result in the same clouds.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 
 def main() -> int:
-    """Exit status 1 at a known failure."""
+    """Exit status 1 after a known failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", help="directory to be made")
+    parser.add_argument("out", help="directory to create")
     parser.add_argument("settings", nargs="*", metavar="key=value")
     arguments = parser.parse_args()
     try:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A grasp planner: make 50 candidates, ask what each would feel like, take the gentlest.
+"""A grasp planner: generate 50 candidates, predict the contact of each, and select the gentlest.
 
-Run it beside the graph and a camera or a replay: python examples/rank_grasps.py
+Run it with the graph and a camera or a replay: python examples/rank_grasps.py
 """
 
 import numpy as np
@@ -16,26 +16,26 @@ from foretouch_msgs.srv import PredictTouch
 
 CANDIDATES = 50
 BAND_M = 0.005  # both contacts at the same height in the image
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
-def listen(node: Node, topic: str, message_type: type) -> object:
+def receive(node: Node, topic: str, message_type: type) -> object:
     """The next message of a topic."""
-    heard, message = wait_for_message(
-        message_type, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=PATIENCE_S
+    received, message = wait_for_message(
+        message_type, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=TIMEOUT_S
     )
-    if not heard:
-        raise SystemExit(f"{topic}: silent for {PATIENCE_S} s; does the graph run?")
+    if not received:
+        raise SystemExit(f"{topic}: no message within {TIMEOUT_S} s; is the graph running?")
     return message
 
 
 def candidates(xyz: np.ndarray, rng: np.random.Generator) -> list[Grasp]:
-    """Pairs of contacts left and right of the object [m]; the service turns the hand as GeoGrasp would."""
+    """Pairs of contacts left and right of the object [m]; the service computes the orientation as GeoGrasp does."""
     grasps = []
     for number, y in enumerate(rng.choice(xyz[:, 1], CANDIDATES)):
         band = xyz[np.abs(xyz[:, 1] - y) < BAND_M].astype(float)
         grasp = Grasp(id=str(number))
-        grasp.pose.orientation.w = 0.0  # four zeros: please compute it
+        grasp.pose.orientation.w = 0.0  # four zeros request its computation
         for contact, point in ((grasp.g1, band[band[:, 0].argmin()]), (grasp.g2, band[band[:, 0].argmax()])):
             contact.x, contact.y, contact.z = point
         grasps.append(grasp)
@@ -43,10 +43,10 @@ def candidates(xyz: np.ndarray, rng: np.random.Generator) -> list[Grasp]:
 
 
 def main() -> None:
-    """Listen, ask, tell."""
+    """Receive the table and the object, request predictions, and print the best grasp."""
     rclpy.init()
     node = Node("rank_grasps", namespace="/foretouch")
-    table, cloud = listen(node, "table", TablePlane), listen(node, "object_cloud", PointCloud2)
+    table, cloud = receive(node, "table", TablePlane), receive(node, "object_cloud", PointCloud2)
     layout = np.dtype(
         {"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": cloud.point_step}
     )
@@ -55,17 +55,17 @@ def main() -> None:
     if not len(xyz):
         raise SystemExit(f"no object: {table.reason}")
     client = node.create_client(PredictTouch, "predict_touch")
-    client.wait_for_service(PATIENCE_S)
+    client.wait_for_service(TIMEOUT_S)
     request = PredictTouch.Request(cloud=cloud, table=[table.plane], grasps=candidates(xyz, np.random.default_rng()))
-    answer = client.call_async(request)
-    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE_S)
-    if not answer.done():
-        raise SystemExit(f"predict_touch: no answer within {PATIENCE_S} s")
-    felt = [p for p in answer.result().touch.predictions if p.status == Status.OK]
-    if not felt:
-        raise SystemExit(f"no prediction: {answer.result().touch.reason}")
-    best = min(felt, key=lambda p: p.pdc_th.value + p.pdc_mf.value)
-    print(f"{len(felt)} of {CANDIDATES} grasps predicted; the gentlest is {best.grasp.id}:")
+    response = client.call_async(request)
+    rclpy.spin_until_future_complete(node, response, timeout_sec=TIMEOUT_S)
+    if not response.done():
+        raise SystemExit(f"predict_touch: no response within {TIMEOUT_S} s")
+    predicted = [p for p in response.result().touch.predictions if p.status == Status.OK]
+    if not predicted:
+        raise SystemExit(f"no prediction: {response.result().touch.reason}")
+    best = min(predicted, key=lambda p: p.pdc_th.value + p.pdc_mf.value)
+    print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {best.grasp.id}:")
     print(f"PDC thumb {best.pdc_th.value:.0f}, middle finger {best.pdc_mf.value:.0f} counts, flags {list(best.flags)}")
     for name, point in (("g1", best.grasp.g1), ("g2", best.grasp.g2)):
         print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m")

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GeoGrasp with nothing but SciPy's tree, as one would write it first: normals at all points, one road."""
+"""A straightforward GeoGrasp with SciPy's tree only: normals at all points."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from foretouch.cloud.geometry.voxel import voxel_grid
+from foretouch.cloud.geometry.pcl_filters import voxel_grid
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import Spots, contact_radius, grasp_slab
+from foretouch.grasp.candidates import ContactSide, SurfacePoints, contact_radius, find_grasp_plane
 from foretouch.grasp.ranking import Ranking, rank_pairs
 from foretouch.types import Float32, Float64, Plane
 
@@ -35,22 +35,22 @@ def normals_everywhere(xyz: Float32, radius_m: float) -> tuple[Float64, Float64]
     return normals, curvature
 
 
-def plan(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> tuple[Ranking, tuple[Spots, Spots]]:
-    """The ranking, and the candidates of both sides that it speaks of."""
+def plan(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> tuple[Ranking, tuple[ContactSide, ContactSide]]:
+    """The ranking, and both sides to which its indices refer."""
     xyz = inliers(xyz, config)
     normals, curvature = normals_everywhere(xyz, config.normal_radius_m)
     axis = find_axis(xyz, plane, config)
     side = side_coordinate(axis.direction, plane)
-    slab = grasp_slab(xyz, axis.centroid, axis.direction, side, config.slab_half_width_m)
+    grasp_plane = find_grasp_plane(xyz, axis.centroid, axis.direction, side, config.slab_half_width_m)
     tree = cKDTree(xyz)
-    sides, initials = [], []
-    for initial in (slab.first, slab.second):
-        near = np.sort(tree.query_ball_point(xyz[initial], contact_radius(slab.width_m, config)))
+    sides = []
+    for initial in (grasp_plane.first, grasp_plane.second):
+        near = np.sort(tree.query_ball_point(xyz[initial], contact_radius(grasp_plane.width_m, config)))
         columns = np.column_stack([xyz[near].astype(np.float64), normals[near], curvature[near]])
         mean = voxel_grid(xyz[near], config.voxel_m).mean(columns)
         unit = mean[:, 3:6] / np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)
-        sides.append(Spots(mean[:, :3], unit, mean[:, 6]))
-        one = [initial]
-        initials.append(Spots(xyz[one].astype(np.float64), normals[one], curvature[one]))
+        candidates = SurfacePoints(mean[:, :3], unit, mean[:, 6])
+        point = SurfacePoints(xyz[[initial]].astype(np.float64), normals[[initial]], curvature[[initial]])
+        sides.append(ContactSide(candidates, point, len(near)))
     both = (sides[0], sides[1])
-    return rank_pairs(both, (initials[0], initials[1]), slab, axis.centroid), both
+    return rank_pairs(both, grasp_plane, axis.centroid), both

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import grasp_slab
+from foretouch.grasp.candidates import find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
 COUNTS = ("n_filtered", "n_voxel", "n_plane", "n_first", "n_second", "n_fv", "n_sv", "n_nan_normals")
@@ -29,7 +29,7 @@ TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 
 @dataclass(frozen=True, eq=False)
 class ReferenceRow:
-    """One run of the original: the cloud, its settings, and what came out."""
+    """One run of the original: the cloud, its settings, and the results."""
 
     name: str
     cloud: Path
@@ -52,7 +52,7 @@ class ReferenceRow:
 
 @dataclass(frozen=True, eq=False)
 class ExecutedGrasp:
-    """A grasp that the robot executed, and the slides of the slab that explain it."""
+    """A grasp that the robot executed, and the slides of the grasp plane that explain it."""
 
     cloud: Path
     contacts: Float64  # (2, 3) [m]
@@ -61,14 +61,14 @@ class ExecutedGrasp:
 
 
 def read_reference(data: Path) -> list[ReferenceRow]:
-    """All rows of the original's output, which stands beside the folder of recordings."""
+    """All rows of the original's output, in a folder next to the recordings."""
     path = data.parent / "reference" / "geograsp_reference.csv"
     with path.open(encoding="utf-8", newline="") as stream:
         return [_reference_row(row, data) for row in csv.DictReader(stream)]
 
 
 def read_executed(data: Path) -> list[ExecutedGrasp]:
-    """The executed grasps, with the interval of slides known for each."""
+    """The executed grasps, with the known interval of slides of each."""
     path = data.parent / "reference" / "executed_slab_offsets.csv"
     grasps = []
     with path.open(encoding="utf-8", newline="") as stream:
@@ -82,7 +82,7 @@ def read_executed(data: Path) -> list[ExecutedGrasp]:
 
 
 def faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
-    """Names of what differs from the original; `score_undefined` where the original's is not finite."""
+    """Names of the differences from the original; `score_undefined` if the original score is not finite."""
     if plan.status == "no_grasp":
         return ["status"]
     best = plan.grasps[0]
@@ -121,7 +121,7 @@ def _pose_faults(row: ReferenceRow, plan: GraspPlan) -> list[str]:
 
 
 def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
-    """How many rows show each fault."""
+    """Number of rows with each difference."""
     clouds: dict[Path, Cloud] = {}
     found: Counter[str] = Counter()
     for row in rows:
@@ -132,13 +132,13 @@ def compare_all(rows: list[ReferenceRow]) -> Counter[str]:
 
 
 def reproduces(grasp: ExecutedGrasp, slide_m: float) -> bool:
-    """Whether the initial points of a slab slid by this are the executed contacts."""
+    """Whether the initial points of a grasp plane shifted by this are the executed contacts."""
     plan = plan_grasps(read_cloud(grasp.cloud), TOP_VIEW, GeoGraspConfig(), slide_m=slide_m)
     return plan.initial_points is not None and _are_executed(grasp, plan.initial_points)
 
 
 def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
-    """A slide of the known interval that reproduces the grasp, the nearest to its middle; None if none does."""
+    """The slide in the known interval, nearest to its middle, that reproduces the grasp; None if there is none."""
     config = GeoGraspConfig()
     xyz = read_cloud(grasp.cloud).xyz.reshape(-1, 3)
     xyz = xyz[inlier_mask(xyz, config.neighbours, config.outlier_deviations)]
@@ -147,8 +147,8 @@ def explaining_slide(grasp: ExecutedGrasp, n: int = 401) -> float | None:
     slides = np.linspace(*grasp.slide_range_m, n)
     for slide in slides[np.argsort(np.abs(slides - grasp.slide_m), kind="stable")]:
         centre = axis.centroid + slide * axis.direction
-        slab = grasp_slab(xyz, centre, axis.direction, side, config.slab_half_width_m)
-        if _are_executed(grasp, xyz[[slab.first, slab.second]]) and reproduces(grasp, float(slide)):
+        grasp_plane = find_grasp_plane(xyz, centre, axis.direction, side, config.slab_half_width_m)
+        if _are_executed(grasp, xyz[[grasp_plane.first, grasp_plane.second]]) and reproduces(grasp, float(slide)):
             return float(slide)
     return None
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast is GeoGrasp, and are its answers those of the original? See README.md beside this file."""
+"""How fast is GeoGrasp, and are its results those of the original? See README.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import baseline
 import numpy as np
 import parity
 
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
@@ -31,11 +31,11 @@ TARGETS_MS = {"depth image, pixels known": (9.0, 16.0), "depth image, shuffled":
 
 
 def main() -> int:
-    """Prove the answers equal, then time. Exit status 1 where they are not."""
+    """Check that the results are equal, then measure. Exit status 1 if they are not."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of recordings")
-    arguments.add_argument("--repeat", type=int, default=5, help="runs of each cloud; the fastest counts")
-    arguments.add_argument("--every", type=int, default=1, help="use each n-th cloud and row only")
+    arguments.add_argument("--repeat", type=int, default=5, help="runs of each cloud, of which the fastest is used")
+    arguments.add_argument("--every", type=int, default=1, help="use every n-th cloud and row only")
     options = arguments.parse_args()
     if options.data is None:
         arguments.error("--data or FORETOUCH_DATA: where are the recordings?")
@@ -46,14 +46,14 @@ def main() -> int:
 
 
 def prove(data: Path, every: int) -> bool:
-    """Compare with the original and with the executed grasps; print what differs."""
+    """Compare with the original and with the executed grasps; print the differences."""
     rows = parity.read_reference(data)[::every]
     found = parity.compare_all(rows)
     print(f"original GeoGrasp, {len(rows)} rows: rows that differ, by what")
     for name in (*parity.COUNTS, "status", "initial_points", "grasp", "score", "axis", "centroid", "rotation"):
         print(f"  {name:16} {found[name]:5}   allowed {ALLOWED.get(name, 0) // every}")
-    print(f"  {'score undefined':16} {found['score_undefined']:5}   not finite in the original, named here")
-    print(f"  {'sign of the axis':16} {found['axis_sign']:5}   left open by the rule in side views")
+    print(f"  {'score undefined':16} {found['score_undefined']:5}   not finite in the original, NaN with a reason here")
+    print(f"  {'sign of the axis':16} {found['axis_sign']:5}   undetermined by the rule in side views")
     equal = all(
         n <= ALLOWED.get(name, 0) // every for name, n in found.items() if name not in ("score_undefined", "axis_sign")
     )
@@ -78,7 +78,7 @@ def measure(data: Path, every: int, repeat: int) -> None:
     for path in _paths(data)[::every]:
         for name, job in _variants(read_cloud(path), rng).items():
             runs = [_cpu_ms(job) for _ in range(1 if name == SLOW else repeat)]
-            times.setdefault(name, []).append(min(runs))  # other work on the machine only ever adds
+            times.setdefault(name, []).append(min(runs))  # other load can only increase it
     print(f"\nCPU ms a cloud, one thread, top view, tip 25, {len(next(iter(times.values())))} clouds")
     print(f"{'':34}{'median':>8}{'p95':>8}{'mean':>8}   target")
     for name, values in times.items():
@@ -90,10 +90,10 @@ def _variants(cloud: Cloud, rng: np.random.Generator) -> dict[str, Callable[[], 
     xyz = cloud.xyz.reshape(-1, 3)
     grid = PixelGrid.from_rays(xyz)
     if grid is None:
-        raise SystemExit("a cloud of the recordings is no depth image")
+        raise SystemExit("a cloud of the recordings is not a depth image")
     pixels, shape = grid.row * grid.width + grid.column, (grid.height, grid.width)
     shuffled = Cloud(xyz[rng.permutation(len(xyz))])
-    # Turned about the sensor the rays are no lattice of x / z and y / z any more: only the tree is left.
+    # Rotated about the sensor, the rays do not form a lattice of x / z and y / z: only the tree is used.
     turned = Cloud(np.ascontiguousarray(xyz[:, [2, 0, 1]]))
     return {
         "depth image, pixels known": lambda: plan_grasps(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What does it cost to read a PointCloud2 of 407 040 points? See README.md."""
+"""How long does it take to decode and encode a PointCloud2 of 407 040 points? See README.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FLOAT32, FLOAT64 = 7, 8
 
 
 def layouts() -> dict[str, PointCloud2Layout]:
-    """Layouts that are met in the field."""
+    """Common layouts."""
     f32 = [PointField(name, 4 * i, FLOAT32) for i, name in enumerate("xyz")]
     f64 = [PointField(name, 8 * i, FLOAT64) for i, name in enumerate("xyz")]
     rgb = PointField("rgb", 16, FLOAT32)
@@ -43,7 +43,7 @@ def _layout(fields: list[PointField], step: int, *, padding: int = 0, big: bool 
 
 
 def fill(layout: PointCloud2Layout, rng: np.random.Generator) -> bytes:
-    """Bytes with coordinates of about a metre and any colour."""
+    """Bytes with coordinates of about a metre and random colours."""
     data = np.zeros((HEIGHT, layout.row_step), np.uint8)
     points = data[:, : WIDTH * layout.point_step].reshape(HEIGHT, WIDTH, layout.point_step)
     order = ">" if layout.is_bigendian else "<"

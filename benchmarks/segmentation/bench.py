@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What does segmentation cost, and does it find what is there? See README.md."""
+"""How long does segmentation take, and does it find all objects? See README.md."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ours(cloud: Cloud) -> Labels:
 
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
-    """The usual pipeline: crop, RANSAC plane, DBSCAN of what stands above it, small clusters dropped."""
+    """A common pipeline: crop, RANSAC plane, DBSCAN of the points above it, small clusters dropped."""
     import open3d
 
     flat = cloud.xyz.reshape(-1, 3)
@@ -61,7 +61,7 @@ def overlaps(labels: Labels, truth: Labels) -> list[float]:
 
 
 def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
-    """One generated scene, clean, noisy and with flying pixels, and the shared one where it is at hand."""
+    """One generated scene, clean, noisy and with flying pixels, and the shared one if available."""
     result = []
     for name, noise_m, flying in (("exact", 0.0, False), ("noise", 0.0015, False), ("flying", 0.0015, True)):
         rng = np.random.default_rng(1)
@@ -75,7 +75,7 @@ def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
 
 
 def cpu_ms(function: Callable[[Cloud], Labels], cloud: Cloud, repeats: int) -> float:
-    """Median CPU time of a call [ms], all threads of the process; each call gets a cloud of its own, as from a camera."""
+    """Median CPU time of a call [ms], all threads of the process; each call gets a new copy of the cloud."""
     times = []
     for _ in range(repeats + 1):
         fresh = Cloud(cloud.xyz.copy())

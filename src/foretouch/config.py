@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Typed settings: one frozen dataclass a component, one default each, read from YAML and `key=value`.
+"""Typed settings: one frozen dataclass per component, read from YAML and `key=value`.
 
-A component declares its settings beside itself::
+A component declares its settings in its own module::
 
     @dataclass(frozen=True, kw_only=True)
     class CropConfig(Settings):
         max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.1, maximum=16.0, unit="m")
 
-The fields carry description, unit, bounds and whether a running node may change them, so that the
-command line, the YAML reader and the ROS parameters are all derived from this one declaration.
+The fields contain the description, unit, bounds and whether a running node may change them. The
+command line, the YAML reader and the ROS parameters are all derived from this declaration.
 """
 
 from __future__ import annotations
@@ -31,32 +31,19 @@ __all__ = ["SettingInfo", "Settings", "load_yaml", "parse_overrides", "setting",
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SettingInfo:
-    """What is known of one setting.
+    """Declaration of one setting."""
 
-    Attributes:
-        name: Field name; nested settings are joined with dots.
-        type: bool, int, float, str, or a tuple's item type with `is_list`.
-        default: Its default.
-        description: One sentence.
-        unit: Of the value, "" if it has none.
-        minimum, maximum: Inclusive bounds, None where open.
-        choices: Allowed values, empty where free.
-        read_only: Whether a running node refuses to change it.
-        is_list: Whether it is a tuple of `type`.
-        optional: Whether None is allowed.
-    """
-
-    name: str
-    type: type
-    default: Any
-    description: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: tuple[Any, ...]
-    read_only: bool
-    is_list: bool
-    optional: bool
+    name: str  # field name; names of nested settings are joined with dots
+    type: type  # bool, int, float, str, or a tuple's item type with `is_list`
+    default: Any  # default value
+    description: str  # one sentence
+    unit: str  # unit of the value, "" if it has none
+    minimum: float | None  # inclusive, or None
+    maximum: float | None  # inclusive, or None
+    choices: tuple[Any, ...]  # allowed values; empty if unrestricted
+    read_only: bool  # whether a running node rejects changes
+    is_list: bool  # whether it is a tuple of `type`
+    optional: bool  # whether None is allowed
 
 
 def setting(
@@ -70,27 +57,19 @@ def setting(
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    return dataclasses.field(
-        default=default,
-        metadata={
-            "description": description,
-            "unit": unit,
-            "minimum": minimum,
-            "maximum": maximum,
-            "choices": tuple(choices),
-            "read_only": read_only,
-        },
-    )
+    bounds = {"minimum": minimum, "maximum": maximum, "choices": tuple(choices)}
+    metadata = {"description": description, "unit": unit, **bounds, "read_only": read_only}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Base of every component's settings: checks each value when made.
+    """Base of every component's settings; checks each value on construction.
 
     Subclasses with rules across fields extend `__post_init__` and call this one first.
 
     Raises:
-        ConfigError: Names the field, the value and the rule.
+        ConfigError: With the field, the value and the rule.
     """
 
     def __post_init__(self) -> None:
@@ -100,40 +79,36 @@ class Settings:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """Build from plain data, such as a YAML document; keys may be nested or dotted.
+        """Settings from plain data, such as a YAML document; keys may be nested or dotted.
 
         Args:
-            mapping: Setting names to values. What is absent keeps its default.
-            source: Named in error messages.
+            mapping: Setting names to values. Absent settings keep their defaults.
+            source: Origin of the data, for error messages.
 
         Raises:
-            ConfigError: At an unknown key (the known ones are told), a wrong type or a value out of bounds.
+            ConfigError: For an unknown key (the known ones are listed), a wrong type or a value out of bounds.
         """
         return _build(cls, _nested(mapping, source), f"{source}: " if source else "", "")
 
     def replace(self, **changes: Any) -> Self:
-        """The same settings with some fields changed, checked again."""
+        """A checked copy with some fields changed."""
         return dataclasses.replace(self, **changes)
 
     def updated(self, changes: Mapping[str, Any], source: str = "") -> Self:
-        """The same settings with those of a mapping laid over them; its keys may be nested or dotted.
-
-        Raises:
-            ConfigError: As `from_mapping`.
-        """
+        """A copy with the settings of a mapping changed; keys and errors as in `from_mapping`."""
         merged = self.to_mapping()
         _merge(merged, _nested(changes, source))
         return self.from_mapping(merged, source)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain nested data that `from_mapping` reads back."""
+        """Plain nested data that `from_mapping` accepts."""
         return {f.name: _plain(getattr(self, f.name)) for f in dataclasses.fields(self)}
 
 
 def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
-    """All settings of `cls`, nested ones with dotted names, in order of declaration.
+    """All settings of `cls` in order of declaration, nested ones with dotted names.
 
-    Lists of groups and groups that may be absent have no fixed names, and are left out.
+    Lists of groups and optional groups have no fixed names and are omitted.
     """
     infos: list[SettingInfo] = []
     own = {info.name: info for info in _own_infos(cls)}
@@ -147,11 +122,7 @@ def setting_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
 
 
 def load_yaml(path: str | Path) -> dict[str, Any]:
-    """One YAML mapping, by safe load.
-
-    Raises:
-        ConfigError: If the file cannot be read, is no YAML, or holds no mapping.
-    """
+    """Load one YAML mapping safely; a `ConfigError` if the file cannot be read or is not a mapping."""
     try:
         document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as err:
@@ -166,10 +137,10 @@ def load_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
-    """`["a.b=1", "c=x"]` to `{"a.b": 1, "c": "x"}`; values are YAML scalars or lists.
+    """Parse `["a.b=1", "c=x"]` to `{"a.b": 1, "c": "x"}`; values are YAML scalars or lists.
 
     Raises:
-        ConfigError: At a word without `=` or a value that is no YAML.
+        ConfigError: For a word without `=` or a value that is not YAML.
     """
     result: dict[str, Any] = {}
     for pair in pairs:
@@ -192,18 +163,16 @@ def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
             continue
         if "description" not in f.metadata:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
-        infos.append(
-            SettingInfo(name=f.name, type=item, default=f.default, is_list=is_list, optional=optional, **f.metadata)
-        )
+        kind: dict[str, Any] = {"type": item, "is_list": is_list, "optional": optional}
+        infos.append(SettingInfo(name=f.name, default=f.default, **kind, **f.metadata))
     return infos
 
 
 def _analyse(hint: Any) -> tuple[type, bool, bool]:
-    """A field's annotation as item type, is it a tuple, may it be None."""
-    optional = False
+    """The item type of an annotation, whether it is a tuple, and whether None is allowed."""
     arguments = typing.get_args(hint)
-    if type(None) in arguments:
-        optional = True
+    optional = type(None) in arguments
+    if optional:
         (hint,) = [a for a in arguments if a is not type(None)]
     origin = typing.get_origin(hint)
     if origin is tuple:
@@ -226,46 +195,39 @@ def _checked(info: SettingInfo, value: Any, owner: str) -> Any:
     return tuple(_checked_item(info, item, f"{name}[{i}]") for i, item in enumerate(value))
 
 
-def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:  # any scalar in, the same or its float out
+def _checked_item(info: SettingInfo, value: Any, name: str) -> Any:
     if info.type is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if not isinstance(value, info.type) or (info.type is not bool and type(value) is bool):
-        raise ConfigError(f"{name}: {value!r} is not {_article(info.type)}")
+        kinds = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+        raise ConfigError(f"{name}: {value!r} is not {kinds.get(info.type, info.type.__name__)}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}: {value} is not finite")
     number = value if isinstance(value, (int, float)) else 0.0
+    unit = f" {info.unit}" if info.unit else ""
     if info.minimum is not None and number < info.minimum:
-        raise ConfigError(f"{name}: {value} is below {info.minimum}{_unit(info)}")
+        raise ConfigError(f"{name}: {value} is below {info.minimum}{unit}")
     if info.maximum is not None and number > info.maximum:
-        raise ConfigError(f"{name}: {value} is above {info.maximum}{_unit(info)}")
+        raise ConfigError(f"{name}: {value} is above {info.maximum}{unit}")
     if info.choices and value not in info.choices:
         raise ConfigError(f"{name}: {value!r} is none of {', '.join(map(str, info.choices))}")
     return value
 
 
-def _article(kind: type) -> str:
-    return {int: "a whole number", float: "a number", str: "text", bool: "true or false"}.get(kind, kind.__name__)
-
-
-def _unit(info: SettingInfo) -> str:
-    return f" {info.unit}" if info.unit else ""
-
-
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Dotted keys as nested mappings."""
+    """Convert dotted keys to nested mappings."""
     result: dict[str, Any] = {}
     for key, value in mapping.items():
         *parents, leaf = str(key).split(".")
-        place = result
+        group = result
         for parent in parents:
-            place = place.setdefault(parent, {})
-            if not isinstance(place, dict):
+            group = group.setdefault(parent, {})
+            if not isinstance(group, dict):
                 raise ConfigError(f"{source}: {key}: {parent} is a value and a group at once")
         if isinstance(value, Mapping):
-            group = place.setdefault(leaf, {})
-            group.update(_nested(value, source))
+            group.setdefault(leaf, {}).update(_nested(value, source))
         else:
-            place[leaf] = value
+            group[leaf] = value
     return result
 
 
@@ -292,7 +254,7 @@ def _build(cls: type[_S], mapping: Mapping[str, Any], source: str, prefix: str) 
 
 
 def _field_value(hint: Any, value: Any, source: str, name: str) -> Any:
-    """A plain value as its field wants it; fields that are no groups are checked by their owner."""
+    """Convert a plain value for its field; values that are not groups are checked by `Settings`."""
     item, is_list, optional = _analyse(hint)
     if not issubclass(item, Settings):
         return tuple(value) if isinstance(value, list) else value

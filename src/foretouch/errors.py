@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One family of exceptions: whoever calls foretouch catches `ForetouchError`.
+"""The exceptions of foretouch; `ForetouchError` is their base class.
 
-A message is one line that names the file or message, the field and the rule it breaks, so that
-the command line can print it as it is.
+A message is one line with the file or message, the field and the rule that it breaks, so that
+the command line can print it unchanged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 
 
 class ForetouchError(Exception):
-    """A known failure, told in one line."""
+    """A known failure, described in one line."""
 
 
 class ConfigError(ForetouchError):
@@ -39,11 +39,11 @@ class CloudError(ForetouchError):
 
 
 class ContactError(ForetouchError):
-    """A contact that cannot be solved: no surface, a layer pressed through, no convergence."""
+    """A contact that cannot be solved: no surface, a fully compressed layer, no convergence."""
 
 
 class ConvergenceError(ContactError):
-    """A contact whose solver has not come close enough to its solution."""
+    """A contact whose solver did not converge."""
 
 
 class GraspError(ForetouchError):
@@ -51,11 +51,11 @@ class GraspError(ForetouchError):
 
 
 class TactileError(ForetouchError):
-    """A tactile reading that a working BioTac SP does not give."""
+    """A tactile reading that a working BioTac SP cannot produce."""
 
 
 class ModelError(ForetouchError):
-    """A model that is damaged, of another architecture or of another modality."""
+    """A model that is damaged, or of another architecture or modality."""
 
 
 class CameraError(ForetouchError):
@@ -71,7 +71,7 @@ class SimulationError(ForetouchError):
 
     Args:
         message: One line.
-        reason: A short word by which such failures are counted.
+        reason: A short word under which such failures are counted.
     """
 
     def __init__(self, message: str, reason: str = "simulation") -> None:
@@ -83,7 +83,7 @@ class SimulationError(ForetouchError):
 
 
 class MissingDependencyError(ForetouchError):
-    """A package or library that this machine lacks; the message holds the line that mends it."""
+    """A package or library that is not installed; the message contains the command that installs it."""
 
 
 class FileError(ForetouchError):
@@ -91,13 +91,12 @@ class FileError(ForetouchError):
 
     Args:
         path: The file.
-        rule: What it breaks, in words.
-        field: The part of the file at fault, or None for the whole.
+        rule: The rule that it breaks.
+        field: The part of the file that breaks it, or None for the whole file.
     """
 
     def __init__(self, path: str | Path, rule: str, *, field: str | None = None) -> None:
         self.path = Path(path)
         self.rule = rule
         self.field = field
-        place = f"{path}: {field}" if field else f"{path}"
-        super().__init__(f"{place}: {rule}")
+        super().__init__(f"{path}: {field}: {rule}" if field else f"{path}: {rule}")

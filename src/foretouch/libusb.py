@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make `import open3d` and `import pyrealsense2` work where the system has no libusb.
+"""Make `import open3d` and `import pyrealsense2` work without libusb in the system.
 
-Both wheels link against `libusb-1.0.so.0`, which minimal machines lack. The wheel
-`libusb-package` carries the same library; loaded globally first, it satisfies both.
+Both wheels link against `libusb-1.0.so.0`, which minimal systems lack. The wheel `libusb-package` contains the same
+library; loaded globally beforehand, it satisfies both.
 """
 
 from __future__ import annotations
@@ -15,11 +15,7 @@ __all__ = ["ensure_libusb"]
 
 
 def ensure_libusb() -> None:
-    """Load libusb into this process, from the system or else from the wheel.
-
-    Raises:
-        MissingDependencyError: If neither has it.
-    """
+    """Load libusb from the system or else from the wheel; a `MissingDependencyError` if neither has it."""
     try:
         ctypes.CDLL("libusb-1.0.so.0", mode=ctypes.RTLD_GLOBAL)
         return

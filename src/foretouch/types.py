@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The things that travel between the steps: clouds, planes, grasps, touches.
+"""Data types shared by all packages: clouds, planes, grasps, tactile readings.
 
-All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor
-counts. Clouds and all that is derived from them are in the camera's optical frame (x right,
-y down, z forward) unless `frame_id` says otherwise.
+All are frozen. Lengths are in metres, stamps in integer nanoseconds, tactile values in sensor counts. Clouds and
+everything derived from them are in the camera's optical frame (x right, y down, z forward) unless `frame_id` differs.
 """
 
 from __future__ import annotations
@@ -37,28 +36,22 @@ Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
 Reference = Literal["none", "tare", "touches"]
 
-ELECTRODES = 24  # of one BioTac SP
+ELECTRODES = 24  # per BioTac SP
 TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A point cloud, ordered like an image or not.
-
-    Attributes:
-        xyz: (N, 3) or organised (H, W, 3), float32 [m]. A pixel without depth holds NaN in all three.
-        rgb: The same leading shape, uint8, or None.
-        frame_id: The frame of `xyz`.
-        stamp_ns: When it was measured [ns].
+    """A point cloud, organised like an image or not.
 
     Raises:
-        CloudError: If a shape or a dtype is another.
+        CloudError: If a shape or a dtype is wrong.
     """
 
-    xyz: Float32
-    rgb: UInt8 | None = None
-    frame_id: str = ""
-    stamp_ns: int = 0
+    xyz: Float32  # (N, 3) or organised (H, W, 3), float32 [m]. All three are NaN for a pixel without depth
+    rgb: UInt8 | None = None  # the same shape, uint8, or None
+    frame_id: str = ""  # the frame of `xyz`
+    stamp_ns: int = 0  # time of measurement [ns]
 
     def __post_init__(self) -> None:
         if self.xyz.ndim not in (2, 3) or self.xyz.shape[-1] != 3:
@@ -73,20 +66,16 @@ class Cloud:
 
     @property
     def organised(self) -> bool:
-        """Whether neighbours in the array are neighbours in the image."""
+        """Whether the points form an image."""
         return self.xyz.ndim == 3
 
     @property
     def size(self) -> int:
-        """Number of points, those without depth included."""
+        """Number of points, including those without depth."""
         return self.xyz.size // 3
 
     def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Cloud:
-        """Some of the points, as an unorganised cloud.
-
-        Args:
-            index: Indices into the flattened cloud, or a mask of (N,) or (H, W).
-        """
+        """Selected points as an unorganised cloud, by flat indices or by a mask (N,) or (H, W)."""
         flat = np.flatnonzero(index) if index.dtype == np.bool_ else index
         rgb = None if self.rgb is None else self.rgb.reshape(-1, 3).take(flat, axis=0)
         # take() is four times as fast as indexing here.
@@ -95,23 +84,14 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """The plane n·p + d = 0.
+    """The plane n·p + d = 0."""
 
-    Attributes:
-        normal: (3,) float64, of unit length, towards the camera where the plane was measured.
-        offset: d [m].
-    """
-
-    normal: Float64
-    offset: float
+    normal: Float64  # (3,) float64, unit length, towards the camera if the plane was measured
+    offset: float  # d [m]
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
-        """From (a, b, c, d) of any scale.
-
-        Raises:
-            CloudError: If a number is not finite or (a, b, c) is zero.
-        """
+        """A plane from (a, b, c, d) of any scale; a `CloudError` if they are not finite or (a, b, c) is zero."""
         abcd = np.asarray(coefficients, dtype=np.float64)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
@@ -136,26 +116,18 @@ ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """Two contacts and the pose of the hand (P2: g1, g2, R).
-
-    Attributes:
-        g1: (3,) float64 [m], cloud frame.
-        g2: (3,) float64 [m], cloud frame.
-        rotation: (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis.
-        score: Rank of GeoGrasp, higher is better; NaN where the original's rule gives no finite one.
-        id: Unique within a session.
-        object_id: The object that it was planned on.
+    """Two contacts and the orientation of the hand (P2: g1, g2, R).
 
     Raises:
-        GraspError: If a contact or the rotation is not finite or of another shape, or g1 is g2.
+        GraspError: If a contact or the rotation is not finite or has a wrong shape, or g1 equals g2.
     """
 
-    g1: Float64
-    g2: Float64
-    rotation: Float64
-    score: float = float("nan")
-    id: str = ""
-    object_id: str = ""
+    g1: Float64  # (3,) float64 [m], cloud frame
+    g2: Float64  # (3,) float64 [m], cloud frame
+    rotation: Float64  # (3, 3) float64, columns X, Y, Z of the hand: Z along g1 - g2, X along Z x object axis
+    score: float = float("nan")  # score of GeoGrasp, higher is better; NaN if it is undefined
+    id: str = ""  # unique within a session
+    object_id: str = ""  # the object for which it was planned
 
     def __post_init__(self) -> None:
         for name, shape in (("g1", (3,)), ("g2", (3,)), ("rotation", (3, 3))):
@@ -169,7 +141,7 @@ class Grasp:
 
     @property
     def midpoint(self) -> Float64:
-        """(3,) float64 [m]: the origin of the hand frame."""
+        """(3,) float64 [m], the origin of the hand frame."""
         return (self.g1 + self.g2) / 2.0
 
     @property
@@ -180,22 +152,16 @@ class Grasp:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """One reading of both fingers [counts].
-
-    Attributes:
-        pdc_th: Static pressure of the thumb.
-        pdc_mf: Static pressure of the middle finger.
-        e_th: (24,) float64, electrodes of the thumb.
-        e_mf: (24,) float64, electrodes of the middle finger.
+    """A tactile reading of both fingers [counts].
 
     Raises:
-        TactileError: If a shape is another. Values are not judged here: see `foretouch.tactile`.
+        TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.check_touch`.
     """
 
-    pdc_th: float
-    pdc_mf: float
-    e_th: Float64
-    e_mf: Float64
+    pdc_th: float  # static pressure of the thumb
+    pdc_mf: float  # static pressure of the middle finger
+    e_th: Float64  # (24,) float64, electrodes of the thumb
+    e_mf: Float64  # (24,) float64, electrodes of the middle finger
 
     def __post_init__(self) -> None:
         for name in ("e_th", "e_mf"):
@@ -205,7 +171,7 @@ class Touch:
 
     @classmethod
     def from_vector(cls, vector: npt.NDArray[np.floating]) -> Touch:
-        """From (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
+        """A reading from (50,): PDC_TH, PDC_MF, E_TH, E_MF."""
         if vector.shape != (TOUCH_SIZE,):
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
         v = vector.astype(np.float64)
@@ -218,48 +184,27 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class TouchPrediction:
-    """What the fingertips would read if `grasp` were executed.
-
-    Attributes:
-        grasp: The grasp.
-        value: Prediction [counts]; None where `status` is not "ok".
-        lower, upper: Bounds of the interval [counts]; None until the model's card holds a calibration.
-        reference: What the prediction could lean on.
-        flags: Of `out_of_range`, `unfamiliar`, `late`, `fallback_model`.
-        status: "ok" or "refused".
-        reason: Why, in words, where it is refused.
-    """
+    """The predicted reading of both fingertips if `grasp` were executed."""
 
     grasp: Grasp
-    value: Touch | None
-    lower: Touch | None = None
-    upper: Touch | None = None
-    reference: Reference = "none"
-    flags: tuple[str, ...] = ()
+    value: Touch | None  # prediction [counts]; None if `status` is not "ok"
+    lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
+    upper: Touch | None = None  # upper bounds
+    reference: Reference = "none"  # tactile readings to which the prediction was adapted
+    flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`
     status: Literal["ok", "refused"] = "ok"
-    reason: str = ""
+    reason: str = ""  # why it was refused; "" if ok
 
 
 @dataclass(frozen=True, eq=False)
 class GraspSample:
-    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>).
+    """One grasp of the dataset (P2: <C, g1, g2, R, PDC_TH, PDC_MF, E_TH, E_MF>)."""
 
-    Attributes:
-        id: `<object>/<source id>`.
-        object: Label of the object.
-        cloud: The object's cloud that the grasp was planned on.
-        grasp: The grasp.
-        touch: What was read in contact; None for an unlabelled sample.
-        tare: What was read without contact; None if nothing was.
-        stamp_ns: When it was recorded [ns].
-        extra: Whatever else the source holds, by name.
-    """
-
-    id: str
-    object: str
-    cloud: Cloud
+    id: str  # `<object>/<source id>`
+    object: str  # label of the object
+    cloud: Cloud  # the object's cloud on which the grasp was planned
     grasp: Grasp
-    touch: Touch | None = None
-    tare: Touch | None = None
-    stamp_ns: int = 0
-    extra: Mapping[str, float] = field(default_factory=dict)
+    touch: Touch | None = None  # reading in contact; None for an unlabelled sample
+    tare: Touch | None = None  # reading without contact; None if there is none
+    stamp_ns: int = 0  # time of recording [ns]
+    extra: Mapping[str, float] = field(default_factory=dict)  # further values of the source, by name

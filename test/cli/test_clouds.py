@@ -19,7 +19,7 @@ from foretouch.pipeline import ASSUMED_TABLE, Pipeline
 Call = Callable[..., Any]
 
 
-def test_segment_tells_plane_objects_and_times(call: Call, files: Path) -> None:
+def test_segment_prints_plane_objects_and_times(call: Call, files: Path) -> None:
     answer = call("segment", files / "scene.npz", "--json")
     (record,) = answer.records
     assert answer.status == 0
@@ -60,11 +60,11 @@ def test_a_person_gets_a_table(call: Call, files: Path) -> None:
 def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:
     (record,) = call("grasp", files / "object.pcd", "--plane", "0,0,1,-1.27", "--json").records
     cloud = read_cloud(files / "object.pcd")
-    (felt,) = Pipeline().run_object(cloud, ASSUMED_TABLE).felt
-    assert record["status"] == felt.plan.status
-    np.testing.assert_array_equal(record["grasps"][0]["g1"], felt.plan.grasps[0].g1)
-    np.testing.assert_array_equal(record["grasps"][0]["rotation"], felt.plan.grasps[0].rotation.reshape(9))
-    np.testing.assert_array_equal(record["initial_points"], felt.plan.initial_points)
+    (result,) = Pipeline().run_object(cloud, ASSUMED_TABLE).felt
+    assert record["status"] == result.plan.status
+    np.testing.assert_array_equal(record["grasps"][0]["g1"], result.plan.grasps[0].g1)
+    np.testing.assert_array_equal(record["grasps"][0]["rotation"], result.plan.grasps[0].rotation.reshape(9))
+    np.testing.assert_array_equal(record["initial_points"], result.plan.initial_points)
 
 
 def test_grasp_segments_an_organised_cloud_first(call: Call, files: Path) -> None:

@@ -120,7 +120,7 @@ def test_random_slide_covers_the_asked_part_of_the_extent(rng):
 
 
 def test_a_slide_given_and_drawn_is_refused(box_cloud, top_view, rng):
-    with pytest.raises(GraspError, match=r"slide_m, rng: a slide of 0.01 m and one to be drawn"):
+    with pytest.raises(GraspError, match=r"slide_m, rng: a slide of 0.01 m and a random one exclude each other"):
         plan_grasps(box_cloud, top_view, CONFIG, slide_m=0.01, rng=rng)
 
 
@@ -201,7 +201,7 @@ def test_one_candidate_a_side_has_no_score_and_says_so(top_view):
 
 
 def test_pixels_of_another_cloud_are_refused(box_cloud, top_view):
-    with pytest.raises(CloudError, match="does not go with 1800 points"):
+    with pytest.raises(CloudError, match="does not match 1800 points"):
         plan_grasps(box_cloud, top_view, CONFIG, pixels=np.arange(3), image_shape=(480, 640))
 
 
@@ -234,7 +234,7 @@ def test_a_dense_cloud_is_thinned_counted_and_grasped_as_before(rng: np.random.G
     assert thin.counts["n_thinned"] == 13_500 - 75 * 45
     assert thin.initial_points is not None
     assert whole.initial_points is not None
-    np.testing.assert_allclose(thin.initial_points, whole.initial_points, atol=0.01)  # of a slab 14 mm thick
+    np.testing.assert_allclose(thin.initial_points, whole.initial_points, atol=0.01)  # points within 7 mm of the plane
 
 
 def test_thinning_ignores_where_in_the_image_the_object_lies(rng: np.random.Generator) -> None:

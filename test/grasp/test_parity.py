@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
@@ -44,7 +44,7 @@ def test_sign_of_the_axis_is_the_originals_in_top_view(reference, real_data, par
     assert parity.compare_all(rows)["axis_sign"] == 0
 
 
-def test_executed_grasps_are_initial_points_of_a_slid_slab(reference, real_data, parity):
+def test_executed_grasps_are_initial_points_of_a_shifted_plane(reference, real_data, parity):
     executed = parity.read_executed(real_data)
     assert len(executed) == 400
     assert sum(parity.reproduces(grasp, grasp.slide_m) for grasp in executed) >= 362

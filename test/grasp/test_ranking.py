@@ -4,99 +4,100 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.grasp.candidates import Slab, Spots
+from foretouch.grasp.candidates import ContactSide, GraspPlane, SurfacePoints
 from foretouch.grasp.ranking import initial_score, rank_pairs
 
 AXIS = np.array([0.0, 1.0, 0.0])
 CENTROID = np.zeros(3)
-SLAB = Slab(origin=CENTROID, normal=AXIS, first=0, second=1, n_points=2, width_m=0.1)
+GRASP_PLANE = GraspPlane(origin=CENTROID, normal=AXIS, first=0, second=1, n_points=2, width_m=0.1)
 
 
-def _spots(points, curvature, side):
+def _points(points, curvature, side):
     points = np.array(points, float)
-    return Spots(points, np.tile([side, 0.0, 0.0], (len(points), 1)), np.array(curvature, float))
+    return SurfacePoints(points, np.tile([side, 0.0, 0.0], (len(points), 1)), np.array(curvature, float))
 
 
 def _sides():
     """Three candidates a side of an object 100 mm wide; the first are the best, flat and on the plane."""
-    a = _spots([[-0.051, 0.0, 0.0], [-0.052, 0.01, 0.0], [-0.053, 0.02, 0.0]], [0.0, 0.1, 0.2], -1.0)
-    b = _spots([[0.051, 0.0, 0.0], [0.052, 0.01, 0.0], [0.053, 0.02, 0.0]], [0.0, 0.1, 0.2], 1.0)
-    p1 = _spots([[-0.05, 0.0, 0.0]], [0.05], -1.0)
-    p2 = _spots([[0.05, 0.0, 0.0]], [0.05], 1.0)
-    return (a, b), (p1, p2)
+    a = _points([[-0.051, 0.0, 0.0], [-0.052, 0.01, 0.0], [-0.053, 0.02, 0.0]], [0.0, 0.1, 0.2], -1.0)
+    b = _points([[0.051, 0.0, 0.0], [0.052, 0.01, 0.0], [0.053, 0.02, 0.0]], [0.0, 0.1, 0.2], 1.0)
+    p1 = _points([[-0.05, 0.0, 0.0]], [0.05], -1.0)
+    p2 = _points([[0.05, 0.0, 0.0]], [0.05], 1.0)
+    return ContactSide(a, p1, 3), ContactSide(b, p2, 3)
 
 
 def test_the_ideal_pair_scores_as_worked_by_hand():
-    ranking = rank_pairs(*_sides(), SLAB, CENTROID)
+    ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     # pd = k = 0 but for 1e-8 over the range; u across the axis: R1 = 2 + 10 · 0.2 = 4; c = 1: R2 = 2 + 2 = 4.
     assert (ranking.first[0], ranking.second[0]) == (0, 0)
     assert ranking.score[0] == pytest.approx(1.5 * 4.0 + 4.0, abs=1e-4)
 
 
 def test_a_worse_pair_scores_as_worked_by_hand():
-    ranking = rank_pairs(*_sides(), SLAB, CENTROID)
+    ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     pair = np.flatnonzero((ranking.first == 1) & (ranking.second == 1))[0]
     # pd = k = 0.5 on both sides: R1 = 4 - 1, R2 = 4 - 1.
     assert ranking.score[pair] == pytest.approx(1.5 * 3.0 + 3.0, abs=1e-4)
 
 
 def test_equal_pairs_keep_the_order_of_the_loops():
-    ranking = rank_pairs(*_sides(), SLAB, CENTROID)
+    ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     mirrored = [(a, b) for a, b in zip(ranking.first, ranking.second, strict=True) if {a, b} == {0, 1}]
     assert mirrored == [(0, 1), (1, 0)]
 
 
 def test_candidates_inside_the_object_are_skipped():
-    (a, b), initials = _sides()
-    a.xyz[0] = [-0.03, 0.0, 0.0]
-    ranking = rank_pairs((a, b), initials, SLAB, CENTROID)
+    a, b = _sides()
+    a.candidates.xyz[0] = [-0.03, 0.0, 0.0]
+    ranking = rank_pairs((a, b), GRASP_PLANE, CENTROID)
     assert 0 not in ranking.first
     assert ranking.counts["n_pairs_inside"] == 3
 
 
 @pytest.mark.parametrize(("x", "kept"), [(0.0499, True), (0.0497, False)])
 def test_the_second_side_has_two_percent_of_slack(x, kept):
-    (a, _), initials = _sides()
+    a, b = _sides()
     # Distances to the centroid span 40 ... 60 mm, so p2, at 50 mm, is at 0.5 of them and the limit at 0.49, or 49.8 mm.
-    b = _spots([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
-    assert (0 in rank_pairs((a, b), initials, SLAB, CENTROID).second) == kept
+    others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
+    assert (0 in rank_pairs((a, b._replace(candidates=others)), GRASP_PLANE, CENTROID).second) == kept
 
 
 def test_a_candidate_without_a_normal_never_ranks():
-    (a, b), initials = _sides()
-    a.normal[0], a.curvature[0] = np.nan, np.nan
-    ranking = rank_pairs((a, b), initials, SLAB, CENTROID)
+    a, b = _sides()
+    a.candidates.normal[0], a.candidates.curvature[0] = np.nan, np.nan
+    ranking = rank_pairs((a, b), GRASP_PLANE, CENTROID)
     assert 0 not in ranking.first
     assert ranking.counts["n_pairs_unknown"] == 3
     assert np.isfinite(ranking.score).all()
 
 
 def test_a_grasp_along_the_axis_never_ranks():
-    (a, b), initials = _sides()
-    along = Slab(CENTROID, np.array([1.0, 0.0, 0.0]), 0, 1, 2, 0.1)
-    ranking = rank_pairs((a, b), initials, along, CENTROID)
+    a, b = _sides()
+    along = GraspPlane(CENTROID, np.array([1.0, 0.0, 0.0]), 0, 1, 2, 0.1)
+    ranking = rank_pairs((a, b), along, CENTROID)
     assert len(ranking.score) == 0
     assert ranking.counts["n_pairs_low"] > 0
 
 
 def test_initial_points_score_as_worked_by_hand():
-    score, reason = initial_score(*_sides(), SLAB, CENTROID)
+    score, reason = initial_score(_sides(), GRASP_PLANE, CENTROID)
     # pd = 0, k = 0.25: R1 = 4, R2 = 4 - 0.5.
     assert reason == ""
     assert score == pytest.approx(1.5 * 4.0 + 3.5, abs=1e-4)
 
 
 def test_one_candidate_gives_no_score():
-    (a, b), initials = _sides()
-    one = Spots(a.xyz[:1], a.normal[:1], a.curvature[:1])
-    score, reason = initial_score((one, b), initials, SLAB, CENTROID)
+    a, b = _sides()
+    xyz, normal, curvature = a.candidates.xyz[:1], a.candidates.normal[:1], a.candidates.curvature[:1]
+    one = a._replace(candidates=SurfacePoints(xyz, normal, curvature))
+    score, reason = initial_score((one, b), GRASP_PLANE, CENTROID)
     assert np.isnan(score)
     assert reason == "no score: the candidates of the first side do not differ (1 of them)"
 
 
 def test_an_initial_point_without_a_normal_gives_no_score():
-    sides, (p1, p2) = _sides()
-    p2.curvature[0] = np.nan
-    score, reason = initial_score(sides, (p1, p2), SLAB, CENTROID)
+    sides = _sides()
+    sides[1].initial.curvature[0] = np.nan
+    score, reason = initial_score(sides, GRASP_PLANE, CENTROID)
     assert np.isnan(score)
     assert "the second initial point" in reason

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch grasp`: where a hand can hold each object, best first."""
+"""`foretouch grasp`: plan two-finger grasps on each object, best first."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from foretouch.cli.inputs import (
     Record,
     add_input_arguments,
     add_plan_arguments,
-    answer_each,
-    found_objects,
     grasp_record,
     pipeline_config,
+    process_inputs,
+    target_objects,
 )
 from foretouch.cli.output import print_table
 
@@ -28,40 +28,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""
     add_input_arguments(parser)
     add_plan_arguments(parser)
-    parser.add_argument("--tip-mm", type=float, help="width of the gripper's tip [mm]")
-    parser.add_argument("--count", type=int, help="how many grasps at the most")
+    parser.add_argument("--tip-mm", type=float, help="size of the gripper's fingertip [mm]")
+    parser.add_argument("--count", type=int, help="maximum number of grasps")
     slide = parser.add_mutually_exclusive_group()
-    slide.add_argument(
-        "--slide-m",
-        type=float,
-        default=0.0,
-        metavar="δ",
-        help="slide the grasp plane along the object's axis by this much [m]",
-    )
-    slide.add_argument(
-        "--vary", type=int, metavar="SEED", help="slide it by a random amount for each cloud, drawn from this seed"
-    )
+    slide_help = "shift the grasp plane along the object's axis by this distance [m]"
+    slide.add_argument("--slide-m", type=float, default=0.0, metavar="δ", help=slide_help)
+    slide.add_argument("--vary", type=int, metavar="SEED", help="shift it by a random distance for each cloud")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud was refused or gave no grasp."""
+    """Exit status 1 if a cloud was refused or has no grasp."""
     import numpy as np
 
     from foretouch.pipeline import Pipeline
 
-    changes = {
-        key: value
-        for key, value in {
-            "grasp.tip_mm": arguments.tip_mm,
-            "grasp.count": arguments.count,
-        }.items()
-        if value is not None
-    }
+    options = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
+    changes = {key: value for key, value in options.items() if value is not None}
     pipeline = Pipeline(pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
 
-    def answer(item: SourceItem) -> Iterator[Record]:
-        for one in found_objects(item, arguments, pipeline):
+    def process(item: SourceItem) -> Iterator[Record]:
+        for one in target_objects(item, arguments, pipeline):
             plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
             yield {
                 "object": one.id,
@@ -77,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "failed": not plan.grasps,
             }
 
-    return answer_each(arguments, answer, _show)
+    return process_inputs(arguments, process, _show)
 
 
 def _show(record: dict[str, Any]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs that `segment`, `grasp` and `predict` share: files, folders and recordings, one line of output each."""
+"""Shared by `segment`, `grasp` and `predict`: arguments, input files, folders and recordings, one result per cloud."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ __all__ = [
     "Record",
     "add_input_arguments",
     "add_plan_arguments",
-    "answer_each",
-    "found_objects",
     "four_numbers",
     "grasp_record",
     "pipeline_config",
     "positive_number",
+    "process_inputs",
     "six_numbers",
+    "target_objects",
 ]
 
 Record = dict[str, Any]
@@ -34,25 +34,19 @@ Record = dict[str, Any]
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     """IN…, --topic, --config, --set and --json."""
-    parser.add_argument("inputs", metavar="IN", nargs="+", help=".pcd .ply .npz .npy, a folder of them, or a recording")
-    parser.add_argument("--topic", help="which topic of a recording holds the clouds")
-    parser.add_argument("--config", metavar="YAML", help="settings of the pipeline")
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting, after --config")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line on stdout, and nothing else there")
+    parser.add_argument("inputs", metavar="IN", nargs="+", help=".pcd, .ply, .npz or .npy, a folder, or a recording")
+    parser.add_argument("--topic", help="point cloud topic of a recording")
+    parser.add_argument("--config", metavar="YAML", help="pipeline settings")
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="override one pipeline setting")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
-    """--plane, --scene, --target: what the cloud holds and where its table is."""
-    parser.add_argument(
-        "--plane",
-        type=four_numbers,
-        metavar="a,b,c,d",
-        help="table ax+by+cz+d=0; the cloud then holds the object alone",
-    )
-    parser.add_argument(
-        "--scene", action="store_true", help="find the table and the objects of an unorganised cloud too"
-    )
-    parser.add_argument("--target", choices=["nearest", "largest", "all"], help="which object of a scene")
+    """--plane, --scene and --target: the table, and which objects to use."""
+    plane = "table ax+by+cz+d=0 [m]; the cloud then contains only the object"
+    parser.add_argument("--plane", type=four_numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument("--scene", action="store_true", help="segment unorganised clouds too")
+    parser.add_argument("--target", choices=["nearest", "largest", "all"], help="objects of a scene to use")
 
 
 def four_numbers(text: str) -> list[float]:
@@ -66,7 +60,7 @@ def six_numbers(text: str) -> list[float]:
 
 
 def positive_number(text: str) -> int:
-    """A whole number from 1 on, for argparse."""
+    """A positive whole number for argparse."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
@@ -74,10 +68,10 @@ def positive_number(text: str) -> int:
 
 
 def pipeline_config(arguments: argparse.Namespace, changes: dict[str, Any] | None = None) -> PipelineConfig:
-    """Defaults, then --config, then --set, then the command's own options.
+    """Pipeline settings from the defaults, --config, --set and the command's own options, in this order.
 
     Args:
-        arguments: With `config`, `set` and maybe `target`.
+        arguments: Arguments with `config`, `set` and possibly `target`.
         changes: Dotted settings from the command's own options.
     """
     from foretouch.pipeline import PipelineConfig
@@ -90,14 +84,14 @@ def pipeline_config(arguments: argparse.Namespace, changes: dict[str, Any] | Non
     return config
 
 
-def found_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
-    """What is to be grasped in one input: the cloud itself, or the targets of its scene.
+def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pipeline) -> list[FoundObject]:
+    """The objects to grasp in one input: the cloud itself, or the targets of its scene.
 
-    An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object, which
-    stands on --plane or, by assumption, on a table seen from straight above.
+    An organised cloud, or any with --scene, is a scene; otherwise the cloud is one object
+    on --plane or on an assumed table, seen from straight above.
 
     Raises:
-        CloudError: If a scene holds no target.
+        CloudError: If a scene has no target.
     """
     from foretouch.pipeline import ASSUMED_TABLE, FoundObject
     from foretouch.types import Plane
@@ -106,26 +100,26 @@ def found_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pip
         return [FoundObject("1", item.cloud, Plane.from_coefficients(arguments.plane))]
     if not (arguments.scene or item.cloud.organised):
         return [FoundObject("1", item.cloud, ASSUMED_TABLE)]
-    sight = pipeline.see(item.cloud)
-    if not sight.targets:
-        raise CloudError(f"{sight.status}: {sight.reason}")
-    return list(sight.targets)
+    scene = pipeline.see(item.cloud)
+    if not scene.targets:
+        raise CloudError(f"{scene.status}: {scene.reason}")
+    return list(scene.targets)
 
 
 def grasp_record(grasp: Grasp) -> Record:
-    """A grasp as JSON holds it: contacts [m], rotation row-major, score (null where GeoGrasp gives none)."""
+    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
     return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
-def answer_each(
-    arguments: argparse.Namespace, answer: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
+def process_inputs(
+    arguments: argparse.Namespace, process: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
 ) -> int:
-    """Print the answers for every input, in order; a refused one gets its line and makes the exit status 1.
+    """Print the results of all inputs in order; returns exit status 1 if one was refused or failed.
 
     Args:
-        arguments: With `inputs`, `topic` and `json`.
-        answer: Yields the records of one cloud; a record whose `status` is refused counts as a failure.
-        show: Prints a record for a person.
+        arguments: Arguments with `inputs`, `topic` and `json`.
+        process: Yields the records of one cloud; a record with `failed` set counts as a failure.
+        show: Prints a record without --json.
     """
     from foretouch.dataset.source import open_source
 
@@ -133,19 +127,22 @@ def answer_each(
     for path in arguments.inputs:
         try:
             for item in open_source(path, topic=arguments.topic):
-                failed |= _answer_item(item, arguments.json, answer, show)
+                failed |= _process_item(item, arguments.json, process, show)
         except ForetouchError as err:
             failed = True
             _refuse(path, err, as_json=arguments.json)
     return int(failed)
 
 
-def _answer_item(
-    item: SourceItem, as_json: bool, answer: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
+answer_each, found_objects = process_inputs, target_objects  # alias until merge
+
+
+def _process_item(
+    item: SourceItem, as_json: bool, process: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
 ) -> bool:
     failed = False
     try:
-        for record in answer(item):
+        for record in process(item):
             failed |= record.pop("failed", False)
             if as_json:
                 print_json({"input": item.name, **record})

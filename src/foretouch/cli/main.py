@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch COMMAND`: finds the command's module, and turns known errors into one line and exit status 1.
+"""`foretouch COMMAND`: run the command's module, and report known errors in one line with exit status 1.
 
 A command is a module `foretouch.cli.<name>` with `add_arguments(parser)` and `run(arguments) -> int`.
-Heavy libraries are imported inside `run`, so that `--help` answers at once.
+Heavy libraries are imported inside `run`, so that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -19,27 +19,26 @@ from foretouch.errors import ForetouchError
 __all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
-    "segment": "Find the table and the objects of a cloud",
-    "grasp": "Find where a hand can hold an object (GeoGrasp)",
-    "predict": "Predict what the fingertips would read",
-    "simulate": "Make a data set of simulated grasps from a scene",
-    "dataset": "Look into, verify, repair and convert recorded grasps",
+    "segment": "Segment the table and the objects of each cloud",
+    "grasp": "Plan two-finger grasps on each object (GeoGrasp)",
+    "predict": "Predict the tactile readings of grasps on each object",
+    "simulate": "Simulate grasps in a scene and write them to a dataset",
+    "dataset": "Inspect, verify, repair, edit and convert datasets",
     "train": "Train a touch model from a configuration",
-    "evaluate": "Score a model and the baselines on a dataset",
-    "experiment": "Rebuild an experiment: its table, figures and manifest",
+    "evaluate": "Evaluate a touch model and the baselines on a dataset",
+    "experiment": "Run an experiment and write its tables, figures and manifest",
     "run": "Run the whole ROS graph in one terminal",
-    "record": "Record grasps with what the hand feels, into a dataset",
-    "replay": "Play a recording or a folder of clouds into the ROS graph",
-    "models": "List and verify the touch models at hand",
-    "doctor": "Tell what this machine lacks, and the line that mends it",
+    "record": "Record grasps and tactile readings to a dataset",
+    "replay": "Replay a recording or a folder of clouds to the ROS graph",
+    "models": "List and verify touch models",
+    "doctor": "Check dependencies and print the fixes",
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0 done, 1 a known failure, 2 wrong usage."""
+    """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    name = arguments[0] if arguments and arguments[0] in COMMANDS else None
-    parser = _parser(name)
+    parser = _parser(arguments[0] if arguments else None)
     parsed = _parse(parser, arguments)
     if parsed.command is None:
         parser.print_help()
@@ -54,24 +53,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader (`| head`) has gone: leave quietly, and keep the interpreter from flushing again.
+        # The reader (`| head`) has exited: exit quietly, and keep the interpreter from flushing again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return int(status)
 
 
 def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """Parse; `key=value` may stand behind the options too, where argparse alone refuses further positionals."""
-    parsed, late = parser.parse_known_args(arguments)
-    if any(word.startswith("-") or "=" not in word for word in late) or (late and not hasattr(parsed, "overrides")):
-        parser.error(f"unrecognized arguments: {' '.join(late)}")
-    if late:
-        parsed.overrides += late
+    """Parse; `key=value` may also follow the options, where argparse alone rejects further positionals."""
+    parsed, rest = parser.parse_known_args(arguments)
+    if any(word.startswith("-") or "=" not in word for word in rest) or (rest and not hasattr(parsed, "overrides")):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:
+        parsed.overrides += rest
     return parsed
 
 
 def _parser(chosen: str | None) -> argparse.ArgumentParser:
-    """The parser of all commands; only the chosen one's module is imported for its arguments."""
+    """The parser of all commands; only the module of the chosen one is imported for its arguments."""
     parser = argparse.ArgumentParser(prog="foretouch", description="Feel before you touch.")
     parser.add_argument("--version", action="version", version=f"foretouch {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")

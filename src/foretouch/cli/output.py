@@ -1,25 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person or a program sees: one JSON object a line, or tables."""
+"""Output of the commands: JSON lines or tables on stdout, progress bars and warnings on stderr."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-__all__ = ["print_json", "print_table", "warn"]
+from foretouch.errors import ForetouchError
+
+__all__ = ["print_json", "print_table", "progress_bar", "warn"]
 
 
 def print_json(record: Mapping[str, Any]) -> None:
-    """One line on stdout. Numbers that are not finite become null, as JSON knows none."""
+    """Print one line on stdout and flush it. Numbers that are not finite become null."""
     sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=False) + "\n")
+    sys.stdout.flush()
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """A title and, if it has rows, a table; numbers are formatted with their units by the caller."""
+    """Print a title and, if there are rows, a table; the caller formats numbers and units."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -32,17 +36,56 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     for column in columns:
         table.add_column(Text(column), justify="left" if column == columns[0] else "right")
     for row in rows:
-        table.add_row(*map(Text, row))  # as it is: rich would take `[m]` for a style
+        table.add_row(*map(Text, row))  # unchanged: rich would parse `[m]` as a style
     console.print(table)
 
 
+@contextmanager
+def progress_bar(
+    description: str, total: int | None = None, *, hidden: bool = False, transient: bool = False
+) -> Iterator[Callable[..., None]]:
+    """Show a progress bar with elapsed and remaining time on stderr while the block runs.
+
+    Nothing is shown if stderr is not a terminal. The bar is erased after a known error, which then is the only output,
+    and if no progress was reported.
+
+    Args:
+        description: Text beside the bar.
+        total: Number of steps; None if unknown.
+        hidden: Show nothing.
+        transient: Erase the bar at the end.
+
+    Yields:
+        `update(completed=None, total=None, description=None)`, which advances by one step without `completed`.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), "{task.description}")
+    with Progress(*columns, console=console, disable=hidden or not console.is_terminal) as bar:
+        task = bar.add_task(description, total=total)
+        bar.live.transient = True
+
+        def update(completed: int | None = None, total: int | None = None, description: str | None = None) -> None:
+            bar.live.transient = transient
+            advance = 1 if completed is None else None
+            bar.update(task, completed=completed, advance=advance, total=total, description=description)
+
+        try:
+            yield update
+        except ForetouchError:
+            bar.live.transient = True
+            raise
+
+
 def warn(message: str) -> None:
-    """One line on stderr."""
+    """Print one line on stderr."""
     print(f"foretouch: {message}", file=sys.stderr)
 
 
 def _plain(value: Any) -> Any:
-    """Arrays, mappings and numbers as what JSON holds."""
+    """Convert arrays, mappings and numbers to JSON types."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch segment`: the table and the objects of each cloud."""
+"""`foretouch segment`: segment the table and the objects of each cloud."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.inputs import add_input_arguments, answer_each, pipeline_config
+from foretouch.cli.inputs import add_input_arguments, pipeline_config, process_inputs
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError
 
@@ -20,18 +20,17 @@ __all__ = ["add_arguments", "run"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and --labels-out."""
     add_input_arguments(parser)
-    parser.add_argument(
-        "--labels-out", metavar="F.npy", help="write the labels, int32 in the cloud's shape, 0 = none (one input)"
-    )
+    labels = "write the labels of a single input: int32 in the shape of the cloud, 0 = none"
+    parser.add_argument("--labels-out", metavar="F.npy", help=labels)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cloud was refused or holds no object."""
+    """Exit status 1 if a cloud was refused or has no object."""
     if arguments.labels_out and len(arguments.inputs) > 1:
-        raise ConfigError(f"--labels-out: takes one input, not {len(arguments.inputs)}")
+        raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
     config = pipeline_config(arguments).segmentation
 
-    def answer(item: SourceItem) -> Iterator[dict[str, Any]]:
+    def process(item: SourceItem) -> Iterator[dict[str, Any]]:
         import numpy as np
 
         from foretouch.cloud.segmentation.segment import segment
@@ -52,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
             "failed": found.status != "ok",
         }
 
-    return answer_each(arguments, answer, _show)
+    return process_inputs(arguments, process, _show)
 
 
 def _show(record: dict[str, Any]) -> None:

@@ -3,8 +3,7 @@
 
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.geograsp import plan_grasps, random_slide
-from foretouch.grasp.plan import GraspPlan, PlanStatus
+from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps, random_slide
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 
 __all__ = [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The object's main axis, its sign, and the coordinate that tells the two sides of the object apart.
+"""The object's main axis, its sign, and the coordinate that separates the two sides of the object.
 
-After GeoGrasp = Zapata-Impata et al. 2019 and its public code, whose thresholds are kept.
+After GeoGrasp (Zapata-Impata et al. 2019) and its public code, whose thresholds are kept.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.cloud.geometry.outliers import inlier_mask
-from foretouch.cloud.geometry.voxel import VoxelGrid, voxel_grid
+from foretouch.cloud.geometry.pcl_filters import VoxelGrid, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.points import usable_points
+from foretouch.grasp.preprocessing import finite_points
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 __all__ = ["ObjectAxis", "find_axis", "object_axis", "side_coordinate"]
@@ -24,27 +23,20 @@ _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
 
 @dataclass(frozen=True, eq=False)
 class ObjectAxis:
-    """Where the object is and which way it stretches.
+    """Main axis and centroid of an object."""
 
-    Attributes:
-        direction: (3,) float64, unit length, sign fixed by the rule of `find_axis`.
-        centroid: (3,) float64 [m], mean of the voxel points.
-        ratio: Middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis.
-        grid: The voxels that both were found in.
-    """
-
-    direction: Float64
-    centroid: Float64
-    ratio: float
-    grid: VoxelGrid
+    direction: Float64  # (3,) float64, unit length, sign fixed by the rule of `find_axis`
+    centroid: Float64  # (3,) float64 [m], mean of the voxel points
+    ratio: float  # middle over major eigenvalue, 0 ... 1; near 1 the object has no main axis
+    grid: VoxelGrid  # the voxel grid from which both were computed
 
 
 def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Float64, Float64]:
     """Main axis and centroid of an object: outlier filter, voxel grid, major eigenvector.
 
     Args:
-        cloud: The object's points. Those that are not finite are left out.
-        plane: The table, in the cloud's frame. Only its normal matters, whatever its sign.
+        cloud: The object's points; those that are not finite are ignored.
+        plane: The table, in the cloud's frame. Only its normal is used, regardless of its sign.
         config: Settings.
 
     Returns:
@@ -53,18 +45,14 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
     Raises:
         CloudError: If the points are too few, too far away, or all in one voxel.
     """
-    points = usable_points(cloud)
-    points.require_usable()
-    points = points.thinned(config.max_points)
-    inliers = inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())
-    axis = find_axis(points.xyz[inliers], plane, config)
+    axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid
 
 
 def find_axis(xyz: Float32, plane: Plane, config: GeoGraspConfig) -> ObjectAxis:
     """Main axis of filtered points.
 
-    The eigensolver leaves the sign open, and GeoGrasp's rule does not settle it in every side view. The axis is
+    The eigensolver leaves the sign open, and GeoGrasp's rule does not determine it in every side view. The axis is
     therefore first turned so that its largest component is negative, and the rule is applied to that.
 
     Args:

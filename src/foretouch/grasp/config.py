@@ -12,13 +12,13 @@ __all__ = ["GeoGraspConfig"]
 
 @dataclass(frozen=True, kw_only=True)
 class GeoGraspConfig(Settings):
-    """How contacts are sought (GeoGrasp = Zapata-Impata et al. 2019)."""
+    """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
     tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
-    count: int = setting(1, "Grasps to return at most, best first", minimum=1, maximum=10_000)
+    count: int = setting(1, "Maximum number of grasps, best first", minimum=1, maximum=10_000)
     max_points: int = setting(
         8000,
-        "A larger cloud is thinned to every second, third, ... row and column of its image; 0 never thins",
+        "Larger clouds are downsampled to every second, third, ... row and column of the image; 0 disables it",
         minimum=0,
         maximum=10_000_000,
     )
@@ -27,13 +27,16 @@ class GeoGraspConfig(Settings):
         1.0, "Standard deviations above the mean that the outlier filter keeps", minimum=0.0, maximum=100.0
     )
     normal_radius_m: float = setting(
-        0.03, "Radius of the neighbourhood of a normal", unit="m", minimum=0.001, maximum=1.0
+        0.03, "Radius of the neighbourhood for normal estimation", unit="m", minimum=0.001, maximum=1.0
     )
     slab_half_width_m: float = setting(
         0.007, "Points closer than this to the grasp plane may be contacts", unit="m", minimum=0.0005, maximum=0.5
     )
     slide_fraction: float = setting(
-        0.8, "Part of the object's extent along its axis that a random slide is drawn from", minimum=0.0, maximum=1.0
+        0.8,
+        "Fraction of the object's extent along its axis from which a random slide is drawn",
+        minimum=0.0,
+        maximum=1.0,
     )
 
     @property
@@ -43,5 +46,5 @@ class GeoGraspConfig(Settings):
 
     @property
     def contact_radius_m(self) -> float:
-        """Radius around an initial point in which contacts are sought [m]: two fingertips."""
+        """Radius around an initial point in which contacts are searched [m]: two fingertips."""
         return 2.0 * self.tip_mm / 1000.0

@@ -1,34 +1,95 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GeoGrasp, the whole road: from an object's cloud and its table to ranked grasps.
+"""GeoGrasp: from the cloud of an object and its table to ranked grasps.
 
-GeoGrasp = Zapata-Impata et al., "Fast geometry-based computation of grasping points on
-three-dimensional point clouds", 2019, written anew from a description of its public code. Departures:
-normals are computed where a candidate needs them and nowhere else; where the original's score divides by
-zero the case is named; a pose that the rule leaves open follows a stated convention; the slab may be slid along
-the axis for variety, as in P2 (Zapata-Impata and Gil 2020); and clouds of more points than any recorded one are
-thinned (`GeoGraspConfig.max_points`), so that a near object is planned on in time.
+GeoGrasp is Zapata-Impata et al., "Fast geometry-based computation of grasping points on three-dimensional point
+clouds", 2019, reimplemented from a description of its public code. Differences: normals are computed only where a
+candidate needs them; where the original's score divides by zero, the reason is reported instead; a pose that the rule
+leaves open follows a documented convention; the grasp plane may be slid along the axis for variety, as in P2
+(Zapata-Impata and Gil 2020); and clouds of more points than any recorded one are downsampled
+(`GeoGraspConfig.max_points`), which limits the planning time on near objects.
 """
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.normals import count_without_normal
-from foretouch.cloud.geometry.outliers import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import Slab, Spots, candidate_spots, contact_radius, grasp_slab
+from foretouch.grasp.candidates import ContactSide, GraspPlane, contact_radius, contact_side, find_grasp_plane
 from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.plan import GraspPlan, PlanLog
-from foretouch.grasp.points import UsablePoints, usable_points
 from foretouch.grasp.pose import hand_rotation, is_parallel
+from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import initial_score, rank_pairs
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
-__all__ = ["plan_grasps", "random_slide"]
+__all__ = ["GraspPlan", "PlanStatus", "plan_grasps", "random_slide"]
+
+PlanStatus = Literal["ok", "initial_points", "no_grasp"]
+
+
+@dataclass(frozen=True, eq=False)
+class GraspPlan:
+    """The grasps of one object, with the intermediate results of GeoGrasp.
+
+    Attributes:
+        status: "ok": ranked candidates. "initial_points": no pair of candidates passes, the only grasp is that
+            of the initial points. "no_grasp": there is none.
+        reason: Explanation of the status.
+        grasps: Best first.
+        initial_points: (2, 3) float64 [m], the extremes near the grasp plane; None if planning failed before.
+        axis: (3,) float64, the object's axis; None if planning failed before.
+        centroid: (3,) float64 [m], of the object; None if planning failed before.
+        axis_ratio: Middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary. None as `axis`.
+        slide_m: Shift of the grasp plane along the axis [m].
+        counts: Points, candidates and pairs after each stage, by name.
+        ms: Wall time of each stage and their `total` [ms].
+    """
+
+    status: PlanStatus
+    reason: str
+    grasps: tuple[Grasp, ...]
+    initial_points: Float64 | None
+    axis: Float64 | None
+    centroid: Float64 | None
+    axis_ratio: float | None
+    slide_m: float
+    counts: dict[str, int]
+    ms: dict[str, float]
+
+
+@dataclass(eq=False)
+class _PlanBuilder:
+    """Intermediate results collected so far; the fields are those of `GraspPlan`."""
+
+    initial_points: Float64 | None = None
+    axis: Float64 | None = None
+    centroid: Float64 | None = None
+    axis_ratio: float | None = None
+    slide_m: float = 0.0
+    counts: dict[str, int] = field(default_factory=dict)
+    ms: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure the time of a stage, also when it fails."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.ms[name] = (time.perf_counter() - start) * 1e3
+
+    def plan(self, status: PlanStatus, reason: str, grasps: tuple[Grasp, ...] = ()) -> GraspPlan:
+        self.ms["total"] = sum(self.ms.values())
+        return GraspPlan(status, reason, grasps, **vars(self))
 
 
 def plan_grasps(
@@ -41,22 +102,22 @@ def plan_grasps(
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
 ) -> GraspPlan:
-    """Contacts for two fingers on an object, best first, with the pose of the hand at each.
+    """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
-    The same cloud gives the same plan, whether its pixels are known or not.
+    The same cloud results in the same plan, whether its pixels are known or not.
 
     Args:
         cloud: The object's points, organised or not, in a frame with the sensor at the origin.
-            Points that are not finite are left out and counted.
+            Points that are not finite are ignored and counted.
         plane: The table, in the cloud's frame.
-        config: Settings; `config.count` grasps are returned at most.
-        slide_m: How far to move the grasp plane along the object's axis [m] (P2's variety).
+        config: Settings; at most `config.count` grasps are returned.
+        slide_m: Shift of the grasp plane along the object's axis [m] (variety as in P2).
         rng: Draws `slide_m` from the object's extent instead; see `random_slide`.
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
 
     Returns:
-        The plan. A cloud that allows no grasp gives one with status "no_grasp" and the reason.
+        The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
 
     Raises:
         CloudError: If `pixels` do not belong to the cloud.
@@ -65,90 +126,87 @@ def plan_grasps(
     if not math.isfinite(slide_m):
         raise GraspError(f"slide_m: {slide_m} is not finite")
     if rng is not None and slide_m != 0.0:
-        raise GraspError(f"slide_m, rng: a slide of {slide_m} m and one to be drawn")
-    points = usable_points(cloud, pixels, image_shape)
-    log = PlanLog(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
+        raise GraspError(f"slide_m, rng: a slide of {slide_m} m and a random one exclude each other")
+    points = finite_points(cloud, pixels, image_shape)
+    builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
-        return _plan(points, plane, config, rng, log)
+        return _plan(points, plane, config, rng, builder)
     except CloudError as err:
-        return log.plan("no_grasp", str(err))
+        return builder.plan("no_grasp", str(err))
 
 
 def random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: float, rng: np.random.Generator) -> float:
-    """A shift of the grasp plane, uniform over the middle part of the object's extent along its axis (P2).
+    """Draw a shift of the grasp plane [m], uniform over the middle of the object's extent along its axis (P2).
 
     Args:
         xyz: (N, 3) float32 [m], the filtered cloud, N > 0.
-        centroid: (3,) float64 [m], from where the shift counts.
+        centroid: (3,) float64 [m], where the shift is zero.
         axis: (3,) float64, unit length.
-        fraction: Part of the extent on either side of the centroid that is used, 0 ... 1.
+        fraction: Fraction of the extent on either side of the centroid, 0 ... 1.
         rng: Source of randomness.
-
-    Returns:
-        The shift [m].
     """
     along = (xyz.astype(np.float64) - centroid) @ axis
     return float(rng.uniform(fraction * along.min(), fraction * along.max()))
 
 
 def _plan(
-    points: UsablePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None, log: PlanLog
+    points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None, builder: _PlanBuilder
 ) -> GraspPlan:
-    with log.stage("outliers"):
-        points.require_usable()
-        n_usable = len(points.xyz)
-        points = points.thinned(config.max_points)
-        log.counts["n_thinned"] = n_usable - len(points.xyz)
-        xyz = points.xyz[inlier_mask(points.xyz, config.neighbours, config.outlier_deviations, points.pixel_grid())]
-        log.counts["n_filtered"] = len(xyz)
-    with log.stage("axis"):
+    counts = builder.counts
+    with builder.stage("outliers"):
+        downsampled = points.downsampled(config)
+        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
+        xyz = downsampled.without_outliers(config)
+        counts["n_filtered"] = len(xyz)
+    with builder.stage("axis"):
         found = find_axis(xyz, plane, config)
-        log.axis, log.centroid, log.axis_ratio = found.direction, found.centroid, found.ratio
-        log.counts["n_voxel"] = len(found.grid.counts)
-        log.counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m, found.grid)
-    with log.stage("slab"):
+        builder.axis, builder.centroid, builder.axis_ratio = found.direction, found.centroid, found.ratio
+        counts["n_voxel"] = len(found.grid.counts)
+        counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m, found.grid)
+    with builder.stage("slab"):
         if rng is not None:
-            log.slide_m = random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
-        centre = found.centroid + log.slide_m * found.direction
+            builder.slide_m = random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
+        centre = found.centroid + builder.slide_m * found.direction
         side = side_coordinate(found.direction, plane)
-        slab = grasp_slab(xyz, centre, found.direction, side, config.slab_half_width_m)
-        log.counts["n_plane"] = slab.n_points
-        log.initial_points = xyz[[slab.first, slab.second]].astype(np.float64)
-    with log.stage("candidates"):
-        radius = contact_radius(slab.width_m, config)
-        first, p1, log.counts["n_first"] = candidate_spots(xyz, slab.first, radius, config)
-        second, p2, log.counts["n_second"] = candidate_spots(xyz, slab.second, radius, config)
-        log.counts["n_fv"], log.counts["n_sv"] = len(first.xyz), len(second.xyz)
-    return _choose((first, second), (p1, p2), slab, found.centroid, config.count, log)
+        grasp_plane = find_grasp_plane(xyz, centre, found.direction, side, config.slab_half_width_m)
+        counts["n_plane"] = grasp_plane.n_points
+        builder.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
+    with builder.stage("candidates"):
+        radius = contact_radius(grasp_plane.width_m, config)
+        first = contact_side(xyz, grasp_plane.first, radius, config)
+        second = contact_side(xyz, grasp_plane.second, radius, config)
+        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
+        counts["n_fv"], counts["n_sv"] = len(first.candidates.xyz), len(second.candidates.xyz)
+    return _best_grasps((first, second), grasp_plane, found.centroid, config.count, builder)
 
 
-def _choose(
-    sides: tuple[Spots, Spots],
-    initials: tuple[Spots, Spots],
-    slab: Slab,
+def _best_grasps(
+    sides: tuple[ContactSide, ContactSide],
+    grasp_plane: GraspPlane,
     centroid: Float64,
     count: int,
-    log: PlanLog,
+    builder: _PlanBuilder,
 ) -> GraspPlan:
-    """The best ranked pairs, or the initial points where none ranks."""
-    with log.stage("ranking"):
-        ranking = rank_pairs(sides, initials, slab, centroid)
-        log.counts.update(ranking.counts)
+    """The best ranked pairs, or the initial points if no pair passes the filters."""
+    with builder.stage("ranking"):
+        ranking = rank_pairs(sides, grasp_plane, centroid)
+        builder.counts.update(ranking.counts)
         ranked = len(ranking.score)
-        score, unscored = (0.0, "") if ranked else initial_score(sides, initials, slab, centroid)
-    with log.stage("pose"):
+        score, unscored = (0.0, "") if ranked else initial_score(sides, grasp_plane, centroid)
+    with builder.stage("pose"):
         if ranked:
             contacts = [
-                (sides[0].xyz[a], sides[1].xyz[b], float(s))
+                (sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s))
                 for a, b, s in zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
             ]
             reason = f"{ranked} of {ranking.counts['n_pairs']} pairs of candidates rank"
         else:
-            contacts = [(initials[0].xyz[0], initials[1].xyz[0], score)]
+            contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
             reason = f"none of {ranking.counts['n_pairs']} pairs of candidates ranks"
-        grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, slab.normal), s) for g1, g2, s in contacts)
-        parallel = sum(is_parallel(g.g1, g.g2, slab.normal) for g in grasps)
+        axis = grasp_plane.normal
+        grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
+        parallel = sum(is_parallel(g.g1, g.g2, axis) for g in grasps)
     notes = [reason, unscored] if unscored else [reason]
     if parallel:
         notes.append(f"{parallel} grasps run along the object's axis: their X follows a coordinate axis by convention")
-    return log.plan("ok" if ranked else "initial_points", "; ".join(notes), grasps)
+    return builder.plan("ok" if ranked else "initial_points", "; ".join(notes), grasps)

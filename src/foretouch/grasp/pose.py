@@ -14,7 +14,7 @@ PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise
 
 
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
-    """Whether the line of the contacts runs along the object's axis, which leaves the hand's X open."""
+    """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
     z = _unit(g1 - g2, "g1 - g2")
     return bool(np.linalg.norm(np.cross(z, _unit(axis, "axis"))) < PARALLEL_SINE)
 
@@ -22,8 +22,8 @@ def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
     """Rotation of the hand: Z = g1 - g2, X = Z x axis, Y = Z x X, each of unit length.
 
-    Where Z runs along the axis, X would be zero. By convention the coordinate axis that is least
-    aligned with Z (the first of equals) then stands in for the object's axis.
+    If Z is parallel to the axis, X would be zero. By convention the coordinate axis that is least
+    aligned with Z (the first of equal ones) then replaces the object's axis.
 
     Args:
         g1: (3,) floating [m], contact of the first finger.

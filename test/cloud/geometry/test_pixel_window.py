@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.cloud.geometry.outliers import mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import mean_neighbour_distance
 from foretouch.cloud.geometry.pixel_window import PixelGrid, window_mean_distance
 from foretouch.errors import CloudError
 

@@ -133,7 +133,7 @@ _HEADER = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\
         (("WIDTH 2\n", ""), "WIDTH: is missing"),
         (("WIDTH 2", "WIDTH two"), "WIDTH: 'two' is not a whole number"),
         (("FIELDS x y z", "FIELDS x y w"), "FIELDS: z is missing; there are: x y w"),
-        (("FIELDS x y z", "FIELDS x y x"), "FIELDS: x y x: a name stands twice"),
+        (("FIELDS x y z", "FIELDS x y x"), "FIELDS: x y x: a name occurs twice"),
         (("SIZE 4 4 4", "SIZE 4 4"), "SIZE: 2 entries for 3 FIELDS"),
         (("SIZE 4 4 4", "SIZE 4 4 3"), "z: TYPE F of SIZE 3 is no number"),
         (("TYPE F F F", "TYPE F F U"), "z: is not one floating number"),
@@ -211,10 +211,10 @@ def test_numpy_files_of_other_content_are_refused(tmp_path: Path) -> None:
 
 def test_pickles_are_never_opened(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(FileError, match=r"a\.npy: is damaged or holds objects"):
+    with pytest.raises(FileError, match=r"a\.npy: is damaged or contains objects"):
         read_cloud(tmp_path / "a.npy")
     np.savez(tmp_path / "b.npz", xyz=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(FileError, match=r"b\.npz: is damaged or holds objects"):
+    with pytest.raises(FileError, match=r"b\.npz: is damaged or contains objects"):
         read_cloud(tmp_path / "b.npz")
 
 
@@ -244,9 +244,9 @@ def test_ply_of_either_byte_order_with_faces_behind(tmp_path: Path, order: str) 
 
 
 def test_unknown_endings_and_missing_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=r"a\.xyz: the ending is none of \.pcd, \.ply, \.npz, \.npy"):
+    with pytest.raises(FileError, match=r"a\.xyz: the extension is none of \.pcd, \.ply, \.npz, \.npy"):
         read_cloud(tmp_path / "a.xyz")
-    with pytest.raises(FileError, match="the ending is none of"):
+    with pytest.raises(FileError, match="the extension is none of"):
         write_cloud(tmp_path / "a", Cloud(np.zeros((1, 3), np.float32)))
     for suffix in (".pcd", ".ply", ".npz", ".npy"):
         with pytest.raises(FileError, match="No such file"):

@@ -182,7 +182,7 @@ def test_an_empty_message_has_no_points() -> None:
         ({"fields": (*XYZ[:2], PointField("z", 6, 7))}, "z: offset 6 lies within y, which ends at 8"),
         ({"fields": (*XYZ, PointField("a", 0, 9))}, "a: datatype 9 is none of 1 to 8"),
         ({"fields": (*XYZ, PointField("a", -1, 2))}, "a: offset -1"),
-        ({"fields": (*XYZ, PointField("x", 8, 7))}, "fields: x stands twice"),
+        ({"fields": (*XYZ, PointField("x", 8, 7))}, "fields: x occurs twice"),
         ({"row_step": 23}, "row_step: 23 is less than width 2 x point_step 12"),
         ({"width": -1}, "width: -1 is negative"),
         ({"height": 2}, "data: 24 bytes are not row_step 24 x height 2 = 48"),

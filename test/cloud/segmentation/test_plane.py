@@ -80,8 +80,8 @@ def test_the_seed_decides(rng: np.random.Generator) -> None:
     [
         (np.zeros((0, 3)), "0 points span no plane"),
         (np.zeros((2, 3)), "2 points span no plane"),
-        (np.ones((100, 3)), "in one place or on a line"),
-        (np.linspace((0, 0, 1), (0, 0, 2), 100), "in one place or on a line"),
+        (np.ones((100, 3)), "coincide or are collinear"),
+        (np.linspace((0, 0, 1), (0, 0, 2), 100), "coincide or are collinear"),
         (np.random.default_rng(0).uniform(-1, 1, (5000, 3)), "holds .* of the points, less than 20%"),
         (np.random.default_rng(0).normal(0, 0.005, (5000, 3)), "mm narrow, less than 20 mm"),
         (np.random.default_rng(0).normal(0, 0.03, (5000, 3)), "a blob"),

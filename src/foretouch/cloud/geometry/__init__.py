@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normals, neighbours, outliers, voxel grids and sampling."""
+"""PCL's filters, neighbours in depth images, and the sampling and scaling of model inputs."""

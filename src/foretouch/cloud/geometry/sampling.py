@@ -1,32 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fixed number of points from a cloud of any size: at random, one a voxel, or each as far as can be from the others."""
+"""Input of the touch models: a fixed number of points, moved and scaled to the unit sphere."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import CloudError
+from foretouch.types import Float64, Grasp
 
-__all__ = ["SAMPLERS", "sample_indices"]
+__all__ = ["SAMPLERS", "UnitSphereFrame", "sample_indices"]
 
 SAMPLERS = ("random", "voxel", "farthest")
-_VOXEL_STEPS = 20  # halvings of the voxel's edge: 21 bits hold a cell's number, and float32 resolves little more
+_VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more
+_MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 
 
 def sample_indices(
     xyz: npt.NDArray[np.floating], n: int, *, method: str = "random", rng: np.random.Generator
 ) -> npt.NDArray[np.int64]:
-    """Which points to take.
+    """Indices of a fixed number of points.
 
-    A cloud of fewer than `n` points gives all of them, and some again, drawn at random.
+    If the cloud has fewer than `n` points, all are returned, and some repeatedly, drawn at random.
 
     Args:
         xyz: (N, 3) floating [m], finite, N > 0.
-        n: How many, > 0.
+        n: Number of points, > 0.
         method: "random" without replacement; "voxel", one point drawn from each cell of the coarsest grid
-            that has at least `n` occupied cells; "farthest", each the farthest from those before it,
-            the first drawn at random.
+            that has at least `n` occupied cells; "farthest", farthest-point sampling from a random first point.
         rng: Source of randomness.
 
     Returns:
@@ -38,23 +42,23 @@ def sample_indices(
     if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) == 0:
         raise CloudError(f"xyz: shape {xyz.shape} is not (N, 3) with N > 0")
     if n < 1:
-        raise CloudError(f"n: {n} points are not to be had")
+        raise CloudError(f"n: {n} is not a positive number of points")
     if method not in SAMPLERS:
         raise CloudError(f"method: {method!r} is none of {', '.join(SAMPLERS)}")
     if not np.isfinite(xyz).all():
-        raise CloudError("xyz: holds points that are not finite")
+        raise CloudError("xyz: contains points that are not finite")
     size = len(xyz)
     if size <= n:
         return np.concatenate([rng.permutation(size), rng.integers(0, size, n - size)]).astype(np.int64)
     if method == "farthest":
         return _farthest(xyz, n, int(rng.integers(size)))
     if method == "voxel":
-        return _one_a_voxel(xyz, n, rng)
+        return _one_per_voxel(xyz, n, rng)
     return rng.choice(size, n, replace=False).astype(np.int64)
 
 
 def _farthest(xyz: npt.NDArray[np.floating], n: int, first: int) -> npt.NDArray[np.int64]:
-    """Farthest-point sampling; each coordinate lies contiguous, and no array is made in the loop."""
+    """Farthest-point sampling; coordinates are contiguous, and the loop allocates no array."""
     columns = [np.ascontiguousarray(xyz[:, axis], np.float32) for axis in range(3)]
     nearest = np.full(len(xyz), np.inf, np.float32)
     squared, term = np.empty_like(nearest), np.empty_like(nearest)
@@ -68,19 +72,19 @@ def _farthest(xyz: npt.NDArray[np.floating], n: int, first: int) -> npt.NDArray[
             np.multiply(term, term, out=term)
             np.add(squared, term, out=squared)
         np.minimum(nearest, squared, out=nearest)
-        nearest[latest] = -1.0  # points in one place are taken one after the other, never the same twice
+        nearest[latest] = -1.0  # of coinciding points each is taken once
         chosen[k] = nearest.argmax()
     return chosen
 
 
-def _one_a_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    """One point of each voxel, thinned at random to n; filled up where points in one place share a voxel for good."""
-    shuffled = rng.permutation(len(xyz))  # the first of a cell is then a random one of it
+def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """One point per voxel, reduced at random to n; filled up if coinciding points leave too few voxels."""
+    shuffled = rng.permutation(len(xyz))  # the first point of a cell is then a random one
     points = xyz[shuffled].astype(np.float64)
     points -= points.min(axis=0)
     extent = float(points.max())
     first = np.zeros(1, np.int64)
-    for step in range(_VOXEL_STEPS):
+    for step in range(_VOXEL_HALVINGS):
         cells = (
             np.floor(points * (2.0**step / extent)).astype(np.int64)
             if extent > 0.0
@@ -93,3 +97,48 @@ def _one_a_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generator
     rest = np.setdiff1d(np.arange(len(xyz)), first)
     chosen: npt.NDArray[np.int64] = shuffled[np.concatenate([first, rng.choice(rest, n - len(first), replace=False)])]
     return chosen
+
+
+@dataclass(frozen=True, eq=False)
+class UnitSphereFrame:
+    """Transforms a cloud and its grasps to the unit sphere and back (P1, section III.A)."""
+
+    centre: Float64  # (3,) float64 [m], centroid of the cloud
+    scale: float  # distance of its farthest point from the centroid [m]
+
+    @classmethod
+    def fit(cls, xyz: npt.NDArray[np.floating]) -> Self:
+        """The frame of a cloud.
+
+        Args:
+            xyz: (N, 3) floating [m], finite, N > 0.
+
+        Raises:
+            CloudError: If there is no point, one is not finite, or all coincide.
+        """
+        points = np.asarray(xyz, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+            raise CloudError(f"xyz: shape {points.shape} is not (N, 3) with N > 0")
+        if not np.isfinite(points).all():
+            raise CloudError("xyz: contains points that are not finite")
+        centre = points.mean(axis=0)
+        scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+        if scale < _MIN_SCALE_M:
+            raise CloudError(f"xyz: all {len(points)} points coincide at {centre.tolist()}")
+        return cls(centre, scale)
+
+    def apply_points(self, points: npt.NDArray[np.floating]) -> Float64:
+        """(..., 3) [m] to the unit sphere, float64."""
+        return (np.asarray(points, np.float64) - self.centre) / self.scale
+
+    def invert_points(self, points: npt.NDArray[np.floating]) -> Float64:
+        """(..., 3) of the unit sphere back to [m], float64."""
+        return np.asarray(points, np.float64) * self.scale + self.centre
+
+    def apply_grasp(self, grasp: Grasp) -> Grasp:
+        """The grasp in the unit sphere: contacts move; the axes of the frames are parallel, so R stays."""
+        return replace(grasp, g1=self.apply_points(grasp.g1), g2=self.apply_points(grasp.g2))
+
+    def invert_grasp(self, grasp: Grasp) -> Grasp:
+        """The inverse of `apply_grasp`."""
+        return replace(grasp, g1=self.invert_points(grasp.g1), g2=self.invert_points(grasp.g2))

@@ -29,15 +29,15 @@ def read_cloud(path: str | Path) -> Cloud:
             `stamp_ns`) or `.npy`. Coordinates are float32 or float64 [m].
 
     Returns:
-        Organised where the file says so; NaN is kept.
+        The cloud, organised if it is in the file; NaN is kept.
 
     Raises:
-        FileError: Names the file, the field and the rule; also for a file that cannot be read or is cut off.
+        FileError: With the file, the field and the rule; also if the file cannot be read or is truncated.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise FileError(path, f"the ending is none of {', '.join(CLOUD_SUFFIXES)}")
+        raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
     try:
         cloud: Cloud = reader(path)
     except OSError as err:
@@ -51,16 +51,16 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
     """Write a cloud; an existing file is replaced.
 
     Args:
-        path: Ends in `.pcd` or `.ply` (binary), `.npz` (keeps frame and stamp too) or `.npy` (xyz only).
-        cloud: Organised ones are read back organised.
+        path: `.pcd` or `.ply` (binary), `.npz` (with frame and stamp) or `.npy` (xyz only).
+        cloud: Organised clouds are read back organised.
 
     Raises:
-        FileError: If the ending is another, or the file cannot be written.
+        FileError: If the extension is another, or the file cannot be written.
     """
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
-        raise FileError(path, f"the ending is none of {', '.join(CLOUD_SUFFIXES)}")
+        raise FileError(path, f"the extension is none of {', '.join(CLOUD_SUFFIXES)}")
     try:
         writer(path, cloud)
     except OSError as err:
@@ -77,7 +77,7 @@ def _read_npz(path: Path) -> Cloud:
             wanted = ("xyz", "rgb", "frame_id", "stamp_ns")
             arrays = {name: archive[name] for name in wanted if name in archive}
     except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as err:
-        raise FileError(path, f"is damaged or holds objects: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is damaged or contains objects: {' '.join(str(err).split())}") from err
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U":
         raise FileError(path, "is not one text", field="frame_id")
@@ -90,7 +90,7 @@ def _read_npy(path: Path) -> Cloud:
     try:
         loaded = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, zipfile.BadZipFile) as err:
-        raise FileError(path, f"is damaged or holds objects: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is damaged or contains objects: {' '.join(str(err).split())}") from err
     if not isinstance(loaded, np.ndarray):
         raise FileError(path, "is no .npy array")
     return Cloud(_coordinates(path, loaded))
@@ -111,7 +111,7 @@ def _write_npz(path: Path, cloud: Cloud) -> None:
     }
     if cloud.rgb is not None:
         arrays["rgb"] = cloud.rgb
-    with path.open("wb") as file:  # given a name, NumPy would add its own ending to .NPZ
+    with path.open("wb") as file:  # given a path, NumPy would append its own extension to .NPZ
         np.savez(file, allow_pickle=False, **arrays)
 
 
@@ -122,4 +122,4 @@ def _write_npy(path: Path, cloud: Cloud) -> None:
 
 _READERS = {".pcd": read_pcd, ".ply": read_ply, ".npz": _read_npz, ".npy": _read_npy}
 _WRITERS = {".pcd": write_pcd, ".ply": write_ply, ".npz": _write_npz, ".npy": _write_npy}
-CLOUD_SUFFIXES = tuple(_READERS)  # what read_cloud knows
+CLOUD_SUFFIXES = tuple(_READERS)

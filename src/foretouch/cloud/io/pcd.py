@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that Open3D decodes. It warns where a file is damaged; here that is an error.
+"""Read and write PCD files (version 0.7 of the Point Cloud Library), organised or not.
 
-PCD files (version 0.7 of the Point Cloud Library), organised or not.
-
-ASCII and binary data are read here: real recordings are many and small, Open3D takes half a second to
-import, drops the image order, and only warns where a file is cut off. Compressed data (LZF) is left to
-Open3D, with the header held against what it returns. VIEWPOINT is ignored: clouds are in their own frame.
+ASCII and binary data are decoded here: real recordings consist of many small files, and Open3D takes half a second to
+import, drops the image order, and only warns about a truncated file. Compressed data (LZF) is decoded by
+Open3D and checked against the header. VIEWPOINT is ignored: clouds are in their own frame.
 """
 
 from __future__ import annotations
@@ -21,66 +19,24 @@ from foretouch.errors import FileError
 from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud, UInt8
 
-__all__ = ["read_pcd", "read_with_open3d", "write_pcd"]
-
-
-def read_with_open3d(path: Path, points: int, shape: tuple[int, ...]) -> Cloud:
-    """Read a cloud and hold it against its header.
-
-    Args:
-        path: A file that Open3D knows by its ending.
-        points: How many the header promises.
-        shape: (N,) or (H, W), of the same number.
-
-    Returns:
-        The cloud; NaN is kept.
-
-    Raises:
-        FileError: If Open3D cannot read it, or finds another number of points.
-        MissingDependencyError: If libusb, which Open3D needs, is absent.
-    """
-    if points == 0:
-        return Cloud(np.empty((0, 3), np.float32))
-    ensure_libusb()
-    import open3d
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        try:
-            read = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
-        except RuntimeError as err:
-            raise FileError(path, f"Open3D: {' '.join(str(err).split())}") from err
-    xyz = np.asarray(read.points).astype(np.float32)
-    if len(xyz) != points:
-        raise FileError(path, f"holds {len(xyz)} points that can be read, the header promises {points}")
-    rgb = None
-    if read.has_colors():
-        rgb = np.rint(np.asarray(read.colors) * 255.0).astype(np.uint8).reshape(*shape, 3)
-    return Cloud(xyz.reshape(*shape, 3), rgb)
+__all__ = ["ascii_records", "read_pcd", "write_pcd"]
 
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
-_HEADER_LIMIT = 65536  # bytes within which DATA must stand
+_HEADER_LIMIT = 65536  # bytes within which DATA must occur
 _REQUIRED = ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA")
 
 
 @dataclass(frozen=True)
 class _Header:
-    """What the text says before the data.
+    """The text before the data."""
 
-    Attributes:
-        dtype: Of one point, unaligned, little-endian.
-        width: Points a row.
-        height: Rows.
-        data: "ascii", "binary" or "binary_compressed".
-        size: Of the header [bytes].
-    """
-
-    dtype: np.dtype[Any]
-    width: int
-    height: int
-    data: str
-    size: int
+    dtype: np.dtype[Any]  # type of one point, unaligned, little-endian
+    width: int  # points per row
+    height: int  # rows
+    data: str  # "ascii", "binary" or "binary_compressed"
+    size: int  # size of the header [bytes]
 
     @property
     def points(self) -> int:
@@ -92,13 +48,7 @@ class _Header:
 
 
 def read_pcd(path: Path) -> Cloud:
-    """Read a PCD file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        (H, W, 3) where HEIGHT is above 1, else (N, 3), with colours of a field `rgb` or `rgba`; NaN is kept.
+    """Read a PCD file: (H, W, 3) if HEIGHT is above 1, else (N, 3), with colours of a field `rgb` or `rgba`.
 
     Raises:
         FileError: If the header is incomplete, contradicts itself or the data, or there is no x, y, z.
@@ -109,7 +59,7 @@ def read_pcd(path: Path) -> Cloud:
     body = content[header.size :]
     if header.data == "binary_compressed":
         _check_compressed(path, header, body)
-        return read_with_open3d(path, header.points, header.shape)
+        return _read_with_open3d(path, header)
     if header.data == "binary":
         expected = header.points * header.dtype.itemsize
         if len(body) < expected:
@@ -118,9 +68,13 @@ def read_pcd(path: Path) -> Cloud:
                 f"{len(body)} bytes are fewer than {header.points} points of {header.dtype.itemsize} = {expected}",
                 field="DATA",
             )
-        records = np.frombuffer(body, header.dtype, header.points)  # PCL pads its files to whole pages
+        records = np.frombuffer(body, header.dtype, header.points)  # PCL pads files to whole pages
     else:
-        records = _ascii_records(path, header, body)
+        words, columns = body.split(), sum(int(np.prod(header.dtype[name].shape)) for name in header.dtype.names or ())
+        if len(words) != header.points * columns:
+            rule = f"{len(words)} numbers are not {header.points} points of {columns} = {header.points * columns}"
+            raise FileError(path, rule, field="DATA")
+        records = ascii_records(path, words, header.points, header.dtype, "DATA")
     xyz = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=-1)
     rgb = _colours(path, records)
     return Cloud(xyz.reshape(*header.shape, 3), None if rgb is None else rgb.reshape(*header.shape, 3))
@@ -150,7 +104,7 @@ def _parse_header(path: Path, content: bytes) -> _Header:
     while "DATA" not in entries:
         end = content.find(b"\n", start, _HEADER_LIMIT)
         if end < 0:
-            raise FileError(path, "no line DATA: not a PCD file, or cut off", field="header")
+            raise FileError(path, "no line DATA: not a PCD file, or truncated", field="header")
         words = content[start:end].decode("ascii", errors="replace").split()
         start = end + 1
         if words and not words[0].startswith("#"):
@@ -187,11 +141,11 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
             raise FileError(path, f"TYPE {kind} of SIZE {size} is no number", field=field)
         if not count.isdecimal() or int(count) < 1:
             raise FileError(path, f"COUNT {count} is not a positive number", field=field)
-        name = f"_{i}" if field == "_" else field  # padding may stand several times
+        name = f"_{i}" if field == "_" else field  # padding may occur several times
         parts.append((name, f"<{_KINDS[kind]}{size}", (int(count),) if int(count) > 1 else ()))
     names = [name for name, _, _ in parts]
     if len(set(names)) != len(names):
-        raise FileError(path, f"{' '.join(fields)}: a name stands twice", field="FIELDS")
+        raise FileError(path, f"{' '.join(fields)}: a name occurs twice", field="FIELDS")
     for axis in "xyz":
         part = next((part for part in parts if part[0] == axis), None)
         if part is None:
@@ -201,41 +155,55 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
     return np.dtype(parts)
 
 
-def _ascii_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
-    columns = sum(int(np.prod(header.dtype[name].shape)) for name in header.dtype.names or ())
-    words = body.split()
-    if len(words) != header.points * columns:
-        raise FileError(
-            path,
-            f"{len(words)} numbers are not {header.points} points of {columns} = {header.points * columns}",
-            field="DATA",
-        )
+def ascii_records(path: Path, words: list[bytes], points: int, dtype: np.dtype[Any], field: str) -> npt.NDArray[Any]:
+    """(points,) records of a structured type from numbers in text; a `FileError` if a word is not a number."""
+    names = dtype.names or ()
+    widths = [int(np.prod(dtype[name].shape)) for name in names]
     try:
-        table = np.array(words, np.float64).reshape(header.points, columns)
+        table = np.array(words, np.float64).reshape(points, sum(widths))
     except ValueError as err:
-        raise FileError(path, f"not a number: {err}", field="DATA") from err
-    records = np.zeros(header.points, header.dtype)
-    column = 0
+        raise FileError(path, f"not a number: {err}", field=field) from err
+    records = np.zeros(points, dtype)
+    columns = np.split(table, np.cumsum(widths)[:-1], axis=1)
     with np.errstate(invalid="ignore", over="ignore"):
-        for name in header.dtype.names or ():
-            wide = int(np.prod(header.dtype[name].shape))
-            records[name] = table[:, column : column + wide].reshape(records[name].shape)
-            column += wide
+        for name, column in zip(names, columns, strict=True):
+            records[name] = column.reshape(records[name].shape)
     return records
 
 
 def _check_compressed(path: Path, header: _Header, body: bytes) -> None:
-    """Compressed data starts with its own size and that of what it unpacks to."""
+    """Check the sizes before and after compression, with which compressed data starts."""
     if header.points == 0:
         return
     if len(body) < 8:
-        raise FileError(path, "is cut off before the sizes of the compressed data", field="DATA")
+        raise FileError(path, "is truncated before the sizes of the compressed data", field="DATA")
     packed, unpacked = (int(n) for n in np.frombuffer(body[:8], "<u4"))
     if len(body) - 8 < packed:
         raise FileError(path, f"{len(body) - 8} bytes are fewer than the {packed} of compressed data", field="DATA")
     expected = header.points * header.dtype.itemsize
     if unpacked != expected:
         raise FileError(path, f"unpacks to {unpacked} bytes, not to {header.points} points = {expected}", field="DATA")
+
+
+def _read_with_open3d(path: Path, header: _Header) -> Cloud:
+    """Read a cloud and check its size against the header; requires libusb (`MissingDependencyError`)."""
+    if header.points == 0:
+        return Cloud(np.empty((0, 3), np.float32))
+    ensure_libusb()
+    import open3d
+
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        try:
+            read = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
+        except RuntimeError as err:
+            raise FileError(path, f"Open3D: {' '.join(str(err).split())}") from err
+    xyz = np.asarray(read.points).astype(np.float32)
+    if len(xyz) != header.points:
+        raise FileError(path, f"holds {len(xyz)} readable points, the header specifies {header.points}")
+    rgb = None
+    if read.has_colors():
+        rgb = np.rint(np.asarray(read.colors) * 255.0).astype(np.uint8).reshape(*header.shape, 3)
+    return Cloud(xyz.reshape(*header.shape, 3), rgb)
 
 
 def _colours(path: Path, records: npt.NDArray[Any]) -> UInt8 | None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PLY files (Stanford polygon format): the vertices, as a cloud.
+"""Read and write the vertices of PLY files (Stanford polygon format) as clouds.
 
-Read here, since Open3D fills a file that is cut off with zeros and only warns. The order of an image is kept
-in the two `obj_info` lines, `num_cols` and `num_rows`, that Stanford's range scans introduced.
+Decoded here, since Open3D fills a truncated file with zeros and only warns. The shape of an organised cloud is in the
+two `obj_info` lines `num_cols` and `num_rows`, as in Stanford's range scans.
 """
 
 from __future__ import annotations
@@ -14,62 +14,39 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.io.pcd import ascii_records
 from foretouch.errors import FileError
 from foretouch.types import Cloud, UInt8
 
 __all__ = ["read_ply", "write_ply"]
 
-_HEADER_LIMIT = 65536  # bytes within which end_header must stand
-_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
+_HEADER_LIMIT = 65536  # bytes within which end_header must occur
+# The two PLY names of each NumPy type.
+_NAMES = "i1 char int8, u1 uchar uint8, i2 short int16, u2 ushort uint16, i4 int int32, u4 uint uint32, "
+_NAMES += "f4 float float32, f8 double float64"
+_TYPES = {name: kind for kind, *names in map(str.split, _NAMES.split(",")) for name in names}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS = ("red", "green", "blue")
 
 
 @dataclass
 class _Header:
-    """What the text says before the data.
+    """The text before the data."""
 
-    Attributes:
-        encoding: Key of `_ORDERS`.
-        points: Number of vertices.
-        properties: Of a vertex, name and NumPy type.
-        image: `num_cols` and `num_rows`, where given.
-    """
-
-    encoding: str = ""
-    points: int = -1
-    properties: list[tuple[str, str]] = field(default_factory=list)
-    image: dict[str, int] = field(default_factory=dict)
+    encoding: str = ""  # key of `_ORDERS`
+    points: int = -1  # number of vertices
+    properties: list[tuple[str, str]] = field(default_factory=list)  # name and NumPy type of each property of a vertex
+    image: dict[str, int] = field(default_factory=dict)  # `num_cols` and `num_rows`, if given
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices of a PLY file, which must be its first element.
-
-    Args:
-        path: The file, ascii or binary.
+    """Read the vertices of an ASCII or binary PLY file, which must be its first element.
 
     Returns:
-        (H, W, 3) where `obj_info` says so, else (N, 3), with colours where it has red, green, blue of uchar.
+        (H, W, 3) if `obj_info` gives the shape, else (N, 3), with colours of red, green and blue of uchar.
 
     Raises:
-        FileError: If the header is incomplete, there is no x, y, z, or the data is cut off.
+        FileError: If the header is incomplete, there is no x, y, z, or the data is truncated.
         OSError: If the file cannot be read.
     """
     content = path.read_bytes()
@@ -111,7 +88,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
     end = content.find(b"end_header", 0, _HEADER_LIMIT)
     newline = content.find(b"\n", end)
     if end < 0 or newline < 0:
-        raise FileError(path, "no line end_header: cut off", field="header")
+        raise FileError(path, "no line end_header: truncated", field="header")
     header = _Header()
     element = ""
     for line in content[:end].decode("ascii", errors="replace").splitlines():
@@ -122,7 +99,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
         raise FileError(path, "element vertex is missing", field="header")
     names = [name for name, _ in header.properties]
     if len(set(names)) != len(names):
-        raise FileError(path, f"{' '.join(names)}: a name stands twice", field="property")
+        raise FileError(path, f"{' '.join(names)}: a name occurs twice", field="property")
     for axis in "xyz":
         if axis not in names:
             raise FileError(path, f"is no property of the vertices; there are: {' '.join(names)}", field=axis)
@@ -130,7 +107,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[_Header, int]:
 
 
 def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> str:
-    """Note one line of the header; the element that the next one belongs to."""
+    """Parse one line of the header; returns the element to which the next line belongs."""
     match words:
         case ["format", encoding, *_]:
             header.encoding = encoding
@@ -152,33 +129,19 @@ def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> 
 
 
 def _vertices(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
-    if header.encoding == "ascii":
-        return _ascii_vertices(path, header.points, header.properties, body)
+    points, columns = header.points, len(header.properties)
     dtype = np.dtype([(name, _ORDERS[header.encoding] + kind) for name, kind in header.properties])
-    expected = header.points * dtype.itemsize
+    if header.encoding == "ascii":
+        words = body.split(None, points * columns)[: points * columns]
+        if len(words) < points * columns:
+            rule = f"{len(words)} numbers are fewer than {points} x {columns} = {points * columns}"
+            raise FileError(path, rule, field="vertex")
+        return ascii_records(path, words, points, dtype, "vertex")
+    expected = points * dtype.itemsize
     if len(body) < expected:
-        raise FileError(
-            path, f"{len(body)} bytes are fewer than {header.points} of {dtype.itemsize} = {expected}", field="vertex"
-        )
-    return np.frombuffer(body, dtype, header.points)
-
-
-def _ascii_vertices(path: Path, points: int, properties: list[tuple[str, str]], body: bytes) -> npt.NDArray[Any]:
-    expected = points * len(properties)
-    words = body.split(None, expected)[:expected]
-    if len(words) < expected:
-        raise FileError(
-            path, f"{len(words)} numbers are fewer than {points} x {len(properties)} = {expected}", field="vertex"
-        )
-    try:
-        table = np.array(words, np.float64).reshape(points, len(properties))
-    except ValueError as err:
-        raise FileError(path, f"not a number: {err}", field="vertex") from err
-    vertices = np.zeros(points, properties)
-    with np.errstate(invalid="ignore", over="ignore"):
-        for column, (name, _) in enumerate(properties):
-            vertices[name] = table[:, column]
-    return vertices
+        rule = f"{len(body)} bytes are fewer than {points} of {dtype.itemsize} = {expected}"
+        raise FileError(path, rule, field="vertex")
+    return np.frombuffer(body, dtype, points)
 
 
 def _colours(vertices: npt.NDArray[Any]) -> UInt8 | None:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of a `sensor_msgs/PointCloud2` to arrays and back, without ROS.
+"""Decode and encode the bytes of a `sensor_msgs/PointCloud2`, without ROS.
 
-The layout of the message is described by `PointCloud2Layout`; its bytes are read through strided
-NumPy views, so that decoding costs the same for one point and for a million. Only what no view can
-express is copied: big-endian numbers on a little-endian machine (or the reverse), float64
-coordinates, and x, y, z that are not evenly spaced.
+`PointCloud2Layout` describes the layout of the message; its bytes are read through strided NumPy views, so decoding takes
+the same time for one point and for a million. Only what no view can express is copied: numbers of the other byte
+order, float64 coordinates, and x, y, z that are not evenly spaced.
 """
 
 from __future__ import annotations
@@ -30,68 +29,47 @@ PointBytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | npt
 DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _NAMES = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
 _UINT8, _FLOAT32, _FLOAT64 = 2, 7, 8
-_PACKED_COLOUR = (5, 6, 7)  # four bytes, whatever number they are said to be
+_PACKED_COLOUR = (5, 6, 7)  # four bytes, regardless of the declared type
 _HOST_IS_BIGENDIAN = sys.byteorder == "big"
 
 
 @dataclass(frozen=True)
 class PointField:
-    """One field of a point, as `sensor_msgs/PointField`.
+    """One field of a point, as `sensor_msgs/PointField`."""
 
-    Attributes:
-        name: Such as "x" or "rgb".
-        offset: From the start of the point [bytes].
-        datatype: Key of `DATATYPES`.
-        count: Numbers in the field.
-    """
-
-    name: str
-    offset: int
-    datatype: int
-    count: int = 1
+    name: str  # for example "x" or "rgb"
+    offset: int  # offset from the start of the point [bytes]
+    datatype: int  # key of `DATATYPES`
+    count: int = 1  # number of elements
 
     @property
     def end(self) -> int:
-        """First byte after the field, from the start of the point."""
+        """Offset of the first byte after the field."""
         return self.offset + self.count * int(DATATYPES[self.datatype][1])
 
 
 class PointArrays(NamedTuple):
-    """What a message holds.
+    """Contents of a message."""
 
-    Attributes:
-        xyz: (N, 3), or (H, W, 3) where the height is above 1, float32 [m], read-only; a view where possible.
-        rgb: The same leading shape, uint8, read-only, or None.
-    """
-
-    xyz: Float32
-    rgb: UInt8 | None
+    xyz: Float32  # (N, 3), or (H, W, 3) if the height is above 1, float32 [m], read-only; a view where possible
+    rgb: UInt8 | None  # the same leading shape, uint8, read-only, or None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointCloud2Layout:
-    """How the bytes of a message are to be read; the fields are those of `sensor_msgs/PointCloud2`.
-
-    Attributes:
-        height: Rows; 1 for a cloud that is not organised.
-        width: Points a row.
-        fields: What a point holds.
-        is_bigendian: Byte order of the numbers.
-        point_step: From one point to the next [bytes].
-        row_step: From one row to the next [bytes].
-        is_dense: Whether the sender promises that all points are finite. Not relied on.
+    """Layout of the bytes of a message; the fields are those of `sensor_msgs/PointCloud2`.
 
     Raises:
-        CloudError: Names the field and the rule it breaks.
+        CloudError: With the field and the rule it breaks.
     """
 
-    height: int
-    width: int
-    fields: tuple[PointField, ...]
-    point_step: int
-    row_step: int
-    is_bigendian: bool = False
-    is_dense: bool = False
+    height: int  # rows; 1 for an unorganised cloud
+    width: int  # points per row
+    fields: tuple[PointField, ...]  # fields of a point
+    point_step: int  # size of a point [bytes]
+    row_step: int  # size of a row [bytes]
+    is_bigendian: bool = False  # byte order of the numbers
+    is_dense: bool = False  # whether the sender declares all points finite; ignored
 
     def __post_init__(self) -> None:
         for name in ("height", "width", "point_step", "row_step"):
@@ -105,19 +83,19 @@ class PointCloud2Layout:
 
     @property
     def organised(self) -> bool:
-        """Whether the points are ordered like an image."""
+        """Whether the points form an image."""
         return self.height > 1
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(N,), or (H, W) where organised; (0,) where there is no point."""
+        """(N,), or (H, W) if organised; (0,) if there is no point."""
         if self.height * self.width == 0:
             return (0,)
         return (self.height, self.width) if self.organised else (self.width,)
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """Steps in bytes that belong to `shape`."""
+        """Strides of `shape` [bytes]."""
         return (self.row_step, self.point_step) if len(self.shape) == 2 else (self.point_step,)
 
     def field(self, name: str) -> PointField | None:
@@ -129,16 +107,16 @@ def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
     """Coordinates and colours of a message.
 
     Args:
-        layout: Of the message.
-        data: Its bytes: `bytes`, `array.array`, `memoryview` or uint8 array. They must live and stay unchanged
-            as long as the result, which may be a view of them.
+        layout: Layout of the message.
+        data: Its bytes: `bytes`, `array.array`, `memoryview` or uint8 array. The result may be a view of them, so
+            they must stay unchanged as long as it is used.
 
     Returns:
         `PointArrays`; points without depth keep their NaN or infinity. Colours come from `rgb` or `rgba`
         (blue in the lowest byte, as PCL packs them) or from `r`, `g`, `b` of UINT8; others are ignored.
 
     Raises:
-        CloudError: If the sizes do not add up, x, y or z is missing, or a datatype has no such meaning.
+        CloudError: If the sizes do not match, x, y or z is missing, or has a wrong datatype.
     """
     try:
         bytes_ = np.frombuffer(data, np.uint8)
@@ -158,15 +136,14 @@ def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
 
 
 def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
-    """A cloud as the layout and bytes of a message.
+    """Layout and bytes of a message for a cloud.
 
     Args:
-        cloud: Organised or not; without a colour a point takes 12 bytes (x, y, z), with it 16 (and `rgb`,
+        cloud: Organised or not; a point takes 12 bytes (x, y, z), with colour 16 (and `rgb`,
             packed into a FLOAT32 as PCL and RViz expect).
 
     Returns:
-        Layout, and the bytes as `array.array("B")`: the one type that rclpy takes over without a look at
-        each byte.
+        Layout, and the bytes as `array.array("B")`: the only type that rclpy accepts without checking each byte.
     """
     shape = cloud.xyz.shape[:-1]
     height, width = shape if cloud.organised else (1, *shape)
@@ -191,7 +168,7 @@ def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
 
 def _with_colour(xyz: npt.NDArray[np.float32], rgb: UInt8) -> npt.NDArray[np.float32]:
     points = np.empty((*xyz.shape[:-1], 4), "<f4")
-    for i in range(3):  # column by column: four times as fast as one assignment of three
+    for i in range(3):  # by column: four times as fast as one assignment of three
         points[..., i] = xyz[..., i]
     packed = rgb[..., 0].astype(np.uint32)
     for channel in (1, 2):
@@ -202,11 +179,11 @@ def _with_colour(xyz: npt.NDArray[np.float32], rgb: UInt8) -> npt.NDArray[np.flo
 
 
 def _check_fields(fields: Sequence[PointField], point_step: int) -> None:
-    """Known datatypes, unique names, within the point, none over another."""
+    """Check datatypes, unique names, and that fields lie within the point without overlap."""
     seen: set[str] = set()
     for field in fields:
         if field.name in seen:
-            raise CloudError(f"fields: {field.name} stands twice")
+            raise CloudError(f"fields: {field.name} occurs twice")
         seen.add(field.name)
         if field.datatype not in DATATYPES:
             raise CloudError(f"{field.name}: datatype {field.datatype} is none of 1 to 8")
@@ -241,7 +218,7 @@ def _coordinates(layout: PointCloud2Layout, data: UInt8) -> Float32:
         return _view(layout, data, "f4", x.offset, (3, spacing))
     columns = [_view(layout, data, _dtype(layout, field), field.offset) for field in fields]
     xyz = np.empty((*layout.shape, 3), np.float32)
-    with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite: no point, as any infinity
+    with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite, hence no point
         for i, column in enumerate(columns):
             xyz[..., i] = column
     return xyz
@@ -273,7 +250,7 @@ def _dtype(layout: PointCloud2Layout, field: PointField) -> str:
 def _view(
     layout: PointCloud2Layout, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None
 ) -> npt.NDArray[Any]:
-    """One number of each point, or `last` = (how many, bytes apart) of them, without a copy."""
+    """One number of each point, or `last` = (count, stride in bytes) of them, without a copy."""
     shape, strides = layout.shape, layout.strides
     if last is not None:
         shape, strides = (*shape, last[0]), (*strides, last[1])

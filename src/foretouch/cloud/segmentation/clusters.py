@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clusters are: from which height, how they are connected, which are too small or too large.
+"""Clustering of the points above the table: settings, height threshold, and Euclidean clusters of unorganised clouds.
 
-What stands on the table of a cloud without order, one label an object: points in touching voxels.
-
-Voxels are kept as a sorted list, not as a dense grid: its size would be the scene's, and a single far
-point would blow it up.
+Unorganised points are connected if their voxels touch. Occupied voxels are a sorted list, not a dense grid: the size of
+a grid would be the scene's, and a single far point would make it huge.
 """
 
 from __future__ import annotations
@@ -19,8 +17,7 @@ from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.config import Settings, setting
 from foretouch.types import Float32, Plane
 
-__all__ = ["ClusterConfig", "Clusters", "HeightCut", "label_points"]
-
+__all__ = ["Bool", "ClusterConfig", "Clusters", "HeightThreshold", "Int32", "label_unorganised"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
@@ -28,14 +25,14 @@ Int32 = npt.NDArray[np.int32]
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterConfig(Settings):
-    """What stands out from the table, and what is one object."""
+    """Which points are above the table, and which of them are one object."""
 
     min_height_m: float = setting(
         0.004, "Points lower than this above the table belong to it", minimum=0.001, maximum=0.1, unit="m"
     )
     noise_factor: float = setting(
         2.5,
-        "Points also belong to the table within so many standard deviations of the depth noise measured on it",
+        "Points within so many standard deviations of the depth noise, measured on the table, also belong to it",
         minimum=0.0,
         maximum=10.0,
     )
@@ -53,20 +50,16 @@ class ClusterConfig(Settings):
     )
     flying_slope: float = setting(
         4.0,
-        "Depth per lateral distance beyond which a neighbour does not support a pixel: without support it is flying",
+        "Depth per lateral distance beyond which a neighbour does not support a pixel; unsupported pixels are flying",
         minimum=1.0,
         maximum=100.0,
     )
     voxel_m: float = setting(
-        0.008, "Cells by which unorganised points are connected", minimum=0.001, maximum=0.1, unit="m"
+        0.008, "Voxel size for connecting unorganised points", minimum=0.001, maximum=0.1, unit="m"
     )
     min_points: int = setting(150, "Smaller clusters are dropped", minimum=1, maximum=10_000_000)
     min_top_m: float = setting(
-        0.012,
-        "Clusters that nowhere rise higher above the table are dropped as noise",
-        minimum=0.0,
-        maximum=0.5,
-        unit="m",
+        0.012, "Clusters that do not rise higher above the table are dropped", minimum=0.0, maximum=0.5, unit="m"
     )
     max_extent_m: float = setting(
         0.6, "Clusters larger than this along an axis are dropped: a wall, an arm", minimum=0.01, maximum=10.0, unit="m"
@@ -74,50 +67,35 @@ class ClusterConfig(Settings):
 
 
 class Clusters(NamedTuple):
-    """Labels of a window of the cloud.
+    """Cluster labels of a window of the cloud."""
 
-    Attributes:
-        labels: (h, w) or (n,) int32; 0 is none.
-        solid: The same shape, bool: labelled, and its depth can be trusted.
-        n_labels: The largest label.
-        rows: First row of the part, 0 where not organised.
-        columns: First column of the part.
-    """
-
-    labels: Int32
-    solid: Bool
-    n_labels: int
-    rows: int = 0
-    columns: int = 0
+    labels: Int32  # (h, w) or (n,) int32; 0 is none
+    solid: Bool  # the same shape, bool: labelled, with a reliable depth
+    n_labels: int  # the largest label
+    rows: int = 0  # first row of the window, 0 if unorganised
+    columns: int = 0  # first column of the window
 
 
-class HeightCut(NamedTuple):
-    """From which height a point no longer belongs to the table, growing with its depth as stereo noise does.
+class HeightThreshold(NamedTuple):
+    """Height from which a point does not belong to the table; it grows with depth like stereo noise."""
 
-    Attributes:
-        plane: The table.
-        low_m: Least height [m].
-        noise_per_m: Least height divided by z² [1/m].
-        high_m: Greatest height [m].
-    """
-
-    plane: Plane
-    low_m: float
-    noise_per_m: float
-    high_m: float
+    plane: Plane  # the table
+    low_m: float  # minimum height [m]
+    noise_per_m: float  # minimum height divided by z² [1/m]
+    high_m: float  # maximum height [m]
 
     def at(self, z: Float32) -> Float32:
-        """The least height of points of a depth (...), float32 [m]."""
-        cut: Float32 = z * np.float32(self.noise_per_m)
-        cut *= z
-        return np.maximum(cut, np.float32(self.low_m), out=cut)
+        """The minimum height of points at depth z (...), float32 [m]."""
+        minimum: Float32 = z * np.float32(self.noise_per_m)
+        minimum *= z
+        return np.maximum(minimum, np.float32(self.low_m), out=minimum)
 
     def measure(self, xyz: Float32, z: Float32) -> tuple[Float32, Bool]:
-        """How high points are, and whether they stand out.
+        """Heights of points, and whether they are between the minimum and the maximum height.
 
         Args:
             xyz: (..., 3) float32 [m].
-            z: (...), its depths; contiguous, they are read faster than from `xyz`.
+            z: (...), their depths; contiguous, they are read faster than from `xyz`.
 
         Returns:
             (...) float32 [m], not finite without depth, and (...) bool, false there.
@@ -129,20 +107,22 @@ class HeightCut(NamedTuple):
             return height, above
 
 
-def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: ClusterConfig) -> list[Clusters]:
-    """Label a cloud without order: points in touching voxels belong together.
+def label_unorganised(
+    xyz: Float32, crop: CropConfig, threshold: HeightThreshold, config: ClusterConfig
+) -> list[Clusters]:
+    """Label an unorganised cloud: points in touching voxels are one cluster.
 
     Args:
         xyz: (N, 3) float32 [m].
-        crop: Depths that count.
-        cut: What is table.
-        config: What is one object.
+        crop: Depth range.
+        threshold: Height threshold above the table.
+        config: Settings.
 
     Returns:
-        The one window that holds all points, none where nothing stands out. The labels still hold small clusters.
+        One window with all points, or none if nothing is above the table. Small clusters are not yet removed.
     """
     z = np.ascontiguousarray(xyz[:, 2])
-    above = np.flatnonzero(cut.measure(xyz, z)[1] & in_range(z, crop))
+    above = np.flatnonzero(threshold.measure(xyz, z)[1] & in_range(z, crop))
     if not len(above):
         return []
     cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
@@ -153,7 +133,7 @@ def label_points(xyz: Float32, crop: CropConfig, cut: HeightCut, config: Cluster
 
 
 def _label_voxels(cells: npt.NDArray[np.int64]) -> tuple[Int32, int]:
-    """Components of occupied cells (n, 3), all 26 neighbours connected.
+    """Connected components of occupied cells (n, 3), with 26 neighbours.
 
     Returns:
         (n,) int32 from 1, and the number of components.
@@ -166,13 +146,13 @@ def _label_voxels(cells: npt.NDArray[np.int64]) -> tuple[Int32, int]:
     weights = np.array([size[1] * size[2], size[2], 1])
     keys, member = np.unique(cells @ weights, return_inverse=True)
     pairs = []
-    # Half of the 26 directions: a link needs one entry only.
+    # Half of the 26 directions: an undirected edge needs one entry only.
     for offset in np.ndindex(3, 3, 3):
         if offset > (1, 1, 1):
             wanted = keys + int((np.array(offset) - 1) @ weights)
-            place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-            hit = np.flatnonzero(keys[place] == wanted)
-            pairs.append((hit, place[hit]))
+            index = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            hit = np.flatnonzero(keys[index] == wanted)
+            pairs.append((hit, index[hit]))
     first, second = (np.concatenate(side) for side in zip(*pairs, strict=True))
     graph = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(len(keys), len(keys)))
     count, component = connected_components(graph, directed=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which points are looked at: those with depth, and within reach."""
+"""Crop a cloud by depth or by a box, as PCL's PassThrough and CropBox."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHUNK = 131_072  # points counted at once: their depths stay in the cache
 
 @dataclass(frozen=True, kw_only=True)
 class CropConfig(Settings):
-    """Depths that count, along the optical axis."""
+    """Depth range along the optical axis."""
 
     min_range_m: float = setting(0.16, "Points nearer than this are ignored", minimum=0.0, maximum=10.0, unit="m")
     max_range_m: float = setting(2.0, "Points farther than this are ignored", minimum=0.01, maximum=16.0, unit="m")
@@ -31,23 +31,14 @@ class CropConfig(Settings):
 
 
 def in_range(z: npt.NDArray[np.float32], config: CropConfig) -> npt.NDArray[np.bool_]:
-    """Depths within the range; false where there is none.
-
-    Args:
-        z: Any shape, float32 [m], camera optical frame; NaN or infinite without depth.
-        config: The range, its ends included.
-    """
+    """Whether depths of any shape, float32 [m], are within the range, its ends included; false without depth."""
     return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))
 
 
 def count_range(xyz: Float32, config: CropConfig) -> tuple[int, int]:
-    """How many points have a finite depth, and how many of them are in range.
+    """Number of points with a finite depth, and of those in range; xyz is (N, 3) or (H, W, 3) float32 [m].
 
-    Judged by depth alone: a pixel without depth has no z, and one number is read in a third of the time of three.
-
-    Args:
-        xyz: (N, 3) or (H, W, 3) float32 [m].
-        config: The range.
+    Only z is checked: a pixel without depth has no z, and reading one number takes a third of the time of three.
     """
     rows = max(1, _CHUNK // max(1, xyz[0].size // 3)) if len(xyz) else 1
     finite = within = 0
@@ -59,12 +50,12 @@ def count_range(xyz: Float32, config: CropConfig) -> tuple[int, int]:
 
 
 def crop_range(cloud: Cloud, config: CropConfig) -> Cloud:
-    """The finite points within the range, unorganised, in their order. It may hold none."""
+    """The finite points within the range, unorganised, in their order; possibly none."""
     return cloud.take(in_range(cloud.xyz[..., 2], config) & np.isfinite(cloud.xyz).all(axis=-1))
 
 
 def crop_box(cloud: Cloud, low: npt.ArrayLike, high: npt.ArrayLike) -> Cloud:
-    """The points within an upright box, unorganised, in their order. It may hold none.
+    """The points within an axis-aligned box, unorganised, in their order; possibly none.
 
     Args:
         cloud: Points without depth are outside.

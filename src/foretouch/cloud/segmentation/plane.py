@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dominant plane of a cloud: the table.
+"""Fit the dominant plane of a cloud, the table.
 
-RANSAC (Fischler and Bolles 1981) over a few thousand points with all hypotheses of a batch scored in one
-matrix product, then two eigen refits in float64. It stops once a better plane is improbable.
+RANSAC (Fischler and Bolles 1981) over a few thousand points, with the hypotheses of a batch scored in one
+matrix product, then two least-squares refits in float64. It stops once a better plane is improbable.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from foretouch.types import Float32, Float64, Plane
 
 __all__ = ["PlaneConfig", "PlaneFit", "fit_plane"]
 
-_SCORED = 512  # points that judge a hypothesis
+_SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
@@ -25,55 +25,50 @@ _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneConfig(Settings):
-    """How the table is found, and what is no table."""
+    """Settings of the plane fit, and which planes are not a table."""
 
     threshold_m: float = setting(
         0.01, "Points closer than this belong to a plane", minimum=0.001, maximum=0.1, unit="m"
     )
-    min_fraction: float = setting(0.2, "Share of the points that the table must hold", minimum=0.01, maximum=1.0)
+    min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", minimum=0.01, maximum=1.0)
     min_peak: float = setting(
         0.6,
-        "Share within the threshold, of the points within three times the threshold: a blob has 0.3 to 0.5, a table almost 1",
+        "Minimum fraction of the points within three thresholds that are within one: a blob has 0.3 to 0.5, a table almost 1",
         minimum=0.34,
         maximum=1.0,
     )
     min_spread_m: float = setting(
-        0.02, "Standard deviation of the table's points along its narrow side", minimum=0.001, maximum=1.0, unit="m"
+        0.02,
+        "Minimum standard deviation of the table's points along its narrow side",
+        minimum=0.001,
+        maximum=1.0,
+        unit="m",
     )
-    max_trials: int = setting(1024, "Samples of three points that are tried", minimum=64, maximum=100_000)
-    seed: int = setting(0, "Of the random samples", minimum=0)
+    max_trials: int = setting(1024, "Maximum number of RANSAC samples", minimum=64, maximum=100_000)
+    seed: int = setting(0, "Seed of the random samples", minimum=0)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneFit:
-    """What was found.
+    """Result of the plane fit."""
 
-    Attributes:
-        plane: The dominant plane, its normal towards the camera; None where there is none.
-        reason: Why there is none, in words; "" otherwise.
-        rms_m: Root mean square distance of its points [m].
-        noise_per_m: s of the stereo law sigma = s·z² [1/m], measured along the normal on its points.
-        inliers: Points within the threshold.
-        scored: Points looked at.
-    """
-
-    plane: Plane | None
-    reason: str = ""
-    rms_m: float = 0.0
-    noise_per_m: float = 0.0
-    inliers: int = 0
-    scored: int = 0
+    plane: Plane | None  # the dominant plane, its normal towards the camera; None if there is none
+    reason: str = ""  # why there is none; "" otherwise
+    rms_m: float = 0.0  # root mean square distance of its points [m]
+    noise_per_m: float = 0.0  # s of the stereo noise model sigma = s·z² [1/m], measured along the normal on its points
+    inliers: int = 0  # number of points within the threshold
+    scored: int = 0  # number of points used
 
 
 def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
-    """The plane that holds most points.
+    """Fit the plane with the most points.
 
     Args:
         xyz: (N, 3) float32 [m], finite, camera optical frame.
-        config: Thresholds and the seed; the same input gives the same bits.
+        config: Thresholds and the seed; the same input gives bit-equal results.
 
     Returns:
-        The fit, or the reason why there is none: too few points, all in one place or on a line, a blob.
+        The fit, or the reason why there is none: too few points, all coinciding or collinear, a blob.
     """
     if len(xyz) < 3:
         return PlaneFit(None, f"{len(xyz)} points span no plane")
@@ -84,12 +79,12 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     scored = _some(points, _SCORED, rng).astype(np.float32)
     best = _ransac(scored, config, rng)
     if best is None:
-        return PlaneFit(None, "all points lie in one place or on a line", scored=len(scored))
-    return _judge(points, origin, best, config)
+        return PlaneFit(None, "all points coincide or are collinear", scored=len(scored))
+    return _refit(points, origin, best, config)
 
 
 def _some(points: Float32 | Float64, count: int, rng: np.random.Generator) -> Float32 | Float64:
-    """At most `count` rows, evenly spread over the order, with random offsets: cheap, and blind to scan lines."""
+    """At most `count` rows, evenly spread over the order, with random offsets: cheap, and independent of scan lines."""
     if len(points) <= count:
         return points
     step = len(points) / count
@@ -122,20 +117,20 @@ def _ransac(points: Float32, config: PlaneConfig, rng: np.random.Generator) -> F
     return best
 
 
-def _trials_needed(share: float) -> float:
-    """Samples of three after which all missed the plane with probability `_MISS`."""
-    hit = share**3
+def _trials_needed(fraction: float) -> float:
+    """Number of samples after which all have missed the plane with probability `_MISS`."""
+    hit = fraction**3
     return 0.0 if hit >= 1.0 else math.log(_MISS) / math.log1p(-hit)
 
 
-def _judge(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig) -> PlaneFit:
-    """Refit in float64, then hold the plane against the rules."""
+def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig) -> PlaneFit:
+    """Refit in float64, then check the plane against the limits."""
     normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
     reach, spread = config.threshold_m, 0.0
     for _ in range(2):
         inside = points[np.abs(points @ normal + offset) < reach]
         normal, offset, rms, spread = _eigen_plane(inside)
-        reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit is free of the objects' feet
+        reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
     residual = points @ normal + offset
     distance = np.abs(residual)
     near = np.flatnonzero(distance < config.threshold_m)
@@ -171,6 +166,6 @@ def _fault(fraction: float, peak: float, spread: float, config: PlaneConfig) -> 
 
 
 def _towards_camera(normal: Float64, offset: float) -> Plane:
-    """Positive on the side of the origin, where the camera is."""
+    """Orient the normal towards the origin, where the camera is."""
     sign = -1.0 if offset < 0.0 else 1.0
     return Plane(sign * normal, sign * offset)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ranges: the papers' numbers, scaling there and back, and refusals."""
+"""Modalities, ranges and electrode layout: the numbers of the papers, scaling, and invalid settings."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,17 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile.modalities import MODALITIES, columns, modality_size
-from foretouch.tactile.ranges import P1_RANGES, P2_RANGES, TactileRanges, load_ranges
+from foretouch.tactile.channels import (
+    MODALITIES,
+    P1_RANGES,
+    P2_RANGES,
+    TactileRanges,
+    columns,
+    electrode_normals,
+    electrode_positions,
+    load_ranges,
+    modality_size,
+)
 
 
 def test_modalities_fill_the_vector_of_fifty_once() -> None:
@@ -74,3 +83,20 @@ def test_bad_file_is_named(tmp_path, text: str, message: str) -> None:
 
 def test_settings_roundtrip() -> None:
     assert TactileRanges.from_mapping(P1_RANGES.to_mapping()) == P1_RANGES
+
+
+def test_positions_are_metres_and_mirrored() -> None:
+    positions = electrode_positions()
+    assert positions.shape == (24, 3)
+    assert_allclose(positions[0], [0.00982, -0.00398, -0.00277], atol=1e-12)
+    assert_allclose(positions[10:20], positions[:10] * [1, -1, 1])
+    assert_allclose(positions[21] * [1, -1, 1], positions[22])
+    assert len(np.unique(positions, axis=0)) == 24
+
+
+def test_normals_are_radial_and_point_to_the_pad() -> None:
+    positions, normals = electrode_positions(), electrode_normals()
+    assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert_allclose(np.cross(normals, positions * [0, 1, 1]), 0.0, atol=1e-15)
+    assert np.all(normals[:, 2] < 0)
+    assert_allclose(normals[20], [0, 0, -1])

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which object is meant, and when none can be told."""
+"""Selection of the target object, and ambiguous cases."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.cloud.segmentation.targets import TargetConfig, choose_targets
+from foretouch.cloud.segmentation.objects import ObjectSegment, TargetConfig, select_targets
 from foretouch.errors import ConfigError
 from foretouch.types import Cloud
 
@@ -34,7 +33,7 @@ OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), 
     ],
 )
 def test_the_rule_decides(config: TargetConfig, ids: list[int]) -> None:
-    chosen, reason = choose_targets(OBJECTS, config)
+    chosen, reason = select_targets(OBJECTS, config)
     assert [obj.id for obj in chosen] == ids
     assert reason == ""
 
@@ -66,13 +65,13 @@ def test_the_rule_decides(config: TargetConfig, ids: list[int]) -> None:
         ),
     ],
 )
-def test_doubt_has_a_reason(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
-    assert choose_targets(objects, config) == ([], reason)
+def test_ambiguity_is_reported(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
+    assert select_targets(objects, config) == ([], reason)
 
 
 def test_the_margin_is_a_setting() -> None:
     pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
-    assert choose_targets(pair, TargetConfig(margin_m=0.0))[0] == [pair[0]]
+    assert select_targets(pair, TargetConfig(margin_m=0.0))[0] == [pair[0]]
 
 
 def test_a_point_is_three_numbers() -> None:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Preprocess an object's cloud for GeoGrasp: drop points that are not finite, downsample, remove outliers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.geometry.pcl_filters import inlier_mask
+from foretouch.cloud.geometry.pixel_window import PixelGrid
+from foretouch.errors import CloudError
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.types import Cloud, Float32
+
+__all__ = ["FinitePoints", "finite_points"]
+
+_MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
+_MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
+
+
+@dataclass(frozen=True, eq=False)
+class FinitePoints:
+    """The finite points of a cloud."""
+
+    xyz: Float32  # (N, 3) float32 [m]
+    n_dropped: int  # number of points that were not finite
+    pixels: npt.NDArray[np.int64] | None = None  # (N,) int64, flat indices into the image, or None
+    image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
+
+    def downsampled(self, config: GeoGraspConfig) -> FinitePoints:
+        """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
+
+        The computing time grows with the square of the density, and a near object is sampled far more densely than
+        the fingertip needs. The pattern starts at the object's own corner, so it does not depend on
+        whether the pixels were given or recovered from the rays.
+
+        Raises:
+            CloudError: If there are fewer than three points, or one is a kilometre away.
+        """
+        if len(self.xyz) < _MIN_POINTS:
+            raise CloudError(f"xyz: {len(self.xyz)} finite points, GeoGrasp needs {_MIN_POINTS}")
+        farthest = float(np.abs(self.xyz).max())
+        if farthest > _MAX_COORDINATE_M:
+            raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m")
+        if config.max_points == 0 or len(self.xyz) <= config.max_points:
+            return self
+        ratio = len(self.xyz) / config.max_points
+        grid = self._pixel_grid()
+        if grid is None:
+            return FinitePoints(self.xyz[:: math.ceil(ratio)], self.n_dropped)
+        step = math.ceil(math.sqrt(ratio))
+        kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
+        pixels = grid.row[kept] // step * grid.width + grid.column[kept] // step
+        return FinitePoints(self.xyz[kept], self.n_dropped, pixels, (grid.height, grid.width))
+
+    def without_outliers(self, config: GeoGraspConfig) -> Float32:
+        """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
+        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._pixel_grid())]
+
+    def _pixel_grid(self) -> PixelGrid | None:
+        """The given pixels, else those recovered from the rays, else None."""
+        if self.pixels is None or self.image_shape is None:
+            return PixelGrid.from_rays(self.xyz)
+        return PixelGrid.from_pixels(self.pixels, self.image_shape)
+
+
+def finite_points(
+    cloud: Cloud, pixels: npt.NDArray[np.integer] | None = None, image_shape: tuple[int, int] | None = None
+) -> FinitePoints:
+    """Drop and count the points that are not finite.
+
+    Args:
+        cloud: An object's points, organised or not.
+        pixels: (N,) integer, for an unorganised cloud cut from an image: flat indices into it.
+        image_shape: (H, W) of that image; required with `pixels`.
+
+    Raises:
+        CloudError: If the pixels do not belong to the cloud.
+    """
+    xyz = cloud.xyz.reshape(-1, 3)
+    if cloud.organised:
+        if pixels is not None:
+            raise CloudError("pixels: not allowed for an organised cloud, which defines its own")
+        pixels, image_shape = np.arange(len(xyz)), (cloud.xyz.shape[0], cloud.xyz.shape[1])
+    if (pixels is None) != (image_shape is None):
+        raise CloudError("pixels, image_shape: one is given without the other")
+    if pixels is not None and pixels.shape != (len(xyz),):
+        raise CloudError(f"pixels: shape {pixels.shape} does not match {len(xyz)} points")
+    finite = np.isfinite(xyz[:, 0]) & np.isfinite(xyz[:, 1]) & np.isfinite(xyz[:, 2])
+    n_dropped = len(xyz) - int(np.count_nonzero(finite))
+    if n_dropped:
+        xyz = xyz[finite]
+        pixels = None if pixels is None else pixels[finite]
+    return FinitePoints(xyz, n_dropped, None if pixels is None else pixels.astype(np.int64), image_shape)

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The 50 values of a reading: modalities and their columns, value ranges, and electrode positions.
+
+P2 predicts four modalities: PDC_TH, PDC_MF (one value each), E_TH and E_MF (24 electrodes each). Their ranges are
+settings, not constants: the amount of liquid in a finger shifts its counts, so a range belongs to one pair of fingers.
+
+Electrode positions on the rigid core of a BioTac SP are those in common use, rounded to 0.01 mm; electrodes 11 to 20
+mirror 1 to 10 in y. Frame of the fingertip: x along the finger towards its tip, -z towards the pad, y completes it.
+Unverified: that this numbering is the order of the 24 columns of a recording, and that the core is a cylinder about x,
+on which the radial normals rest; at its rounded tip they are an approximation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, load_yaml, setting
+from foretouch.errors import ConfigError, TactileError
+from foretouch.types import ELECTRODES, Float64
+
+__all__ = [
+    "MODALITIES",
+    "P1_RANGES",
+    "P2_RANGES",
+    "TactileRanges",
+    "columns",
+    "electrode_normals",
+    "electrode_positions",
+    "load_ranges",
+    "modality_size",
+]
+
+MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
+_SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
+_COLUMNS: Final = dict(zip(MODALITIES, np.split(np.arange(sum(_SIZES)), np.cumsum(_SIZES)[:-1]), strict=True))
+
+
+def columns(modalities: Sequence[str]) -> npt.NDArray[np.intp]:
+    """Columns of some modalities in `Touch.vector()`.
+
+    Args:
+        modalities: Names from `MODALITIES`, in any order.
+
+    Returns:
+        (M,) indices below 50, in the given order.
+
+    Raises:
+        TactileError: If there is no such modality.
+    """
+    unknown = [name for name in modalities if name not in _COLUMNS]
+    if unknown:
+        raise TactileError(f"modality: {unknown[0]!r} is none of {', '.join(MODALITIES)}")
+    return np.concatenate([np.empty(0, np.intp), *(_COLUMNS[name] for name in modalities)])
+
+
+def modality_size(modality: str) -> int:
+    """Number of values of one modality, 1 or 24; a `TactileError` if there is no such modality."""
+    return len(columns([modality]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TactileRanges(Settings):
+    """Lowest and highest count of each modality, for scaling to [0, 1].
+
+    Raises:
+        ConfigError: If a range is not (low, high) with low < high.
+    """
+
+    pdc_th: tuple[float, ...] = setting((2500.0, 3400.0), "Static pressure of the thumb, low and high", unit="counts")
+    pdc_mf: tuple[float, ...] = setting((1600.0, 2300.0), "Static pressure of the middle finger", unit="counts")
+    e_th: tuple[float, ...] = setting((100.0, 3600.0), "Electrodes of the thumb", unit="counts")
+    e_mf: tuple[float, ...] = setting((500.0, 3800.0), "Electrodes of the middle finger", unit="counts")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in MODALITIES:
+            limits = getattr(self, name.lower())
+            if len(limits) != 2 or limits[0] >= limits[1]:
+                raise ConfigError(f"TactileRanges.{name.lower()}: {list(limits)} is not [low, high] with low < high")
+
+    def of(self, modality: str) -> tuple[float, float]:
+        """(low, high) of one modality [counts]; a `TactileError` if there is no such modality."""
+        modality_size(modality)
+        low, high = getattr(self, modality.lower())
+        return low, high
+
+    @property
+    def low(self) -> Float64:
+        """(50,) float64, lower bounds in the order of `Touch.vector()` [counts]."""
+        return self._vector(0)
+
+    @property
+    def high(self) -> Float64:
+        """(50,) float64, upper bounds in the order of `Touch.vector()` [counts]."""
+        return self._vector(1)
+
+    def scale(self, counts: npt.ArrayLike) -> Float64:
+        """Scale counts (..., 50) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
+        return (np.asarray(counts, np.float64) - self.low) / (self.high - self.low)
+
+    def unscale(self, scaled: npt.ArrayLike) -> Float64:
+        """The inverse of `scale`: (..., 50) to counts."""
+        return np.asarray(scaled, np.float64) * (self.high - self.low) + self.low
+
+    def outside(self, counts: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Which of (..., 50) counts are outside their range; NaN is outside."""
+        values = np.asarray(counts, np.float64)
+        return np.asarray(~((values >= self.low) & (values <= self.high)), np.bool_)
+
+    def _vector(self, end: int) -> Float64:
+        return np.concatenate([np.full(modality_size(name), self.of(name)[end]) for name in MODALITIES])
+
+
+P2_RANGES: Final = TactileRanges()
+"""Found empirically for the sensors of P2 (section III-C)."""
+
+P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
+"""P1's public code divides the labels by these numbers."""
+
+
+def load_ranges(name_or_path: str | Path) -> TactileRanges:
+    """Ranges by name (`p1`, `p2`) or from a YAML file; modalities that the file omits keep P2's range.
+
+    Raises:
+        ConfigError: If the file cannot be read or breaks a rule of `TactileRanges`.
+    """
+    named = {"p1": P1_RANGES, "p2": P2_RANGES}.get(str(name_or_path))
+    return named or TactileRanges.from_mapping(load_yaml(name_or_path), str(name_or_path))
+
+
+_LEFT_MM: Final = (
+    (9.82, -3.98, -2.77),
+    (8.10, -3.07, -5.21),
+    (2.22, -7.16, -3.27),
+    (2.13, -5.12, -5.99),
+    (-0.47, -2.41, -7.62),
+    (-2.33, -7.24, -3.06),
+    (-3.47, -4.75, -6.03),
+    (-5.68, -1.82, -6.88),
+    (-8.15, -3.25, -5.07),
+    (-10.08, -3.85, -2.54),
+)
+_MIDDLE_MM: Final = ((6.57, 0.0, -6.41), (4.32, -1.85, -6.97), (4.32, 1.85, -6.97), (1.91, 0.0, -7.57))
+
+
+def electrode_positions() -> Float64:
+    """(24, 3) float64 [m], fingertip frame; row k is electrode k + 1."""
+    left = np.array(_LEFT_MM)
+    return np.concatenate([left, left * (1.0, -1.0, 1.0), np.array(_MIDDLE_MM)]) / 1000.0
+
+
+def electrode_normals() -> Float64:
+    """(24, 3) float64, outward unit normals, radial from the axis of the core (x)."""
+    radial = electrode_positions() * (0.0, 1.0, 1.0)
+    return np.asarray(radial / np.linalg.norm(radial, axis=1, keepdims=True), np.float64)

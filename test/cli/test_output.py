@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The progress bar: shown on a terminal only, and erased where an error is reported."""
+
+from __future__ import annotations
+
+import pytest
+
+from foretouch.cli.output import progress_bar
+from foretouch.errors import ForetouchError
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let rich treat stderr as a terminal."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+
+
+def test_nothing_is_shown_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar("simulating", 3) as update:
+        update()
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+@pytest.mark.usefixtures("terminal")
+def test_nothing_is_shown_if_hidden(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar("simulating", 3, hidden=True) as update:
+        update()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("terminal")
+def test_updates_advance_or_set_the_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar("reading the data") as update:
+        update(7, 9, "ablation seed=1")
+        update()
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "8/9" in captured.err
+    assert "ablation seed=1" in captured.err
+
+
+ERASE = "\x1b[2K"
+
+
+def fail_after_a_step() -> None:
+    with progress_bar("epoch", 3) as update:
+        update()
+        raise ForetouchError("disk full")
+
+
+@pytest.mark.usefixtures("terminal")
+def test_the_bar_is_erased_if_transient_without_progress_or_after_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar("importing", transient=True) as update:
+        update()
+    assert capsys.readouterr().err.endswith(ERASE)
+    with progress_bar("epoch"):
+        pass
+    assert capsys.readouterr().err.endswith(ERASE)
+    with pytest.raises(ForetouchError):
+        fail_after_a_step()
+    assert capsys.readouterr().err.endswith(ERASE)
+    with progress_bar("epoch", 3) as update:
+        update()
+    assert not capsys.readouterr().err.endswith(ERASE)

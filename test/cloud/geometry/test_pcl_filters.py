@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Voxel grid, normals and outlier removal against SciPy and plain definitions."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from foretouch.cloud.geometry.pcl_filters import (
+    count_without_normal,
+    inlier_mask,
+    mean_neighbour_distance,
+    normals_and_curvature,
+    voxel_grid,
+)
+from foretouch.errors import CloudError
+
+
+def test_cells_stand_on_the_origin_and_not_on_the_cloud():
+    grid = voxel_grid(np.array([[0.9, 0, 0], [1.1, 0, 0], [1.9, 0, 0], [-0.1, 0, 0]], np.float32), 1.0)
+    np.testing.assert_array_equal(grid.cell, [1, 2, 2, 0])
+    np.testing.assert_array_equal(grid.counts, [1, 1, 2])
+
+
+def test_cells_are_ordered_x_then_y_then_z():
+    xyz = np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32) + np.float32(0.5)
+    np.testing.assert_array_equal(voxel_grid(xyz, 1.0).cell, [3, 2, 1, 0])
+
+
+def test_mean_agrees_with_a_dictionary_of_cells(rng):
+    xyz = rng.uniform(-0.1, 0.1, (500, 3)).astype(np.float32)
+    values = rng.normal(size=(500, 4))
+    grid = voxel_grid(xyz, 0.03)
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for i, key in enumerate(np.floor(xyz.astype(float) / 0.03).astype(int)):
+        cells.setdefault(tuple(key[::-1]), []).append(i)
+    expected = [values[cells[key]].mean(axis=0) for key in sorted(cells)]
+    np.testing.assert_allclose(grid.mean(values), expected, atol=1e-12)
+
+
+def test_nan_spreads_to_its_cell_and_column_only():
+    grid = voxel_grid(np.array([[0.1, 0, 0], [0.2, 0, 0], [1.5, 0, 0]], np.float32), 1.0)
+    mean = grid.mean(np.array([[np.nan, 1.0], [2.0, 3.0], [4.0, 5.0]]))
+    np.testing.assert_array_equal(mean, [[np.nan, 2.0], [4.0, 5.0]])
+
+
+def test_an_empty_cloud_has_no_cells():
+    grid = voxel_grid(np.zeros((0, 3), np.float32), 0.01)
+    assert grid.mean(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_too_many_cells_are_refused():
+    with pytest.raises(CloudError, match="too many to number"):
+        voxel_grid(np.array([[0, 0, 0], [1e30, 1e30, 1e30]], np.float32), 0.01)
+
+
+def _bumpy(rng, n=1500):
+    x, y = rng.uniform(-0.08, 0.08, (2, n))
+    return np.column_stack([x, y, 1.0 + 5.0 * x**2 + 0.01 * np.sin(60 * y) + rng.normal(0, 0.001, n)]).astype(
+        np.float32
+    )
+
+
+def test_agrees_with_a_tree_and_one_covariance_at_a_time(rng):
+    xyz = _bumpy(rng)
+    query = rng.choice(len(xyz), 200, replace=False)
+    normals, curvature = normals_and_curvature(xyz, query, 0.03)
+    tree = cKDTree(xyz)
+    for i, normal, k in zip(query, normals, curvature, strict=True):
+        near = xyz[tree.query_ball_point(xyz[i], 0.03)].astype(float)
+        values, vectors = np.linalg.eigh(np.cov(near.T))
+        assert abs(normal @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-6)
+        assert k == pytest.approx(values[0] / values.sum(), rel=1e-6)
+
+
+def test_normals_look_at_the_sensor(rng):
+    xyz = _bumpy(rng)
+    normals, _ = normals_and_curvature(xyz, np.arange(len(xyz)))
+    assert (np.einsum("ij,ij->i", normals, xyz) <= 0).all()
+
+
+def test_turns_with_the_cloud(rng):
+    xyz = _bumpy(rng)
+    turn = Rotation.random(random_state=2).as_matrix()
+    query = np.arange(0, len(xyz), 10)
+    normals, curvature = normals_and_curvature(xyz, query)
+    turned, same = normals_and_curvature((xyz @ turn.T).astype(np.float32), query)
+    np.testing.assert_allclose(same, curvature, atol=1e-4)
+    assert np.median(np.abs(np.einsum("ij,ij->i", turned, normals @ turn.T))) > 0.99999
+
+
+def test_an_exact_plane_has_no_curvature():
+    x, y = np.meshgrid(np.arange(30) * 0.002, np.arange(30) * 0.002)
+    xyz = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]).astype(np.float32)
+    normals, curvature = normals_and_curvature(xyz, np.array([0, 450]))
+    np.testing.assert_allclose(normals, [[0, 0, -1]] * 2, atol=1e-7)
+    np.testing.assert_allclose(curvature, 0.0, atol=1e-12)
+
+
+def test_neighbours_are_strictly_within_the_radius():
+    # Three points around the first: one on the limit, exactly representable, leaves it with two neighbours.
+    xyz = np.array([[0, 0, 1], [0.25, 0, 1], [0, 0.5, 1]], np.float32)
+    assert np.isnan(normals_and_curvature(xyz, np.array([0]), 0.5)[1]).all()
+    assert np.isfinite(normals_and_curvature(xyz, np.array([0]), 0.500001)[1]).all()
+
+
+@pytest.mark.parametrize(
+    "xyz",
+    [
+        [[0, 0, 1], [0.001, 0, 1]],
+        [[0, 0, 1], [0.002, 0, 1], [0.004, 0, 1]],
+        [[0.1, 0.2, 1]] * 5,
+        [[i * 0.001, i * 0.001, 1 + i * 0.001] for i in range(8)],
+    ],
+    ids=["two points", "three on a line", "one place", "a diagonal"],
+)
+def test_no_plane_no_normal(xyz):
+    xyz = np.array(xyz, np.float32)
+    normals, curvature = normals_and_curvature(xyz, np.arange(len(xyz)))
+    assert np.isnan(normals).all()
+    assert np.isnan(curvature).all()
+    assert count_without_normal(xyz) == len(xyz)
+
+
+def test_counts_what_would_have_no_normal(rng):
+    lonely = rng.uniform(0.5, 3.0, (40, 3))
+    pairs = np.repeat(rng.uniform(-3.0, -0.5, (10, 3)), 2, axis=0) + rng.uniform(0, 0.01, (20, 3))
+    xyz = rng.permutation(np.concatenate([_bumpy(rng), lonely, pairs])).astype(np.float32)
+    normals, _ = normals_and_curvature(xyz, np.arange(len(xyz)))
+    assert count_without_normal(xyz) == np.count_nonzero(np.isnan(normals[:, 0])) >= 55
+
+
+def test_nothing_asked_nothing_answered():
+    normals, curvature = normals_and_curvature(np.zeros((0, 3), np.float32), np.zeros(0, np.int64))
+    assert (normals.shape, curvature.shape) == ((0, 3), (0,))
+    assert count_without_normal(np.zeros((0, 3), np.float32)) == 0
+
+
+@pytest.mark.parametrize("k", [1, 7, 50])
+def test_agrees_with_scipys_tree(k, rng):
+    xyz = rng.normal(0.0, 0.1, (700, 3)).astype(np.float32)
+    expected = cKDTree(xyz).query(xyz, k + 1)[0][:, 1:].mean(axis=1)
+    np.testing.assert_allclose(mean_neighbour_distance(xyz, k), expected, rtol=1e-6)
+
+
+def test_fewer_points_than_neighbours_average_all_others():
+    xyz = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0]], np.float32)
+    np.testing.assert_array_equal(mean_neighbour_distance(xyz, 50), np.array([2.0, 1.5, 2.5], np.float32))
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_no_neighbours_no_distance(n):
+    np.testing.assert_array_equal(mean_neighbour_distance(np.ones((n, 3), np.float32), 50), np.zeros(n))
+
+
+def test_points_in_one_place_are_at_no_distance():
+    assert mean_neighbour_distance(np.ones((3000, 3), np.float32), 50).max() == 0.0
+
+
+def test_does_not_hang_on_the_order(rng):
+    xyz = rng.normal(0.0, 0.1, (300, 3)).astype(np.float32)
+    order = rng.permutation(300)
+    np.testing.assert_array_equal(mean_neighbour_distance(xyz[order], 20), mean_neighbour_distance(xyz, 20)[order])
+
+
+def test_agrees_with_the_rule_on_scipys_tree(rng):
+    xyz = rng.normal(0.0, 0.05, (900, 3)).astype(np.float32)
+    distance = cKDTree(xyz).query(xyz, 51)[0][:, 1:].mean(axis=1)
+    expected = distance <= distance.mean() + np.std(distance, ddof=1)
+    assert np.count_nonzero(inlier_mask(xyz) != expected) == 0
+
+
+def test_drops_the_far_point():
+    line = np.column_stack([np.arange(60) * 0.001, np.zeros(60), np.ones(60)])
+    xyz = np.concatenate([line, [[0.5, 0.5, 1.0]]]).astype(np.float32)
+    assert not inlier_mask(xyz)[-1]
+
+
+def test_more_deviations_keep_more(rng):
+    xyz = rng.standard_t(2, (500, 3)).astype(np.float32)
+    kept = [inlier_mask(xyz, deviations=d) for d in (0.0, 0.5, 1.0, 3.0)]
+    assert all((one <= other).all() for one, other in itertools.pairwise(kept))
+    assert kept[0].sum() < kept[-1].sum()
+
+
+def test_moving_and_turning_the_cloud_changes_nothing(rng):
+    xyz = rng.normal(0.0, 0.05, (400, 3)).astype(np.float32)
+    np.testing.assert_array_equal(inlier_mask(xyz), inlier_mask(np.ascontiguousarray(xyz[:, [1, 2, 0]])))
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_few_points_are_no_outliers(n):
+    assert inlier_mask(np.eye(3, dtype=np.float32)[:n]).shape == (n,)
+    assert inlier_mask(np.ones((n, 3), np.float32)).all()
