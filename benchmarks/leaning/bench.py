@@ -26,14 +26,11 @@ from foretouch.models.touch_model import TouchModel  # noqa: E402
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject  # noqa: E402
 from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
-from foretouch.ros.messages.tactile import (  # noqa: E402
-    AdapterConfig,
-    biotac_all_to_msg,
-    make_adapter,
-)
+from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
 from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
 from foretouch.tactile import offsets, restore  # noqa: E402
+from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
 from foretouch.types import Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
 
@@ -68,7 +65,7 @@ class Hand:
             fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
             message = biotac_all_to_msg(fingers, "rh", self.clock[0])
             began = time.process_time()
-            self.feeling.take_tactile(message)
+            self.feeling.add_tactile(message)
             self.times.append(time.process_time() - began)
             self.buffer.add(
                 TouchReading(self.clock[0], noisy.astype(np.float32), np.empty(0, np.float32), self.clock[0])
@@ -84,7 +81,7 @@ class Hand:
             self.feel(counts, readings)
         stamps = {name: stamp_to_msg(stamp) for name, stamp in times.items()}
         header = header_to_msg(FRAME, self.clock[0])
-        self.feeling.take_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
+        self.feeling.add_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
         return Interval(**times)
 
 
@@ -120,7 +117,7 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model has a part in it, of what leaning adds to that [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    feeling = OnlineAdapter(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
+    feeling = OnlineAdapter(model, make_reader(TactileConfig()), lambda: settings, lambda: clock[0], print)
     hand = Hand(feeling, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -138,9 +135,9 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
     memory, kept, learned, remembered = None, [], [], []
     for grasp in grasps:
         seen, told = objects_to_msg([target], FRAME, clock[0]), [grasp_to_msg(grasp)]
-        kept.append(spent_ms(partial(feeling.see, seen, FRAME, told)))
+        kept.append(spent_ms(partial(feeling.add_grasps, seen, told)))
         interval = hand.execute(grasp.id)
-        learned.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(feeling.settle)))
+        learned.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(feeling.process_touches)))
         cut = cut_touch(hand.buffer, interval, settings.pairing)
         memory = memory or TouchMemory(model, cut.tare)
         reading = restore(offsets(cut.touch, cut.tare), memory.tare)

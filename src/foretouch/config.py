@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -53,7 +53,7 @@ class SettingInfo:
     unit: str
     minimum: float | None
     maximum: float | None
-    choices: tuple[Any, ...]
+    choices: Collection[Any]
     read_only: bool
     is_list: bool
     optional: bool
@@ -66,7 +66,7 @@ def setting(
     unit: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
-    choices: Sequence[Any] = (),
+    choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
@@ -77,7 +77,7 @@ def setting(
             "unit": unit,
             "minimum": minimum,
             "maximum": maximum,
-            "choices": tuple(choices),
+            "choices": choices,
             "read_only": read_only,
         },
     )

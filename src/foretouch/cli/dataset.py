@@ -6,6 +6,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from foretouch.tactile.messages import TACTILE_TYPES
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
+
 __all__ = ["add_arguments", "run"]
 
 _SHEET_SAMPLES = 12
@@ -62,12 +65,15 @@ def _add_build(parser: argparse.ArgumentParser) -> None:
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SRC", help="vision2tactile folders, training store, rosbag2 or MCAP")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="DS", help="dataset: made, or added to")
-    parser.add_argument("--cloud-topic", default="/foretouch/object_cloud", help="of a bag without samples of ours")
-    parser.add_argument("--grasp-topic", default="/foretouch/grasps")
-    parser.add_argument("--executed-topic", default="/foretouch/executed_grasp")
-    parser.add_argument("--tactile-topic", default="/rh/tactile")
+    topics = {"cloud": CLOUD_TOPIC, "grasp": GRASPS_TOPIC, "executed": EXECUTED_TOPIC, "tactile": TACTILE_TOPIC}
+    for name, topic in topics.items():
+        types = f"; types: {', '.join(TACTILE_TYPES)}" if name == "tactile" else ""
+        text = f"of a bag without samples of foretouch (default: %(default)s){types}"
+        parser.add_argument(f"--{name}-topic", default=full_name(topic), metavar="TOPIC", help=text)
+    parser.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
+    parser.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
     parser.add_argument("--object", default="unknown", help="label of the object on the table")
-    parser.add_argument("--fingers", type=_fingers, default=(4, 1), metavar="TH,MF", help="places of thumb and middle")
+    parser.add_argument("--fingers", type=_fingers, metavar="TH,MF", help="indices instead of names (default: 4,1)")
     for name in ("hand", "camera"):
         parser.add_argument(
             f"--{name}", action="append", default=[], metavar="NAME=VALUE", help="a fact of its identity"

@@ -110,6 +110,7 @@ def _split_record(text: str) -> dict[str, Any]:
 def import_(arguments: argparse.Namespace) -> int:
     """A dataset of what others recorded."""
     from foretouch.dataset.importing import BagTopics, import_samples
+    from foretouch.tactile.messages import TactileConfig
 
     topics = BagTopics(
         clouds=arguments.cloud_topic,
@@ -118,6 +119,7 @@ def import_(arguments: argparse.Namespace) -> int:
         tactile=arguments.tactile_topic,
         object=arguments.object,
         fingers=arguments.fingers,
+        tactile_config=TactileConfig(thumb=arguments.thumb, middle=arguments.middle),
     )
     with progress("importing", as_json=arguments.json) as advance:
         result = import_samples(

@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from foretouch.dataset.pairing import TouchCut
     from foretouch.ros.nodes.monitor import NodeView, View
-    from foretouch.ros.touch.executed import Felt
     from foretouch_msgs.msg import Interval, TouchPrediction
 
 __all__ = ["live_panel"]
@@ -100,7 +100,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     return table
 
 
-def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
+def _executed(prediction: TouchPrediction, readings: TouchCut) -> Table:
     from foretouch.ros.messages.conversions import interval_text
 
     table = Table(title="last grasp executed (counts)", title_justify="left", expand=True, box=SIMPLE_HEAD)
@@ -109,7 +109,7 @@ def _executed(prediction: TouchPrediction, felt: Felt) -> Table:
     if not prediction.status:
         pressures = interval_text(prediction.pdc_th), interval_text(prediction.pdc_mf)
         table.add_row("predicted", *pressures, _span(prediction.e_th), _span(prediction.e_mf))
-    for name, touch in (("read", felt.touch), ("tare", felt.tare)):
+    for name, touch in (("read", readings.touch), ("tare", readings.tare)):
         spans = tuple(f"{e.min():.0f}…{e.max():.0f}" for e in (touch.e_th, touch.e_mf))
         table.add_row(name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans)
     return table

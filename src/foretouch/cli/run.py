@@ -207,7 +207,7 @@ def _draw(graph: Graph, path: str) -> None:
     if found is None:
         warn(f"{path}: not drawn, for there was no prediction")
         return
-    prediction, felt = prediction_from_msg(found.prediction), found.felt
+    prediction, felt = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
         title += f", predicted by {found.prediction.model} from {reference_text(found.prediction)}"

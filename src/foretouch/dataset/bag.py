@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 
@@ -184,11 +184,9 @@ class Recording:
         """
         content = self.content(message)
         try:
-            xyz, rgb = decode(_layout(content), content.data)
+            return decode_cloud(content)
         except CloudError as err:
             raise FileError(self.path, str(err), field=_place(message)) from err
-        stamp = content.header.stamp
-        return Cloud(xyz, rgb, content.header.frame_id, stamp.sec * 1_000_000_000 + stamp.nanosec)
 
     def clouds(self, topic: str | None = None) -> Iterator[tuple[Message, Cloud]]:
         """Every cloud of one topic with the message that held it (see `cloud_topic`)."""
@@ -291,18 +289,6 @@ def _is_latched(connection: Connection) -> bool:
 
 def _place(message: Message) -> str:
     return f"{message.topic}[{message.index}]"
-
-
-def _layout(message: Any) -> PointCloud2Layout:
-    fields = tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields)
-    return PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=fields,
-        is_bigendian=bool(message.is_bigendian),
-        point_step=message.point_step,
-        row_step=message.row_step,
-    )
 
 
 def _told(topics: Collection[Topic]) -> str:

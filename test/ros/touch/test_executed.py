@@ -8,9 +8,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from foretouch.ros.touch.executed import TactileWindow
+
 from foretouch.ros.messages.conversions import header_to_msg, stamp_ns, stamp_to_msg
 from foretouch.ros.messages.tactile import FINGERS, biotac_all_to_msg, counts_from_msg
-from foretouch.ros.touch.executed import TactileWindow
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp
 
 MS = 1_000_000

@@ -8,7 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import encode
+from foretouch.dataset.messages import decode_cloud as cloud_of
+from foretouch.dataset.messages import decode_grasp
 from foretouch.dataset.recording.record import TouchSeries
 from foretouch.errors import DatasetError
 from foretouch.grasp.pose import quaternion_xyzw
@@ -73,24 +75,6 @@ def cloud_fields(cloud: Cloud) -> SimpleNamespace:
     )
 
 
-def cloud_of(message: Any) -> Cloud:
-    """The cloud in a `sensor_msgs/PointCloud2`; it looks into the message.
-
-    Raises:
-        CloudError: If its sizes do not add up.
-    """
-    layout = PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
-        is_bigendian=bool(message.is_bigendian),
-        point_step=message.point_step,
-        row_step=message.row_step,
-    )
-    xyz, rgb = decode(layout, message.data)
-    return Cloud(xyz, rgb, message.header.frame_id, stamp_ns_of(message.header))
-
-
 def grasp_fields(grasp: Grasp) -> SimpleNamespace:
     """A grasp as `foretouch_msgs/Grasp`."""
     x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
@@ -113,9 +97,7 @@ def grasp_of(message: Any, score: float) -> Grasp:
     Raises:
         GraspError: If its numbers are no grasp.
     """
-    g1, g2 = (np.array([point.x, point.y, point.z], np.float64) for point in (message.g1, message.g2))
-    rotation = np.asarray(message.rotation, np.float64).reshape(3, 3)
-    return Grasp(g1, g2, rotation, score, message.id, message.object_id)
+    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
 
 
 def _point(position: Any) -> SimpleNamespace:
