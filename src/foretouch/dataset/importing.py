@@ -170,19 +170,20 @@ def _own_samples(bag: Recording, topics: list[str]) -> tuple[Identity, Iterator[
 
 def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterator[SampleRecord]:
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
-    roles = topics.roles()
+    roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
         AssemblerConfig(
             pairing=topics.pairing,
             object=topics.object,
             unlabelled_s=0.0,
-            check_clock=_is_live(bag, topics),
+            check_clock=live,
         ),
         _tactile_reader(bag, topics),
     )
     now_s = 0.0
     for message in bag.messages(roles):
-        role, now_s = roles[message.topic], max(now_s, message.bag_time_ns * 1e-9)
+        role = roles[message.topic]
+        now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # else grasps wait for whatever comes
         cloud = role == "cloud"
         content = SerializedCloud(message.data, partial(bag.content, message)) if cloud else bag.content(message)
         try:

@@ -25,8 +25,8 @@ from foretouch.models.touch_memory import TouchMemory
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns
-from foretouch.ros.messages.tactile import counts_from_msg
 from foretouch.tactile import offsets, restore
+from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.types import Cloud, Grasp, TouchPrediction
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -113,7 +113,7 @@ class Hand(Robot):
         """What the recorder would cut out of the messages of this hand."""
         buffer = TouchBuffer()
         for message in self.felt:
-            thumb, middle = (counts_from_msg(message, name).astype(np.float32) for name in ("TH", "MF"))
+            thumb, middle = (finger_counts(message, name) for name in ("TH", "MF"))
             counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
             stamp = stamp_ns(message.header.stamp)
             buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
@@ -142,8 +142,8 @@ def assert_told(message: TouchPredictionMsg, wanted: TouchPrediction) -> None:
     assert NAMES[message.reference] == wanted.reference
 
 
-def assert_answer(answer: TouchPredictionArray, hand: Hand, **leaning: Any) -> None:
-    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **leaning)
+def assert_answer(answer: TouchPredictionArray, hand: Hand, **adapted: Any) -> None:
+    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **adapted)
     for message, one in zip(answer.predictions, wanted, strict=True):
         assert_told(message, one)
 
