@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recording_builders import IDENTITY
+from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
 
 from foretouch.cli.main import main
 from foretouch.dataset.bag import Recording
@@ -22,7 +23,6 @@ from foretouch.dataset.recording import SampleRecord, verify_dataset
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
-from foretouch.tactile.messages import TACTILE_TYPES
 from foretouch.types import Cloud
 
 NS = 1_000_000_000
@@ -207,33 +207,12 @@ def test_a_tactile_topic_of_a_type_that_is_not_supported_is_named(tmp_path: Path
         import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(tactile="/foretouch/grasps"))
 
 
-MADE_UP = """
-import numpy as np
-
-from foretouch.tactile.messages import TactileReader, TactileReading, stamp_ns
-
-FINGERS = ("thumb", "middle")
-
-
-def make_reader(config):
-    return TactileReader(_read)
-
-
-def _read(message):
-    values = np.array([(p.x, p.y, p.z) for p in message.polygon.points], np.float32).ravel()[:50]
-    return TactileReading(stamp_ns(message.header.stamp), values, np.empty(0, np.float32))
-"""
-"""The file that makes `geometry_msgs/PolygonStamped` a tactile message."""
-
-
 def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "made_up.py").write_text(MADE_UP)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(TACTILE_TYPES, "geometry_msgs/PolygonStamped", "made_up")
+    add_tactile_type(tmp_path, monkeypatch)
     for command in (["record"], ["dataset", "import"]):
         with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as text:
             main([*command, "--help"])
-        assert "geometry_msgs/PolygonStamped" in text.getvalue()
+        assert MADE_UP_TYPE in text.getvalue()
 
     write_topics(tmp_path / "bag")
     store = Definitions().store
