@@ -101,7 +101,12 @@ def write_topics(path: Path, faults: Faults | None = None) -> None:
             write_cloud(np.full((4, 3), k), at)
             grasps = [_grasp(name, faults.matrix) for name in names]
             header = SimpleNamespace(stamp=_stamp(at), frame_id=faults.frame)
-            write("/foretouch/grasps", "GraspArray", at + 2, SimpleNamespace(header=header, grasps=grasps, status=0, reason=""))
+            write(
+                "/foretouch/grasps",
+                "GraspArray",
+                at + 2,
+                SimpleNamespace(header=header, grasps=grasps, status=0, reason=""),
+            )
         if faults.second_cloud:
             write_cloud(np.full((4, 3), 7), start)
         contact, release = start + 3 * NS, start + 4 * NS

@@ -38,7 +38,7 @@ from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_
 __all__ = ["BagTopics", "ImportResult", "import_samples"]
 
 _CONFIG: Final = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
-_PAIRING: Final = PairingConfig(kept_s=300.0)  # nobody waits for a slow robot here
+_PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a running robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +183,7 @@ def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterat
     now_s = 0.0
     for message in bag.messages(roles):
         role = roles[message.topic]
-        now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # else grasps wait for whatever comes
+        now_s = max(now_s, message.bag_time_ns * 1e-9) if live else 0.0  # otherwise grasps wait until the end
         cloud = role == "cloud"
         content = SerializedCloud(message.data, partial(bag.content, message)) if cloud else bag.content(message)
         try:

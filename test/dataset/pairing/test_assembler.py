@@ -62,7 +62,9 @@ class Session:
         self.assembler.add_grasps(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
 
     def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
-        times = {key: stamp(getattr(interval(number), key) if touched else 0) for key in ("start", "contact", "release")}
+        times = {
+            key: stamp(getattr(interval(number), key) if touched else 0) for key in ("start", "contact", "release")
+        }
         message = SimpleNamespace(grasp_id=name or f"g-{number}", success=success, **times)
         self.assembler.add("executed", message, received_ns=0, now_s=0.0)
 
@@ -192,7 +194,11 @@ def test_a_grasp_counts_by_its_quaternion_where_the_matrix_is_nine_zeros() -> No
     turned = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=1.0, w=0.0))
     zeros = grasp("g", rotation=np.zeros(9), pose=turned)
     np.testing.assert_array_equal(decode_grasp(zeros).rotation, np.diag([-1.0, -1.0, 1.0]))
-    with pytest.raises(GraspError, match="is not that of pose.orientation"):
+    with pytest.raises(GraspError, match=r"is not that of pose\.orientation"):
         decode_grasp(grasp("g", pose=turned))
     with pytest.raises(GraspError, match="pose: no orientation"):
-        decode_grasp(grasp("g", rotation=np.zeros(9), pose=SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))))
+        decode_grasp(
+            grasp(
+                "g", rotation=np.zeros(9), pose=SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))
+            )
+        )

@@ -53,7 +53,9 @@ class World:
         return stamp
 
     def tell(self, number: int, name: str | None = None, when: Interval | None = None) -> None:
-        self.matcher.add_executed(ExecutedGrasp(grasp_id=name or f"g-{number}", interval=when or interval(number), success=True), 0.0)
+        self.matcher.add_executed(
+            ExecutedGrasp(grasp_id=name or f"g-{number}", interval=when or interval(number), success=True), 0.0
+        )
 
     def reasons(self) -> list[str]:
         results = self.matcher.poll(10.0)
@@ -202,7 +204,9 @@ def test_at_the_end_everything_has_an_outcome() -> None:
     world.tell(0)
     world.matcher.add_label(Label(grasp_id="g-1 second"), 0.0)
     world.readings.clear()
-    outcomes = [r.reason if isinstance(r, RejectedGrasp) else r.executed.grasp_id for r in world.matcher.poll(0.0, ending=True)]
+    outcomes = [
+        r.reason if isinstance(r, RejectedGrasp) else r.executed.grasp_id for r in world.matcher.poll(0.0, ending=True)
+    ]
     assert outcomes == ["g-0", "g-1 second"]
     assert world.matcher.pending == 0
     idle = World(1)

@@ -12,7 +12,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import REST, level
 from robot_builders import FRAME, MS, Robot
-from rclpy.node import Node
 
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.ros.messages.conversions import header_to_msg, stamp_ns

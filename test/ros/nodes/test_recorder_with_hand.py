@@ -68,7 +68,12 @@ def assert_bit_equal(one: Any, other: Any) -> None:
         assert left.tobytes() == right.tobytes()
     for name in ("flags", "outcome", "contact_ns", "detector", "pairing_error_ns"):
         assert getattr(one, name) == getattr(other, name), name
-    assert (a.object, a.stamp_ns, dict(a.extra), a.cloud.stamp_ns) == (b.object, b.stamp_ns, dict(b.extra), b.cloud.stamp_ns)
+    assert (a.object, a.stamp_ns, dict(a.extra), a.cloud.stamp_ns) == (
+        b.object,
+        b.stamp_ns,
+        dict(b.extra),
+        b.cloud.stamp_ns,
+    )
     assert [grasp.id for grasp in one.candidates] == [grasp.id for grasp in other.candidates]
 
 

@@ -32,9 +32,7 @@ class OtherHand(Robot):
         return PolygonStamped(header=header_to_msg("rh", self.now), polygon=Polygon(points=points))
 
 
-def test_recorder_and_touch_predictor_accept_it(
-    graph: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recorder_and_touch_predictor_accept_it(graph: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     add_tactile_type(tmp_path, monkeypatch)
     card = save_network_with_trust(tmp_path)
     (recorder,) = graph.add("recorder", record=str(tmp_path / "set"), tactile__type=MADE_UP_TYPE, **QUICK)

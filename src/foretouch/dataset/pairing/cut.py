@@ -135,7 +135,7 @@ def cut_touch(
 
     Args:
         buffer: The readings.
-        interval: Of the grasp.
+        interval: When the grasp was executed.
         config: Settings.
         contact: Settings of the contact detector.
         not_before_ns: End of the previous grasp; the tare begins after it.

@@ -34,7 +34,7 @@ class ExecutedGrasp:
     Attributes:
         grasp_id: Id of the planned grasp.
         interval: When it was executed; None where it failed before contact.
-        success: Whether the object was held; None if unknown.
+        success: Whether the grasp succeeded; None if unknown.
         flags: Source of the interval: `labelled_interval`, `detected_interval`, `assumed_grasp`; none if the robot
             reported it.
     """

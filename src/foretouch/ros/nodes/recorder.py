@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, SampleAssembler
@@ -32,7 +32,7 @@ from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
-__all__ = ["RecorderNode", "RecorderServices"]
+__all__ = ["RecorderNode"]
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 _MB = 1_000_000
@@ -40,58 +40,6 @@ _TICK_S = 0.5
 _DEPTH = 1000  # messages that the middleware keeps while this process does not get to run
 _CLOUD_DEPTH = 100
 _RAW_DEPTH = 20
-
-
-class RecorderServices:
-    """The recorder's services, until `destroy`.
-
-    Args:
-        node: The recorder.
-        group: Callback group of the services.
-    """
-
-    def __init__(self, node: RecorderNode, group: CallbackGroup) -> None:
-        self._node = node
-        self._services: list[Any] = [
-            node.create_service(kind, name, answer, callback_group=group)
-            for kind, name, answer in (
-                (StartRecording, "start_recording", self._start),
-                (StopRecording, "stop_recording", self._stop),
-                (LabelGrasp, "label_grasp", self._label),
-            )
-        ]
-
-    def destroy(self) -> None:
-        """Remove the services."""
-        for service in self._services:
-            self._node.destroy_service(service)
-
-    def _start(self, request: Any, response: Any) -> Any:
-        try:
-            if self._node.state_name != "active":
-                raise ConfigError(f"the recorder is {self._node.state_name}")
-            response.path = str(self._node.begin(request.path, request.object, request.note))
-            response.success = True
-        except ForetouchError as err:
-            response.message = str(err)
-        return response
-
-    def _stop(self, _request: Any, response: Any) -> Any:
-        if not self._node.in_session:
-            response.message = self._node.reason or "nothing is being recorded"
-            return response
-        last = self._node.end()
-        response.path, response.samples, response.message = self._node.path, last.samples, last.error
-        response.success = not last.error
-        return response
-
-    def _label(self, request: Any, response: Any) -> Any:
-        try:
-            response.grasp_id, response.message = self._node.label(_decode_label(request))
-            response.success = True
-        except ForetouchError as err:
-            response.grasp_id, response.message = request.grasp_id, str(err)
-        return response
 
 
 def _decode_label(request: Any) -> Label:
@@ -128,7 +76,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.path = ""
         self.reason = ""
         self._input_topics: RecorderSubscriptions | None = None
-        self._recorder_services: RecorderServices | None = None
+        self._offered: list[Any] = []
         self._reader: TactileReader | None = None
         self._session: RecordingSession | None = None
         self._last_status = SessionStatus()
@@ -144,7 +92,14 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self._input_topics = RecorderSubscriptions(self, self._topics(), self._mismatch)
         group = MutuallyExclusiveCallbackGroup()
         self._timer = self.create_timer(_TICK_S, self._tick, callback_group=group)
-        self._recorder_services = RecorderServices(self, group)
+        self._offered = [
+            self.create_service(kind, name, answer, callback_group=group)
+            for kind, name, answer in (
+                (StartRecording, "start_recording", self._start_recording),
+                (StopRecording, "stop_recording", self._stop_recording),
+                (LabelGrasp, "label_grasp", self._label_grasp),
+            )
+        ]
 
     def start(self) -> None:
         """Start recording, if the settings name a dataset."""
@@ -157,12 +112,13 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     def teardown(self) -> None:
         """Remove services, timer and subscriptions."""
-        if self._recorder_services is not None:
-            self._recorder_services.destroy()
+        for service in self._offered:
+            self.destroy_service(service)
+        if self._offered:
             self.destroy_timer(self._timer)
         if self._input_topics is not None:
             self._input_topics.destroy()
-        self._recorder_services = self._input_topics = self._reader = None
+        self._offered, self._input_topics, self._reader = [], None, None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
@@ -297,6 +253,37 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             reason=state.error or self.reason,
             now_ns=self.get_clock().now().nanoseconds,
         )
+
+    # Services.
+
+    def _start_recording(self, request: Any, response: Any) -> Any:
+        try:
+            if self.state_name != "active":
+                raise ConfigError(f"the recorder is {self.state_name}")
+            response.path = str(self.begin(request.path, request.object, request.note))
+            response.success = True
+        except ForetouchError as err:
+            response.message = str(err)
+        return response
+
+    def _stop_recording(self, _request: Any, response: Any) -> Any:
+        if not self.in_session:
+            response.message = self.reason or "nothing is being recorded"
+            return response
+        last = self.end()
+        response.path, response.samples, response.message = self.path, last.samples, last.error
+        response.success = not last.error
+        return response
+
+    def _label_grasp(self, request: Any, response: Any) -> Any:
+        try:
+            response.grasp_id, response.message = self.label(_decode_label(request))
+            response.success = True
+        except ForetouchError as err:
+            response.grasp_id, response.message = request.grasp_id, str(err)
+        return response
+
+    # The timer, and the end of a session.
 
     def _tick(self) -> None:
         inputs = self._input_topics

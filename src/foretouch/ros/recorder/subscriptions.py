@@ -178,7 +178,6 @@ class RecorderSubscriptions:
 
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
         self.inputs: dict[str, RecorderInput] = {}
-        self._names: dict[str, str] = {}
         self._queue: MessageQueue | None = None
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
@@ -186,14 +185,10 @@ class RecorderSubscriptions:
         try:
             for topic in topics:
                 one = RecorderInput(node, topic, self._receive, mismatch)
-                self.inputs[one.name], self._names[topic.name] = one, one.name
+                self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
             raise
-
-    def name(self, relative: str) -> str:
-        """The full name of a topic, after remapping."""
-        return self._names[relative]
 
     def open(self, queue: MessageQueue) -> None:
         """Begin a session: restart the counts, and put messages into its queue."""

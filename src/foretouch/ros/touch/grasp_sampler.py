@@ -122,7 +122,7 @@ def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObjec
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
-            raise RefusalError(Status.BAD_PLANE, "table: is required with a cloud")
+            raise RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
         return goal.cloud.header, read_targets(goal.cloud, read_plane(goal.table[0]))
     if latest is None:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
