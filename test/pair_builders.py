@@ -19,7 +19,7 @@ NONE = np.empty(0, np.float32)
 
 @dataclass(frozen=True)
 class Named:
-    """A grasp as far as the pairing knows it."""
+    """A grasp with the only field that the matcher uses."""
 
     id: str
 

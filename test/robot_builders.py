@@ -31,10 +31,12 @@ QUICK = {
 class Robot:
     """A camera, a planner and a hand in one: publishes what a grasp looks like, with stamps that it chooses."""
 
+    tactile: type = BiotacAll
+
     def __init__(self, graph: Any) -> None:
         self.clouds = graph.talk(PointCloud2, "object_cloud")
         self.grasps = graph.talk(GraspArray, "grasps")
-        self.hand = graph.talk(BiotacAll, "/rh/tactile")
+        self.hand = graph.talk(self.tactile, "/rh/tactile")
         self.told = graph.talk(ExecutedGrasp, "executed_grasp")
         for topic in ("object_cloud", "grasps", "/rh/tactile", "executed_grasp"):
             graph.matched(topic)
@@ -58,11 +60,15 @@ class Robot:
         """So many readings at 100 Hz by the stamps, as fast as they can be sent."""
         for _ in range(readings):
             noisy = np.round(counts + self._rng.normal(0, 1, 50) * np.r_[0.3, 0.3, np.full(48, 4.0)]).astype(np.int16)
-            fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
-            self.hand.publish(biotac_all_to_msg(fingers, "rh", self.now))
+            self.hand.publish(self.message(noisy))
             self.now += 10 * MS
             self.sent["/rh/tactile"] += 1
             time.sleep(0.001)
+
+    def message(self, counts: np.ndarray) -> Any:
+        """(50,) int16 counts of now as a message of the hand."""
+        fingers = {"TH": np.r_[counts[0], counts[2:26]], "MF": np.r_[counts[1], counts[26:]]}
+        return biotac_all_to_msg(fingers, "rh", self.now)
 
     def grasp(self, name: str, number: int, *, tell: bool = True) -> dict[str, Any]:
         """Rest, approach, hold, release; gives the times."""

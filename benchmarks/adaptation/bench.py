@@ -25,14 +25,11 @@ from foretouch.models.touch_model import ObjectResiduals, TouchModel  # noqa: E4
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject  # noqa: E402
 from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
-from foretouch.ros.messages.tactile import (  # noqa: E402
-    AdapterConfig,
-    biotac_all_to_msg,
-    make_adapter,
-)
+from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
 from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
 from foretouch.tactile import offsets, restore  # noqa: E402
+from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
 from foretouch.types import Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
 
@@ -67,7 +64,7 @@ class Hand:
             fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
             message = biotac_all_to_msg(fingers, "rh", self.clock[0])
             began = time.process_time()
-            self.adapter.take_tactile(message)
+            self.adapter.add_tactile(message)
             self.times.append(time.process_time() - began)
             self.buffer.add(
                 TouchReading(self.clock[0], noisy.astype(np.float32), np.empty(0, np.float32), self.clock[0])
@@ -83,7 +80,7 @@ class Hand:
             self.send(counts, readings)
         stamps = {name: stamp_to_msg(stamp) for name, stamp in times.items()}
         header = header_to_msg(FRAME, self.clock[0])
-        self.adapter.take_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
+        self.adapter.add_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
         return Interval(**times)
 
 
@@ -119,7 +116,7 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model is called, of what adaptation adds to it [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    adapter = OnlineAdapter(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), lambda: settings, lambda: clock[0], print)
     hand = Hand(adapter, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -137,9 +134,9 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
     residuals, buffered, matched, added = None, [], [], []
     for grasp in grasps:
         objects, planned = objects_to_msg([target], FRAME, clock[0]), [grasp_to_msg(grasp)]
-        buffered.append(spent_ms(partial(adapter.see, objects, FRAME, planned)))
+        buffered.append(spent_ms(partial(adapter.add_grasps, objects, planned)))
         interval = hand.execute(grasp.id)
-        matched.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(adapter.settle)))
+        matched.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(adapter.process_touches)))
         cut = cut_touch(hand.buffer, interval, settings.pairing)
         residuals = residuals or ObjectResiduals(model, cut.tare)
         reading = restore(offsets(cut.touch, cut.tare), residuals.tare)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -40,7 +40,7 @@ class SettingInfo:
     unit: str  # unit of the value, "" if it has none
     minimum: float | None  # inclusive, or None
     maximum: float | None  # inclusive, or None
-    choices: tuple[Any, ...]  # allowed values; empty if unrestricted
+    choices: Collection[Any]  # allowed values; empty if unrestricted
     read_only: bool  # whether a running node rejects changes
     is_list: bool  # whether it is a tuple of `type`
     optional: bool  # whether None is allowed
@@ -53,11 +53,11 @@ def setting(
     unit: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
-    choices: Sequence[Any] = (),
+    choices: Collection[Any] = (),
     read_only: bool = False,
 ) -> Any:
     """Declare one field of a `Settings` dataclass (see `SettingInfo` for the arguments)."""
-    bounds = {"minimum": minimum, "maximum": maximum, "choices": tuple(choices)}
+    bounds = {"minimum": minimum, "maximum": maximum, "choices": choices}
     metadata = {"description": description, "unit": unit, **bounds, "read_only": read_only}
     return dataclasses.field(default=default, metadata=metadata)
 

@@ -5,19 +5,16 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
 
 from foretouch.cloud.io.files import read_cloud
-from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.formats import export_formats
-from foretouch.dataset.importing import BagTopics, import_samples
+from foretouch.dataset.importing import import_samples
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordingWriter, SampleRecord, verify_dataset
-from foretouch.dataset.recording.definitions import Definitions
 from foretouch.dataset.recording.messages import SAMPLE_TYPE
 from foretouch.dataset.samples import DISCARDED, export_samples, open_samples
 from foretouch.dataset.source import open_source
@@ -25,7 +22,7 @@ from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
 from foretouch.dataset.vision2tactile import read_folder
 from foretouch.errors import DatasetError, FileError
-from foretouch.types import Cloud, GraspSample
+from foretouch.types import GraspSample
 
 NS = 1_000_000_000
 
@@ -212,114 +209,6 @@ def test_sources_of_every_kind_give_the_same_samples(dataset: Path, tmp_path: Pa
             np.testing.assert_array_equal(item.cloud.xyz, made.sample.cloud.xyz)
             assert item.id == made.sample.id
     assert len(open_source(dataset / "session-0001.mcap")) == 3
-
-
-# A bag of named topics: a cloud, its grasps, one of them executed, and the sensor at 100 Hz.
-
-
-def _stamp(time_ns: int) -> SimpleNamespace:
-    return SimpleNamespace(sec=time_ns // NS, nanosec=time_ns % NS)
-
-
-def _header(time_ns: int) -> SimpleNamespace:
-    return SimpleNamespace(stamp=_stamp(time_ns), frame_id="camera")
-
-
-def _point(values: list[float]) -> SimpleNamespace:
-    return SimpleNamespace(x=values[0], y=values[1], z=values[2])
-
-
-def _pose() -> SimpleNamespace:
-    orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
-    return SimpleNamespace(position=_point([0.0, 0.0, 0.0]), orientation=orientation)
-
-
-def _grasp(name: str) -> SimpleNamespace:
-    return SimpleNamespace(
-        id=name, object_id="1", g1=_point([0.1, 0.0, 1.0]), g2=_point([-0.1, 0.0, 1.0]), pose=_pose(),
-        rotation=np.eye(3).ravel(), score=0.5, status=0, reason="",
-    )  # fmt: skip
-
-
-def _biotac(level: int) -> SimpleNamespace:
-    return SimpleNamespace(
-        pac0=0, pac1=0, pac=np.zeros(2, np.int16), pdc=1700 + level, tac=0, tdc=0,
-        electrodes=np.arange(24, dtype=np.int16) + 3000 - level,
-    )  # fmt: skip
-
-
-def write_topics(path: Path, *, hole: bool = False) -> None:
-    """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold."""
-    definitions = Definitions()
-    names = {"g": "GraspArray", "e": "ExecutedGrasp", "t": "BiotacAll"}
-    start = 1_700_000_000 * NS
-    with BagWriter(path) as writer:
-        for name in names.values():
-            writer.define(f"foretouch_msgs/msg/{name}", definitions.text(f"foretouch_msgs/msg/{name}"))
-
-        def write(topic: str, kind: str, at_ns: int, message: SimpleNamespace) -> None:
-            type_name = f"foretouch_msgs/msg/{kind}"
-            writer.write(topic, type_name, at_ns, bytes(definitions.store.serialize_cdr(message, type_name)))
-
-        for k, grasps in ((0, ["a", "b"]), (1, ["c"])):
-            at = start + k * NS
-            xyz = np.full((4, 3), k, np.float32)
-            writer.write_cloud(
-                Cloud(xyz, frame_id="camera", stamp_ns=at), "/foretouch/object_cloud", bag_time_ns=at + 1
-            )
-            array = SimpleNamespace(header=_header(at), grasps=[_grasp(n) for n in grasps], status=0, reason="")
-            write("/foretouch/grasps", "GraspArray", at + 2, array)
-        contact, release = start + 3 * NS, start + 4 * NS
-        for k in range(500):
-            at = start + k * NS // 100
-            if hole and contact + NS // 4 < at < contact + NS // 2:
-                continue
-            level = 100 if contact <= at <= release else 0
-            tactiles = [_biotac(level) for _ in range(5)]
-            # The bag's clock is late by half a second: arrival must not count.
-            write("/rh/tactile", "BiotacAll", at + NS // 2, SimpleNamespace(header=_header(at), tactiles=tactiles))
-        executed = SimpleNamespace(
-            header=_header(release), grasp_id="a", achieved=_pose(), start=_stamp(start + 2 * NS),
-            contact=_stamp(contact), release=_stamp(release), success=True,
-        )  # fmt: skip
-        write("/foretouch/executed_grasp", "ExecutedGrasp", release, executed)
-
-
-def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
-    write_topics(tmp_path / "bag")
-    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(object="sponge"))
-    assert (result.samples, result.labelled) == (2, 1)
-    touched, other = records(tmp_path / "ds")
-    assert touched.sample.touch is not None
-    assert touched.sample.tare is not None
-    assert touched.sample.grasp.id == "a"
-    assert [grasp.id for grasp in touched.candidates] == ["b"]
-    assert (touched.outcome, touched.sample.object) == ("success", "sponge")
-    np.testing.assert_array_equal(touched.sample.touch.e_th, np.arange(24) + 2900)
-    np.testing.assert_array_equal(touched.sample.tare.e_mf, np.arange(24) + 3000)
-    assert touched.sample.touch.pdc_mf == 1800
-    assert touched.pairing_error_ns is not None
-    assert touched.pairing_error_ns <= NS // 100
-    assert touched.contact_ns == 1_700_000_003 * NS
-    assert touched.series is not None
-    assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}
-    assert (touched.sample.cloud.xyz == 0).all()
-    assert other.sample.touch is None
-    assert other.sample.grasp.id == "c"
-    assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
-
-
-def test_a_hole_in_the_hold_is_counted_out(tmp_path: Path) -> None:
-    write_topics(tmp_path / "bag", hole=True)
-    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY)
-    assert (result.samples, result.labelled) == (1, 0)
-    assert result.left_out["pairing_error"] == 1
-
-
-def test_a_missing_topic_is_named(tmp_path: Path) -> None:
-    write_topics(tmp_path / "bag")
-    with pytest.raises(FileError, match="/nowhere: no such topic; known: /foretouch/executed_grasp"):
-        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(clouds="/nowhere"))
 
 
 @pytest.mark.real_data

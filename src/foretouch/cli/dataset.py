@@ -7,6 +7,8 @@ import argparse
 from pathlib import Path
 
 from foretouch.dataset.formats import export_formats, readable_formats
+from foretouch.tactile.messages import TACTILE_TYPES
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
 
 __all__ = ["add_arguments", "run"]
 
@@ -66,17 +68,20 @@ def _add_build(parser: argparse.ArgumentParser) -> None:
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SRC", help=f"dataset ({readable_formats()}) or ROS bag")
     _out_argument(parser, "DS", "recorded dataset to create or to extend")
-    topics = parser.add_argument_group("ROS bags without foretouch samples")
+    group = parser.add_argument_group("ROS bags without foretouch samples")
     for name, topic, content in (
-        ("cloud", "/foretouch/object_cloud", "clouds of the object"),
-        ("grasp", "/foretouch/grasps", "planned grasps"),
-        ("executed", "/foretouch/executed_grasp", "executed grasps"),
-        ("tactile", "/rh/tactile", "tactile readings"),
+        ("cloud", CLOUD_TOPIC, "clouds of the object"),
+        ("grasp", GRASPS_TOPIC, "planned grasps"),
+        ("executed", EXECUTED_TOPIC, "executed grasps"),
+        ("tactile", TACTILE_TOPIC, f"tactile readings ({', '.join(TACTILE_TYPES)})"),
     ):
-        topics.add_argument(f"--{name}-topic", default=topic, help=f"topic of the {content}")
-    topics.add_argument("--object", default="unknown", help="label of the object on the table")
-    topics.add_argument(
-        "--fingers", type=_fingers, default=(4, 1), metavar="TH,MF", help="indices of thumb and middle finger"
+        text = f"topic of the {content} (default: %(default)s)"
+        group.add_argument(f"--{name}-topic", default=full_name(topic), metavar="TOPIC", help=text)
+    group.add_argument("--thumb", default="", metavar="NAME", help="name of the thumb in the tactile messages")
+    group.add_argument("--middle", default="", metavar="NAME", help="name of the middle finger")
+    group.add_argument("--object", default="unknown", help="label of the object on the table")
+    group.add_argument(
+        "--fingers", type=_fingers, metavar="TH,MF", help="indices of both fingers instead of names (default: 4,1)"
     )
     for name in ("hand", "camera"):
         parser.add_argument(

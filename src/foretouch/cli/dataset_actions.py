@@ -231,6 +231,7 @@ def _build(arguments: argparse.Namespace) -> int:
 
 def _import(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.importing import BagTopics, import_samples
+    from foretouch.tactile.messages import TactileConfig
 
     topics = BagTopics(
         clouds=arguments.cloud_topic,
@@ -239,6 +240,7 @@ def _import(arguments: argparse.Namespace) -> int:
         tactile=arguments.tactile_topic,
         object=arguments.object,
         fingers=arguments.fingers,
+        tactile_config=TactileConfig(thumb=arguments.thumb, middle=arguments.middle),
     )
     with _progress("importing", as_json=arguments.json) as advance:
         result = import_samples(

@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from foretouch.dataset.pairing import TouchCut
     from foretouch.ros.nodes.monitor import NodeView, View
-    from foretouch.ros.touch.executed import Felt
     from foretouch_msgs.msg import Interval, TouchPrediction
 
 __all__ = ["live_panel"]
@@ -102,7 +102,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     return table
 
 
-def _executed(prediction: TouchPrediction, readings: Felt) -> Table:
+def _executed(prediction: TouchPrediction, readings: TouchCut) -> Table:
     from foretouch.ros.messages.conversions import interval_text
 
     table = _table("last grasp executed (counts)", "", *_MODALITIES)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch record`: the recorder with somebody watching; Ctrl-C ends the recording in order."""
+"""`foretouch record`: the recorder with a live panel; Ctrl-C ends the recording cleanly."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.output import print_json, warn
 from foretouch.errors import ForetouchError
+from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
+from foretouch.topics import TACTILE_TOPIC
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
@@ -22,44 +24,48 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "run", "status_record"]
 
 _REFRESH_S = 0.25
-_TYPES = ("foretouch_msgs/BiotacAll", "sr_robot_msgs/BiotacAll", "std_msgs/String", "tactile_msgs/TactileState")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Where to, what of, and with which hand and camera."""
-    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; one that is there goes on")
-    parser.add_argument("--object", default="", metavar="LABEL", help="what lies on the table (default: unknown)")
-    parser.add_argument("--note", default="", help="kept with every sample")
-    parser.add_argument("--tactile-topic", metavar="TOPIC", help="what the hand sends (default: /rh/tactile)")
-    parser.add_argument("--tactile-type", choices=_TYPES, help="its type (default: foretouch_msgs/BiotacAll)")
-    parser.add_argument("--thumb", metavar="NAME", help="the finger that is the thumb, as its messages name it")
-    parser.add_argument("--middle", metavar="NAME", help="the middle finger")
+    """Add the options."""
+    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="dataset; an existing one is extended")
+    parser.add_argument(
+        "--object", default="", metavar="LABEL", help="label of the object on the table (default: unknown)"
+    )
+    parser.add_argument("--note", default="", help="note for every sample")
+    parser.add_argument(
+        "--tactile-topic", metavar="TOPIC", help=f"topic of the tactile messages (default: {TACTILE_TOPIC})"
+    )
+    default_type = TactileConfig().type
+    parser.add_argument("--tactile-type", choices=list(TACTILE_TYPES), help=f"their type (default: {default_type})")
+    parser.add_argument("--thumb", metavar="NAME", help="name of the thumb in the tactile messages")
+    parser.add_argument("--middle", metavar="NAME", help="name of the middle finger")
     parser.add_argument("--hand", metavar="MODEL[:SERIAL]", help="identity of the hand (default: shadow_hand)")
     parser.add_argument("--camera", metavar="MODEL[:SERIAL]", help="identity of the camera (default: realsense)")
     parser.add_argument("--points", action="store_true", help="record the camera's whole clouds too")
     parser.add_argument(
         "--assume-grasps",
         action="store_true",
-        help="a contact that nobody tells of belongs to the best grasp of the last cloud before it",
+        help="assign contacts without a report to the best grasp of the last cloud before them",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after so long")
-    parser.add_argument("--samples", type=int, metavar="N", help="end after so many labelled samples")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
+    parser.add_argument("--samples", type=int, metavar="N", help="end after this number of labelled samples")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file")
-    parser.add_argument("--namespace", help="of the graph (default: /foretouch)")
+    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if the recording did not begin, or ended by itself."""
+    """Record; exit status 1 if the recording did not start, or ended by itself."""
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.recorder import RecorderNode
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the file is closed in order
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the file is closed cleanly
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     with graph:
         node = graph.nodes["recorder"]
         if not isinstance(node, RecorderNode) or node.state_name != "active":
-            raise ForetouchError("the recorder did not start; its log tells why")
+            raise ForetouchError("the recorder did not start; see its log")
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         node.end()
@@ -86,7 +92,7 @@ def _identity(what: str, given: str | None) -> dict[str, str | None]:
 
 
 def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
-    """Draw until enough is recorded, the recording has ended by itself, or Ctrl-C."""
+    """Show the state until enough is recorded, the recording has ended by itself, or Ctrl-C."""
     end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
 
     def ended() -> bool:
@@ -106,10 +112,10 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
 
 
 def _report_until(ended: Callable[[], bool], node: RecorderNode) -> None:
-    told = 0.0
+    printed = 0.0
     while not ended():
-        if time.monotonic() - told >= 1.0:
-            told = time.monotonic()
+        if time.monotonic() - printed >= 1.0:
+            printed = time.monotonic()
             print_json(status_record(node.status()))
             sys.stdout.flush()
         time.sleep(_REFRESH_S)
@@ -141,7 +147,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
 
 
 def status_record(status: RecorderStatus) -> dict[str, Any]:
-    """The status as `--json` tells it."""
+    """The status as `--json` prints it."""
     from foretouch.ros.messages.conversions import stamp_ns
 
     errors = {"last": status.pairing_error, "max": status.pairing_error_max}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live panel of `foretouch record`. It draws a `RecorderStatus` and computes nothing else."""
+"""The live panel of `foretouch record`: draws a `RecorderStatus`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GB = 1e9
 
 
 def record_panel(status: RecorderStatus, title: str) -> Panel:
-    """Everything an operator needs at a glance: what was kept, what was not and why, and how long it can go on."""
+    """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
     parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status), _topics(status.topics)]
     if status.reason:
         parts.append(Text(status.reason, "red"))
@@ -74,7 +74,9 @@ def _topics(topics: Sequence[TopicAccount]) -> Table:
     table = Table(expand=True, box=SIMPLE_HEAD)
     for name in ("topic", "Hz", "received", "written", "queue", "lost", "dropped"):
         table.add_column(name, justify="left" if name == "topic" else "right", no_wrap=name != "dropped")
-    common = commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"  # the first is the hand's
+    common = (
+        commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"
+    )  # the first topic is the hand's
     for topic in topics:
         drops = zip(topic.drop_reasons, topic.drop_counts, strict=True)
         dropped = " ".join(f"{count} {reason}" for reason, count in drops)

@@ -218,7 +218,7 @@ def _draw(graph: Graph, path: str) -> None:
     if found is None:
         warn(f"{path}: not drawn, because there was no prediction")
         return
-    prediction, readings = prediction_from_msg(found.prediction), found.felt
+    prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
         title += f", predicted by {found.prediction.model} ({reference_text(found.prediction)})"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.dataset.cdr import cloud_of
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 
@@ -176,7 +176,7 @@ class Recording:
             FileError: If the message is damaged, or its sizes do not add up.
         """
         try:
-            return cloud_of(self.content(message))
+            return decode_cloud(self.content(message))
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 

@@ -13,11 +13,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, PointField, decode, encode
+from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.errors import DatasetError
 from foretouch.types import Cloud
 
-__all__ = ["StampedHeader", "cloud_fields", "cloud_of", "header_fields", "read_header", "stamp_ns_of", "with_stamp"]
+__all__ = ["StampedHeader", "cloud_fields", "header_fields", "read_header", "stamp_ns_of", "with_stamp"]
 
 _START: Final = 4
 _NS: Final = 1_000_000_000
@@ -100,24 +100,6 @@ def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
         data=np.frombuffer(data, np.uint8),
         is_dense=layout.is_dense,
     )
-
-
-def cloud_of(message: Any) -> Cloud:
-    """The cloud in a decoded `sensor_msgs/PointCloud2`; a view of the message where the layout allows it.
-
-    Raises:
-        CloudError: If its sizes do not add up.
-    """
-    layout = PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
-        is_bigendian=bool(message.is_bigendian),
-        point_step=message.point_step,
-        row_step=message.row_step,
-    )
-    xyz, rgb = decode(layout, message.data)
-    return Cloud(xyz, rgb, message.header.frame_id, stamp_ns_of(message.header))
 
 
 def _byte_order(data: bytes) -> str:

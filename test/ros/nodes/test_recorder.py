@@ -162,7 +162,7 @@ def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
 def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path) -> None:
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
     data = serialize_message(biotac_all_to_msg({}, "rh", time.time_ns()))
-    one = node._intake.inputs["/rh/tactile"]
+    one = node._input_topics.inputs["/rh/tactile"]
     for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
         gid = {"data": publisher}
         stamps = {"received_timestamp": 1, "source_timestamp": 1}

@@ -84,11 +84,11 @@ def test_a_clock_set_back_and_stamps_that_repeat_make_no_wrong_pair(graph: Any, 
     ended = robot.now
     robot.now -= 20_000 * MS  # the sensor's clock is set back; what is felt now is stamped before that grasp
     robot.feel(level(3), 60)
-    graph.until(lambda: node._view_now().oddities["clock_jump"] == 1)
+    graph.until(lambda: node.session_status().anomalies["clock_jump"] == 1)
     for _ in range(5):  # a driver that repeats a message with its stamp
         robot.feel(REST, 1)
         robot.now -= 10 * MS
-    graph.until(lambda: node._view_now().oddities["duplicate_stamp"] == 4)
+    graph.until(lambda: node.session_status().anomalies["duplicate_stamp"] == 4)
     robot.now = ended + 1000 * MS  # the clock is right again
     robot.grasp("after", 1)
     graph.until(lambda: sum(outcomes(node.status()).values()) == 2)

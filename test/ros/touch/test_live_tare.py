@@ -55,7 +55,7 @@ def test_it_ages_and_a_stream_that_began_in_contact_gives_none() -> None:
     for k in range(60):  # still held, as far as this stream tells
         stamp = hold.release + 200 * MS + k * PERIOD
         tare.update(stamp, true_counts(hold.contact, 1), stamp * 1e-9)
-    tare.held(hold.contact, stamp)
+    tare.exclude(hold.contact, stamp)
     assert tare.tare(stamp * 1e-9, 60.0) is None
 
 
@@ -63,7 +63,7 @@ def test_a_grasp_told_of_leaves_the_rest_before_it_alone() -> None:
     tare = LiveTare(ContactConfig())
     hold = interval(0)
     follow(tare, hold.release)
-    tare.held(hold.contact, hold.release)
+    tare.exclude(hold.contact, hold.release)
     assert tare.tare(hold.release * 1e-9, 60.0) is not None
     assert tare.tare(hold.release * 1e-9, 0.1) is None
     assert tare.tare(hold.release * 1e-9 + 100.0, 60.0) is None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,12 @@ from foretouch.models import load_model
 from foretouch.models.touch_memory import TouchMemory
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns
-from foretouch.ros.messages.tactile import counts_from_msg
+from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns, stamp_to_msg
+from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import offsets, restore
+from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.types import Cloud, Grasp, TouchPrediction
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -113,7 +117,7 @@ class Hand(Robot):
         """What the recorder would cut out of the messages of this hand."""
         buffer = TouchBuffer()
         for message in self.felt:
-            thumb, middle = (counts_from_msg(message, name).astype(np.float32) for name in ("TH", "MF"))
+            thumb, middle = (finger_counts(message, name) for name in ("TH", "MF"))
             counts = np.concatenate([thumb[:1], middle[:1], thumb[1:], middle[1:]])
             stamp = stamp_ns(message.header.stamp)
             buffer.add(TouchReading(stamp, counts, np.empty(0, np.float32), stamp))
@@ -142,8 +146,8 @@ def assert_told(message: TouchPredictionMsg, wanted: TouchPrediction) -> None:
     assert NAMES[message.reference] == wanted.reference
 
 
-def assert_answer(answer: TouchPredictionArray, hand: Hand, **leaning: Any) -> None:
-    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **leaning)
+def assert_answer(answer: TouchPredictionArray, hand: Hand, **adapted: Any) -> None:
+    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **adapted)
     for message, one in zip(answer.predictions, wanted, strict=True):
         assert_told(message, one)
 
@@ -324,3 +328,75 @@ def test_a_model_without_calibration_neither_listens_nor_minds(graph: Any, model
     assert graph.probe.count_subscribers("/rh/tactile") == 0
     assert "no calibration" in node.notes()["regime"]
     assert graph.call(Trigger, "forget_touches", Trigger.Request()).message == "0 touches forgotten"
+
+
+class DirectHand(Robot):
+    """Sends its messages straight to an adapter, without DDS and without waiting."""
+
+    def __init__(self, adapter: OnlineAdapter) -> None:
+        self.adapter, self.now = adapter, START
+        self._rng = np.random.default_rng(0)
+        self.sent = {"/rh/tactile": 0}
+        self.hand = SimpleNamespace(publish=adapter.add_tactile)
+        self.feel(REST, 5)
+
+    def see(self, name: str, shift: float = 0.0, *, requested: bool = False) -> None:
+        cloud = Cloud(
+            np.random.default_rng(5).normal(size=(300, 3)).astype(np.float32) + np.float32(shift), None, FRAME
+        )
+        found = objects_to_msg([FoundObject("7", cloud, ASSUMED_TABLE)], FRAME, self.now)
+        one = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")
+        self.adapter.add_grasps(found, [grasp_to_msg(one)], requested=requested)
+
+    def execute(self, name: str, *, success: bool = True) -> dict[str, Any]:
+        self.now += MS
+        self.feel(REST, 100)
+        times = {"start": stamp_to_msg(self.now)}
+        self.feel(REST, 10)
+        times["contact"] = stamp_to_msg(self.now)
+        self.feel(level(1), 50)
+        times["release"] = stamp_to_msg(self.now)
+        self.feel(REST, 20)
+        self.report(name, times, success=success)
+        return times
+
+    def report(self, name: str, times: dict[str, Any], *, success: bool = True) -> None:
+        header = header_to_msg(FRAME, self.now)
+        self.adapter.add_executed(ExecutedGrasp(header=header, grasp_id=name, success=success, **times))
+        self.adapter.process_touches()
+
+    def counts(self) -> dict[str, str]:
+        return {k: v for k, v in self.adapter.notes().items() if k.startswith(("touches.refused", "touches.taken"))}
+
+
+START = 1_700_000_000_000 * MS
+
+
+@pytest.fixture
+def direct(card: str) -> DirectHand:
+    hand: list[DirectHand] = []
+    settings = TouchPredictorConfig()
+    adapter = OnlineAdapter(
+        load_model(card), make_reader(TactileConfig()), lambda: settings, lambda: hand[0].now if hand else START, print
+    )
+    hand.append(DirectHand(adapter))
+    return hand[0]
+
+
+def test_two_clouds_of_one_stamp_are_refused_as_the_recorder_does_unless_one_was_requested(direct: DirectHand) -> None:
+    direct.see("a")
+    direct.see("b", shift=1.0, requested=True)
+    direct.execute("a")
+    assert direct.counts() == {"touches.taken_in": "1"}
+    direct.see("c")
+    direct.see("d", shift=1.0)
+    direct.execute("c")
+    assert direct.counts() == {"touches.taken_in": "1", "touches.refused.cloud_ambiguous": "1"}
+
+
+def test_a_failed_grasp_is_refused_and_its_time_belongs_to_it(direct: DirectHand) -> None:
+    direct.see("a")
+    direct.see("b", requested=True)
+    times = direct.execute("a", success=False)
+    direct.report("b", times)
+    assert direct.counts() == {"touches.refused.grasp_failed": "1", "touches.refused.overlap": "1"}

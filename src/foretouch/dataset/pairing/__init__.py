@@ -1,33 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which touch belongs to which grasp, and which grasp to which cloud: by header stamps and ids, never by arrival."""
+"""Pairing of tactile readings with grasps, and of grasps with clouds: by header stamps and ids, never by arrival."""
 
-from foretouch.dataset.pairing.cloud_buffer import BufferedCloud, CloudBuffer
-from foretouch.dataset.pairing.contact_episodes import ContactEpisodes, Episode
+from foretouch.dataset.pairing.assembler import AssembledSample, AssemblerConfig, Role, SampleAssembler
+from foretouch.dataset.pairing.buffers import (
+    BufferedCloud,
+    CloudBuffer,
+    SerializedCloud,
+    TouchBuffer,
+    TouchReading,
+    TouchWindow,
+)
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
-from foretouch.dataset.pairing.matcher import GraspTouchMatcher
-from foretouch.dataset.pairing.matches import Execution, Label, MatchedGrasp, Plan, RejectedGrasp
-from foretouch.dataset.pairing.sensor_health import ALIVE, NO_DATA, SensorHealth
-from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchReading
+from foretouch.dataset.pairing.matcher import (
+    ExecutedGrasp,
+    GraspTouchMatcher,
+    Label,
+    MatchedGrasp,
+    PlannedGrasps,
+    RejectedGrasp,
+)
+from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, Episode, SensorHealth
 
 __all__ = [
     "ALIVE",
     "NO_DATA",
+    "AssembledSample",
+    "AssemblerConfig",
     "BufferedCloud",
     "CloudBuffer",
     "ContactEpisodes",
     "Episode",
-    "Execution",
+    "ExecutedGrasp",
     "GraspTouchMatcher",
     "Interval",
     "Label",
     "MatchedGrasp",
     "PairingConfig",
     "PairingError",
-    "Plan",
+    "PlannedGrasps",
     "RejectedGrasp",
+    "Role",
+    "SampleAssembler",
     "SensorHealth",
+    "SerializedCloud",
     "TouchBuffer",
     "TouchCut",
     "TouchReading",
+    "TouchWindow",
     "cut_touch",
 ]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the fingertips read in a grasp, cut out of the stream by header stamps.
+"""The touch and the tare of one grasp, cut out of the stream of readings by header stamps.
 
-The clocks of robot and sensor may disagree, and stamps may jitter, by up to `guard_s` together. So nothing is taken
-from within `guard_s` of a change: the touch is the median over [contact + guard, release - guard], the tare the median
-over at most `tare_s` that end at start - guard. As long as the error of the clocks is below the guard, both hold
-readings of the right kind alone; where a part of an interval is without readings for longer than `tolerance_s`, or the
-clocks disagree beyond `clock_s`, there is no sample.
+The clocks of robot and sensor may disagree, and stamps may jitter, by up to `guard_s` together. Therefore no reading
+within `guard_s` of a change is used: the touch is the median over [contact + guard, release - guard], the tare the
+median over at most `tare_s` that end at start - guard. As long as the error of the clocks is below the guard, both
+intervals hold readings of the right kind only. A grasp is rejected if an interval has no reading for longer than
+`tolerance_s`, or if the clocks differ by more than `clock_s`.
 """
 
 from __future__ import annotations
@@ -16,59 +16,59 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.dataset.pairing.touch_buffer import TouchBuffer, TouchWindow
+from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.dataset.recording.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
 from foretouch.types import Touch
 
-__all__ = ["DETECTOR", "Interval", "PairingConfig", "PairingError", "TouchCut", "cut_touch", "widest_hole_ns"]
+__all__ = ["Interval", "PairingConfig", "PairingError", "TouchCut", "cut_touch"]
 
-DETECTOR = "change against the tare (foretouch.tactile.contact_detector)"
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
-_LEAST_TARE = 5  # readings
+_MIN_TARE_READINGS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairingConfig(Settings):
-    """Settings of the pairing of grasps, touches and clouds."""
+    """Settings of the pairing of grasps, tactile readings and clouds."""
 
     tolerance_s: float = setting(
         0.1, "Longest time without a reading within an interval", unit="s", minimum=0.001, maximum=10.0
     )
     guard_s: float = setting(
-        0.1, "Error of the clocks and stamps that does no harm: so much is left out at both ends of an interval",
+        0.1, "Tolerated error of clocks and stamps: this margin is left out at both ends of an interval",
         unit="s", minimum=0.0, maximum=10.0,
     )  # fmt: skip
     clock_s: float = setting(
-        0.25, "Difference of the clocks beyond which nothing is paired", unit="s", minimum=0.001, maximum=60.0
+        0.25, "Difference of the clocks above which grasps are rejected", unit="s", minimum=0.001, maximum=60.0
     )
-    tare_s: float = setting(0.5, "Longest time that the tare is taken over", unit="s", minimum=0.01, maximum=60.0)
+    tare_s: float = setting(0.5, "Longest time over which the tare is taken", unit="s", minimum=0.01, maximum=60.0)
     tare_least_s: float = setting(0.1, "Shortest time for a tare", unit="s", minimum=0.01, maximum=60.0)
     hold_least_s: float = setting(
-        0.05, "Shortest steady contact, without the guards", unit="s", minimum=0.0, maximum=60.0
+        0.05, "Shortest steady contact, without the margins", unit="s", minimum=0.0, maximum=60.0
     )
     settle_s: float = setting(
-        0.3, "From first to steady contact, where the contact detector marks the interval", unit="s", minimum=0.0,
+        0.3, "Time from first to steady contact, where the contact detector gives the interval", unit="s", minimum=0.0,
         maximum=60.0,
     )  # fmt: skip
     kept_s: float = setting(
-        60.0, "How long clouds, grasps and readings are kept for a grasp that is told of later", unit="s", minimum=1.0,
+        60.0, "How long clouds, grasps and readings are kept for a grasp that is reported later", unit="s", minimum=1.0,
         maximum=3600.0,
     )  # fmt: skip
-    kept_mb: float = setting(300.0, "Most memory for the clouds that are kept", unit="MB", minimum=1.0, maximum=1e5)
+    kept_mb: float = setting(300.0, "Maximum memory of the cloud buffer", unit="MB", minimum=1.0, maximum=1e5)
     wait_s: float = setting(
-        2.0, "How long a grasp waits for readings, clouds and labels on their way", unit="s", minimum=0.0, maximum=60.0
-    )
+        2.0, "How long a grasp waits for readings, clouds and labels that are still to come", unit="s", minimum=0.0,
+        maximum=60.0,
+    )  # fmt: skip
     label_wait_s: float = setting(
         0.0, "How long a complete grasp waits for its label", unit="s", minimum=0.0, maximum=600.0
     )
 
 
 class PairingError(DatasetError):
-    """There is no touch for a grasp.
+    """A grasp cannot become a sample.
 
     Args:
         reason: A short word by which such grasps are counted.
@@ -85,7 +85,7 @@ class Interval:
     """A grasp in time, by the robot's clock [ns].
 
     Attributes:
-        start: When the hand began to close: before it, nothing was touched.
+        start: When the hand began to close; before it, nothing was touched.
         contact: When contact was steady.
         release: When the hand began to open.
     """
@@ -94,19 +94,23 @@ class Interval:
     contact: int
     release: int
 
+    def overlaps(self, start: int, release: int) -> bool:
+        """Whether another time span [ns] overlaps from start to release."""
+        return self.start < release and start < self.release
+
 
 @dataclass(frozen=True, eq=False)
 class TouchCut:
-    """The touch of one grasp.
+    """The readings of one grasp.
 
     Attributes:
         touch: Median over the steady contact.
         tare: Median over the time before the grasp.
         window: The readings from the tare to the release.
         phases: (T,) uint8 of REST, APPROACH and HOLD.
-        contact_ns: Stamp of first contact [ns], by the detector; None where it saw none.
-        error_ns: Longest time without a reading within tare or hold [ns].
-        clock_ns: Receiver's clock less the sensor's stamps, at the least [ns].
+        contact_ns: Stamp of first contact [ns], by the contact detector; None where it found none.
+        error_ns: Longest time without a reading within tare or contact [ns].
+        clock_ns: Smallest difference of reception time and stamp [ns].
         flags: Such as `no_contact_TH`, `frozen_MF`, `duplicate_stamps`.
     """
 
@@ -127,14 +131,14 @@ def cut_touch(
     contact: ContactConfig | None = None,
     not_before_ns: int | None = None,
 ) -> TouchCut:
-    """Cut the touch of one grasp out of what the sensor sent.
+    """Cut the touch of one grasp out of the stream.
 
     Args:
         buffer: The readings.
-        interval: Of the grasp.
+        interval: When the grasp was executed.
         config: Settings.
         contact: Settings of the contact detector.
-        not_before_ns: When the grasp before was over: no tare reaches beyond it.
+        not_before_ns: End of the previous grasp; the tare begins after it.
 
     Raises:
         PairingError: `bad_interval`, `short_hold`, `no_tactile`, `no_tare`, `restless_tare`, `pairing_error`,
@@ -145,7 +149,8 @@ def cut_touch(
         raise PairingError("bad_interval", f"start, contact and release are not in this order: {interval}")
     low, high = interval.contact + guard, interval.release - guard
     if high - low < _ns(config.hold_least_s):
-        raise PairingError("short_hold", f"{_s(interval.release - interval.contact)} of contact, less than two guards")
+        length = _s(interval.release - interval.contact)
+        raise PairingError("short_hold", f"{length} of contact is too short for the margins and the shortest contact")
     tare_end = interval.start - guard
     tare_start = tare_end - _ns(config.tare_s)
     if not_before_ns is not None:
@@ -155,20 +160,23 @@ def cut_touch(
     if not len(hold):
         raise PairingError("no_tactile", "no reading within the contact")
     _require_tare(rest, tare_end - tare_start, config, contact)
-    error = max(widest_hole_ns(hold, low, high), widest_hole_ns(rest, tare_start, tare_end))
+    error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
-        raise PairingError("pairing_error", f"{_s(error)} without a reading, tolerated are {_s(tolerance)}")
-    clock = int(np.min(window.arrived_ns - window.stamps_ns))
+        raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
+    clock = int(np.min(window.received_ns - window.stamps_ns))
     if abs(clock) > _ns(config.clock_s):
-        raise PairingError("clock_offset", f"stamps of the sensor are off by {_s(clock)}")
+        raise PairingError("clock_offset", f"stamps of the sensor differ from the time of reception by {_s(clock)}")
     touch, tare = _median(hold), _median(rest)
-    _require_alive(window, touch, tare)
+    _require_working(window, touch, tare)
     onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
+    phases = np.full(len(window), REST, np.uint8)
+    phases[window.stamps_ns >= interval.start] = APPROACH
+    phases[window.stamps_ns >= interval.contact] = HOLD
     return TouchCut(
         touch=touch,
         tare=tare,
         window=window,
-        phases=_phases(window, interval),
+        phases=phases,
         contact_ns=min((onset for onset in onsets if onset is not None), default=None),
         error_ns=error,
         clock_ns=clock,
@@ -176,13 +184,13 @@ def cut_touch(
     )
 
 
-def widest_hole_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
+def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
     """Longest time in [low, high] without a reading [ns]."""
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
 def _require_tare(rest: TouchWindow, length_ns: int, config: PairingConfig, contact: ContactConfig | None) -> None:
-    if length_ns < _ns(config.tare_least_s) or len(rest) < _LEAST_TARE:
+    if length_ns < _ns(config.tare_least_s) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
     scores = contact_scores(rest.counts[half:], rest.counts[:half], contact)
@@ -190,20 +198,20 @@ def _require_tare(rest: TouchWindow, length_ns: int, config: PairingConfig, cont
         raise PairingError("restless_tare", "something was touched before the grasp")
 
 
-def _require_alive(window: TouchWindow, touch: Touch, tare: Touch) -> None:
+def _require_working(window: TouchWindow, touch: Touch, tare: Touch) -> None:
     for name, reading in (("contact", touch), ("tare", tare)):
         if faults := check_touch(reading).faults:
             raise PairingError("sensor_fault", f"{name}: {'; '.join(faults)}")
-    for finger, place in FINGER_COLUMNS.items():
-        counts = window.counts[:, place]
+    for finger, columns in FINGER_COLUMNS.items():
+        counts = window.counts[:, columns]
         if (counts == counts[0]).all():
             raise PairingError("frozen_sensor", f"{finger}: the same {len(counts)} times, through rest and contact")
 
 
 def _flags(window: TouchWindow, onsets: tuple[int | None, int | None]) -> tuple[str, ...]:
     flags = [f"no_contact_{finger}" for finger, onset in zip(FINGER_COLUMNS, onsets, strict=True) if onset is None]
-    for finger, place in FINGER_COLUMNS.items():
-        same = (np.diff(window.counts[:, place], axis=0) == 0).all(axis=1)
+    for finger, columns in FINGER_COLUMNS.items():
+        same = (np.diff(window.counts[:, columns], axis=0) == 0).all(axis=1)
         if _longest_run_ns(same, window.stamps_ns) > _ns(_FROZEN_S):
             flags.append(f"frozen_{finger}")
     if (np.diff(window.stamps_ns) == 0).any():
@@ -216,13 +224,6 @@ def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     runs = [int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)]
     return max(runs, default=0)
-
-
-def _phases(window: TouchWindow, interval: Interval) -> npt.NDArray[np.uint8]:
-    phases = np.full(len(window), REST, np.uint8)
-    phases[window.stamps_ns >= interval.start] = APPROACH
-    phases[window.stamps_ns >= interval.contact] = HOLD
-    return phases
 
 
 def _median(window: TouchWindow) -> Touch:

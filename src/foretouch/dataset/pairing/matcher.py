@@ -1,51 +1,127 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what was planned, told and felt to samples: every executed grasp is linked, or counted out with a reason.
+"""Matches every executed grasp with its plan, its cloud and its touch, or rejects it with a reason.
 
-A grasp is linked to its plan, and so to its cloud, by its id alone. Its interval comes from the robot's report, from
-the operator's label, or, where neither tells it, from the contact detector. It waits until the readings of its
-interval have come, then the touch is cut by stamps.
+A grasp is matched with its plan, and so with its cloud, by its id alone. Its interval comes from the robot's report,
+from the operator's label, or, where there is neither, from the contact detector. It waits until the readings of its
+interval have come, then its touch is cut out by stamps.
 """
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict, deque
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic
+from typing import Any
 
-from foretouch.dataset.pairing.cloud_buffer import CloudBuffer
-from foretouch.dataset.pairing.contact_episodes import Episode
-from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, cut_touch
-from foretouch.dataset.pairing.matches import Execution, GraspT, Label, MatchedGrasp, Plan, RejectedGrasp
-from foretouch.dataset.pairing.touch_buffer import TouchBuffer
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
+from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
+from foretouch.dataset.pairing.sensors import Episode
+from foretouch.dataset.recording.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.tactile.messages import stamp_ns
 
-__all__ = ["GraspTouchMatcher"]
+__all__ = ["ExecutedGrasp", "GraspTouchMatcher", "Label", "MatchedGrasp", "PlannedGrasps", "RejectedGrasp"]
 
 _SECOND_NS = 1_000_000_000
-_MOST_PLANS = 10_000
-_KEPT_EXECUTIONS = 256  # to notice what is told twice
+_MAX_PLANS = 10_000
+_KEPT_GRASPS = 256  # finished ones, to reject intervals that overlap with theirs
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutedGrasp:
+    """A grasp that was executed.
+
+    Attributes:
+        grasp_id: Id of the planned grasp.
+        interval: When it was executed; None where it failed before contact.
+        success: Whether the grasp succeeded; None if unknown.
+        flags: Source of the interval: `labelled_interval`, `detected_interval`, `assumed_grasp`; none if the robot
+            reported it.
+    """
+
+    grasp_id: str
+    interval: Interval | None
+    success: bool | None = None
+    flags: tuple[str, ...] = ()
+
+    @classmethod
+    def from_message(cls, message: Any) -> ExecutedGrasp:
+        """Decode a `foretouch_msgs/ExecutedGrasp` of rclpy or rosbags."""
+        start, contact, release = (stamp_ns(time) for time in (message.start, message.contact, message.release))
+        touched = message.success or contact or release
+        interval = Interval(start=start, contact=contact, release=release) if touched else None
+        return cls(grasp_id=message.grasp_id, interval=interval, success=bool(message.success))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
+    """What the operator adds to a grasp.
+
+    Attributes:
+        grasp_id: Id of the grasp; "" for the latest.
+        object: Label of the object, "" for that of the session.
+        discard: Whether the sample is not to be used.
+        note: Free text.
+        outcome: As the operator saw it.
+        interval: When the grasp was executed; None leaves it to the robot or to the contact detector.
+    """
+
+    grasp_id: str = ""
+    object: str = ""
+    discard: bool = False
+    note: str = ""
+    outcome: Outcome = "unknown"
+    interval: Interval | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedGrasps:
+    """The `foretouch_msgs/Grasp` messages planned on one cloud, not decoded yet; best first."""
+
+    stamp_ns: int
+    frame_id: str
+    grasps: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedGrasp:
+    """An executed grasp with its plan, its cloud and its touch."""
+
+    plan: PlannedGrasps
+    cloud: BufferedCloud
+    cut: TouchCut
+    executed: ExecutedGrasp
+    label: Label | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejectedGrasp:
+    """A grasp that makes no sample, with the reason as a short word and in one line."""
+
+    grasp_id: str
+    reason: str
+    message: str
 
 
 @dataclass(eq=False)
 class _Pending:
-    execution: Execution
-    told_s: float
+    executed: ExecutedGrasp
+    since_s: float
     label: Label | None = None
 
 
-class GraspTouchMatcher(Generic[GraspT]):
-    """Keeps what is known of grasps until it is complete. Not thread-safe; every time is given by the caller.
+class GraspTouchMatcher:
+    """Collects plans, executed grasps, labels and contacts until a grasp is complete.
+
+    Not thread-safe; every time is given by the caller.
 
     Args:
         buffer: The readings.
-        clouds: Those that are kept.
+        clouds: The clouds.
         config: Settings.
         contact: Settings of the contact detector.
-        assume: Whether a contact that nobody tells of belongs to the best grasp of the last cloud before it.
-
-    Attributes:
-        outcomes: Executed grasps by outcome: `recorded`, or why they were counted out.
+        assume: Whether a contact without a report belongs to the best grasp of the last cloud before it.
+        successes_only: Whether grasps that failed after contact are rejected too.
     """
 
     def __init__(
@@ -56,197 +132,190 @@ class GraspTouchMatcher(Generic[GraspT]):
         contact: ContactConfig | None = None,
         *,
         assume: bool = False,
+        successes_only: bool = False,
     ) -> None:
         self.config = config
-        self.outcomes: Counter[str] = Counter()
         self._buffer = buffer
         self._clouds = clouds
         self._contact = contact
         self._assume = assume
-        self._plans: OrderedDict[int, Plan[GraspT]] = OrderedDict()
-        self._stamp_of: dict[str, int | None] = {}  # None: the id came with two clouds
+        self._successes_only = successes_only
+        self._plans: OrderedDict[int, PlannedGrasps] = OrderedDict()
+        self._stamp_of: dict[str, int | None] = {}  # None: the id was planned on two clouds
         self._pending: list[_Pending] = []
-        self._waiting: dict[str, Label] = {}  # whose grasp has not been executed yet
-        self._finished: OrderedDict[str, None] = OrderedDict()
-        self._executions: deque[Execution] = deque(maxlen=_KEPT_EXECUTIONS)
+        self._labels: dict[str, Label] = {}  # of grasps that have not been executed yet
+        self._finished_ids: OrderedDict[str, None] = OrderedDict()
+        self._finished: deque[ExecutedGrasp] = deque(maxlen=_KEPT_GRASPS)
         self._unclaimed: list[tuple[Episode, float]] = []
 
     @property
     def pending(self) -> int:
-        """Grasps that wait for something."""
+        """Number of executed grasps that are not complete yet."""
         return len(self._pending)
 
-    # What comes in.
+    @property
+    def plans(self) -> int:
+        """Number of clouds with grasps that have not been forgotten."""
+        return len(self._plans)
 
-    def plan(self, stamp_ns: int, frame_id: str, grasps: Sequence[GraspT]) -> None:
-        """Take note of the grasps planned on the cloud of this stamp."""
+    # Input.
+
+    def add_plan(self, stamp_ns: int, frame_id: str, grasps: Sequence[Any]) -> None:
+        """Add grasps planned on the cloud of this stamp; grasps that were planned on it before are kept."""
         if not grasps:
             return
         for grasp in grasps:
             known = self._stamp_of.get(grasp.id, stamp_ns)
             self._stamp_of[grasp.id] = stamp_ns if known == stamp_ns else None
-        self._plans[stamp_ns] = Plan(stamp_ns, frame_id, tuple(grasps))
-        while len(self._plans) > _MOST_PLANS:
-            self.forget(next(iter(self._plans)))
+        before, ids = self._plans.get(stamp_ns), {grasp.id for grasp in grasps}
+        kept = [one for one in before.grasps if one.id not in ids] if before and before.frame_id == frame_id else []
+        self._plans[stamp_ns] = PlannedGrasps(stamp_ns, frame_id, (*kept, *grasps))
+        while len(self._plans) > _MAX_PLANS:
+            self.forget_plan(next(iter(self._plans)))
 
-    def planned(self, stamp_ns: int) -> Plan[GraspT] | None:
-        """The grasps planned on a cloud."""
-        return self._plans.get(stamp_ns)
-
-    def forget(self, stamp_ns: int) -> None:
-        """Its cloud is no longer kept."""
+    def forget_plan(self, stamp_ns: int) -> PlannedGrasps | None:
+        """Remove the grasps of a cloud that is no longer kept; gives them."""
         plan = self._plans.pop(stamp_ns, None)
         for grasp in () if plan is None else plan.grasps:
             if self._stamp_of.get(grasp.id) == stamp_ns:
                 del self._stamp_of[grasp.id]
+        return plan
 
-    def tell(self, execution: Execution, now_s: float) -> None:
-        """A grasp was executed."""
-        waiting = self._waiting.pop(execution.grasp_id, None)
-        self._claim(execution)
-        self._pending.append(_Pending(execution, now_s, waiting))
+    def add_executed(self, executed: ExecutedGrasp, now_s: float) -> None:
+        """Add a grasp that was executed."""
+        label = self._labels.pop(executed.grasp_id, None)
+        self._unclaimed = [pair for pair in self._unclaimed if not _covers(executed.interval, pair[0])]
+        self._pending.append(_Pending(executed, now_s, label))
 
-    def feel(self, episode: Episode, now_s: float) -> None:
-        """The contact detector saw a contact end; it is left to the robot to tell of it, for `wait_s`."""
-        known = [*self._executions, *(one.execution for one in self._pending)]
-        if not any(_meets(episode, execution.interval) for execution in known):
+    def add_episode(self, episode: Episode, now_s: float) -> None:
+        """Add a contact that has ended; the robot has `wait_s` to report it."""
+        known = [*self._finished, *(one.executed for one in self._pending)]
+        if not any(_covers(executed.interval, episode) for executed in known):
             self._unclaimed.append((episode, now_s))
 
-    def label(self, label: Label, now_s: float) -> tuple[str, str]:
-        """The operator says something of a grasp.
+    def add_label(self, label: Label, now_s: float) -> tuple[str, str]:
+        """Add the operator's label.
 
         Returns:
-            The grasp's id, and in words what becomes of the label.
+            The grasp's id, and a sentence on what happens with the label.
 
         Raises:
             PairingError: If the grasp is not known, or its sample is complete.
         """
         name = label.grasp_id or self._latest()
-        pending = next((one for one in reversed(self._pending) if one.execution.grasp_id == name), None)
+        pending = next((one for one in reversed(self._pending) if one.executed.grasp_id == name), None)
         if pending is not None:
             pending.label = label
             return name, "its touch is being recorded"
-        if label.interval is None and name in self._finished:
+        if label.interval is None and name in self._finished_ids:
             raise PairingError("too_late", f"grasp {name}: is recorded already; a label comes before or with its grasp")
         if name not in self._stamp_of:
             raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording")
-        self._waiting[name] = label
+        self._labels[name] = label
         if label.interval is None:
             return name, "waits for its contact"
-        self.tell(Execution(grasp_id=name, interval=label.interval, flags=("labelled_interval",)), now_s)
+        executed = ExecutedGrasp(grasp_id=name, interval=label.interval, flags=("labelled_interval",))
+        self.add_executed(executed, now_s)
         return name, "its touch is being recorded"
 
-    # What comes out.
+    # Output.
 
-    def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp[GraspT] | RejectedGrasp]:
-        """What is complete by now; at the end, everything."""
-        self._settle_episodes(now_s, ending=ending)
+    def poll(self, now_s: float, *, ending: bool = False) -> list[MatchedGrasp | RejectedGrasp]:
+        """The grasps that are complete by now; at the end, all."""
+        if self._unclaimed:
+            self._claim_late_episodes(now_s, ending=ending)
         ready = [one for one in self._pending if ending or self._is_ready(one, now_s)]
-        self._pending = [one for one in self._pending if one not in ready]
-        results: list[MatchedGrasp[GraspT] | RejectedGrasp] = [self._finish(one) for one in ready]
-        for name in list(self._waiting) if ending else []:
-            del self._waiting[name]
+        if ready:
+            self._pending = [one for one in self._pending if one not in ready]
+        results = [self._finish(one) for one in ready]
+        for name in list(self._labels) if ending else []:
+            del self._labels[name]
             results.append(RejectedGrasp(grasp_id=name, reason="no_contact", message="labelled, but never executed"))
-        for result in results:
-            self.outcomes[result.reason if isinstance(result, RejectedGrasp) else "recorded"] += 1
         return results
-
-    # Its own affairs.
 
     def _latest(self) -> str:
         if self._pending:
-            return self._pending[-1].execution.grasp_id
-        if self._executions and self._executions[-1].grasp_id not in self._finished:
-            return self._executions[-1].grasp_id
+            return self._pending[-1].executed.grasp_id
         if not self._plans:
             raise PairingError("grasp_unknown", "there is no grasp to label: none was planned while recording")
-        return self._plans[next(reversed(self._plans))].grasps[0].id
+        name: str = self._plans[next(reversed(self._plans))].grasps[0].id
+        return name
 
-    def _claim(self, execution: Execution) -> None:
-        self._unclaimed = [pair for pair in self._unclaimed if not _meets(pair[0], execution.interval)]
-
-    def _detected(self, name: str, episode: Episode, flags: tuple[str, ...]) -> Execution:
-        contact = min(episode.both + round(self.config.settle_s * _SECOND_NS), episode.release - 1)
-        interval = Interval(start=episode.first, contact=contact, release=episode.release)
-        return Execution(grasp_id=name, interval=interval, flags=flags)
-
-    def _settle_episodes(self, now_s: float, *, ending: bool) -> None:
-        """Contacts that the robot has not told of in time: a waiting label takes them, else perhaps the best grasp."""
+    def _claim_late_episodes(self, now_s: float, *, ending: bool) -> None:
+        """Give contacts that the robot has not reported in time to a waiting label, else perhaps to the best grasp."""
         late = [pair for pair in self._unclaimed if ending or now_s - pair[1] > self.config.wait_s]
         self._unclaimed = [pair for pair in self._unclaimed if pair not in late]
         for episode, since_s in late:
+            labelled = (name for name in self._labels if (self._stamp_of.get(name) or episode.first) < episode.first)
             flags: tuple[str, ...] = ("detected_interval",)
-            name = self._labelled_before(episode)
+            name = next(labelled, None)
             if name is None and self._assume:
                 before = [plan for stamp, plan in self._plans.items() if stamp < episode.first]
                 name = max(before, key=lambda plan: plan.stamp_ns).grasps[0].id if before else None
                 flags = ("detected_interval", "assumed_grasp")
             if name is not None:
-                self.tell(self._detected(name, episode, flags), now_s)
+                contact = min(episode.both + round(self.config.settle_s * _SECOND_NS), episode.release - 1)
+                interval = Interval(start=episode.first, contact=contact, release=episode.release)
+                self.add_executed(ExecutedGrasp(grasp_id=name, interval=interval, flags=flags), now_s)
             elif now_s - since_s < self.config.kept_s:
                 self._unclaimed.append((episode, since_s))  # a label may still come
 
-    def _labelled_before(self, episode: Episode) -> str | None:
-        return next(
-            (name for name in self._waiting if (self._stamp_of.get(name) or episode.first) < episode.first), None
-        )
-
     def _is_ready(self, one: _Pending, now_s: float) -> bool:
-        waited = now_s - one.told_s
+        waited = now_s - one.since_s
         if one.label is None and waited < self.config.label_wait_s:
             return False
-        interval = one.execution.interval
+        interval = one.executed.interval
         if waited >= self.config.wait_s or interval is None:
             return True
-        stamp = self._stamp_of.get(one.execution.grasp_id)
-        felt = self._buffer.newest_ns is not None and self._buffer.newest_ns >= interval.release
-        return felt and stamp is not None and self._clouds.get(stamp) is not None
+        stamp = self._stamp_of.get(one.executed.grasp_id)
+        # The guard lets readings come whose stamps jitter, so that the window does not depend on when it is cut.
+        complete_ns = interval.release + round(self.config.guard_s * _SECOND_NS)
+        complete = self._buffer.newest_ns is not None and self._buffer.newest_ns >= complete_ns
+        return complete and stamp is not None and self._clouds.get(stamp) is not None
 
-    def _finish(self, one: _Pending) -> MatchedGrasp[GraspT] | RejectedGrasp:
-        execution = one.execution
+    def _finish(self, one: _Pending) -> MatchedGrasp | RejectedGrasp:
+        executed = one.executed
         try:
-            return self._link(one)
+            return self._match(one)
         except PairingError as err:
-            return RejectedGrasp(grasp_id=execution.grasp_id, reason=err.reason, message=str(err))
+            return RejectedGrasp(grasp_id=executed.grasp_id, reason=err.reason, message=str(err))
         finally:
-            self._executions.append(execution)
-            self._finished[execution.grasp_id] = None
-            if len(self._finished) > _MOST_PLANS:
-                self._finished.popitem(last=False)
+            self._finished.append(executed)
+            self._finished_ids[executed.grasp_id] = None
+            if len(self._finished_ids) > _MAX_PLANS:
+                self._finished_ids.popitem(last=False)
 
-    def _link(self, one: _Pending) -> MatchedGrasp[GraspT]:
-        execution, interval = one.execution, one.execution.interval
+    def _match(self, one: _Pending) -> MatchedGrasp:
+        executed, interval = one.executed, one.executed.interval
         if interval is None:
             raise PairingError("grasp_failed", "the hand touched nothing")
-        plan, grasp = self._find(execution.grasp_id)
+        if self._successes_only and executed.success is False:
+            raise PairingError("grasp_failed", "the robot reports a failure")
+        plan = self._plan_of(executed.grasp_id)
         cloud = self._clouds.get(plan.stamp_ns)
         if cloud is None:
-            raise PairingError("cloud_unknown", "the cloud that it was planned on did not come, or is long gone")
+            raise PairingError("cloud_unknown", "its cloud was not received, or is no longer kept")
         if cloud.ambiguous:
-            raise PairingError("cloud_ambiguous", f"two clouds were stamped {plan.stamp_ns}")
+            raise PairingError("cloud_ambiguous", f"two different clouds have the stamp {plan.stamp_ns}")
         if interval.start <= plan.stamp_ns:
-            raise PairingError("bad_interval", "it began before the cloud was taken that it was planned on")
-        over = [before for before in self._executions if _overlap(before.interval, interval)]
-        if over:
-            same = over[0].grasp_id == execution.grasp_id
-            raise PairingError("told_twice" if same else "overlap", f"grasp {over[0].grasp_id} was told at that time")
-        ends = [e.interval.release for e in self._executions if e.interval and e.interval.release <= interval.start]
+            raise PairingError("bad_interval", "it began before the cloud that it was planned on was taken")
+        intervals = [(before.grasp_id, before.interval) for before in self._finished if before.interval is not None]
+        for name, before in intervals:
+            if before.overlaps(interval.start, interval.release):
+                reason = "told_twice" if name == executed.grasp_id else "overlap"
+                raise PairingError(reason, f"grasp {name} was reported for that time already")
+        ends = [before.release for _, before in intervals if before.release <= interval.start]
         cut = cut_touch(self._buffer, interval, self.config, self._contact, max(ends, default=None))
-        return MatchedGrasp(grasp, plan, cloud, cut, execution, one.label)
+        return MatchedGrasp(plan, cloud, cut, executed, one.label)
 
-    def _find(self, name: str) -> tuple[Plan[GraspT], GraspT]:
+    def _plan_of(self, name: str) -> PlannedGrasps:
         if name not in self._stamp_of:
             raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording, or long ago")
         stamp = self._stamp_of[name]
         if stamp is None:
             raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on two clouds")
-        plan = self._plans[stamp]
-        return plan, next(grasp for grasp in plan.grasps if grasp.id == name)
+        return self._plans[stamp]
 
 
-def _overlap(one: Interval | None, other: Interval) -> bool:
-    return one is not None and one.start < other.release and other.start < one.release
-
-
-def _meets(episode: Episode, interval: Interval | None) -> bool:
-    return interval is not None and episode.first < interval.release and interval.start < episode.release
+def _covers(interval: Interval | None, episode: Episode) -> bool:
+    return interval is not None and interval.overlaps(episode.first, episode.release)

@@ -17,7 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
-from foretouch.dataset.cdr import cloud_fields, cloud_of, header_fields, stamp_ns_of
+from foretouch.dataset.cdr import cloud_fields, header_fields, stamp_ns_of
+from foretouch.dataset.messages import decode_cloud, decode_grasp
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
 from foretouch.errors import DatasetError, ForetouchError
@@ -143,7 +144,7 @@ def _stored(message: Any) -> StoredSample:
     sample = GraspSample(
         id=message.id,
         object=message.object,
-        cloud=cloud_of(message.cloud),
+        cloud=decode_cloud(message.cloud),
         grasp=grasp_of(message.grasp, float(message.score)),
         touch=_touch_of(message, "labelled", ""),
         tare=_touch_of(message, "tared", "tare_"),
@@ -204,9 +205,7 @@ def grasp_of(message: Any, score: float) -> Grasp:
     Raises:
         GraspError: If its numbers are no grasp.
     """
-    g1, g2 = (np.array([point.x, point.y, point.z], np.float64) for point in (message.g1, message.g2))
-    rotation = np.asarray(message.rotation, np.float64).reshape(3, 3)
-    return Grasp(g1, g2, rotation, score, message.id, message.object_id)
+    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
 
 
 def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:

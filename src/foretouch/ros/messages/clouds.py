@@ -17,26 +17,16 @@ import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 
-from foretouch.cloud.io.pointcloud2 import PointCloud2Layout, decode, encode
-from foretouch.cloud.io.pointcloud2 import PointField as LayoutField
+from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.segmentation.segment import ObjectSegment
-from foretouch.errors import CloudError
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, stamp_ns
+from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Object
 
 __all__ = ["cloud_from_msg", "cloud_to_msg", "object_to_msg", "objects_from_msg", "objects_to_msg"]
-
-
-def cloud_from_msg(message: PointCloud2) -> Cloud:
-    """Convert a cloud; its arrays are read-only views of the message where the layout allows.
-
-    Raises:
-        CloudError: If the sizes do not add up, or x, y or z is missing or of another type.
-    """
-    arrays = decode(_layout(message), message.data)
-    return Cloud(arrays.xyz, arrays.rgb, message.header.frame_id, stamp_ns(message.header.stamp))
 
 
 def cloud_to_msg(cloud: Cloud) -> PointCloud2:
@@ -100,35 +90,7 @@ def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, .
     Raises:
         CloudError: As `cloud_from_msg`.
     """
-    cloud = cloud_from_msg(message)
-    if cloud.size == 0:
-        return ()
-    labels, rows, columns = (_field(message, name) for name in ("label", "row", "column"))
-    if labels is None:
-        finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
-        return (FoundObject("", cloud.take(finite), plane),) if finite.size else ()
-    shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    _, first = np.unique(labels, return_index=True)
-    found = []
-    for label in labels[np.sort(first)]:
-        mine = np.flatnonzero(labels == label)
-        pixels = None
-        if shape is not None and rows is not None and columns is not None:
-            pixels = rows[mine].astype(np.int64) * shape[1] + columns[mine]
-        found.append(FoundObject(str(label), cloud.take(mine), plane, pixels, shape))
-    return tuple(found)
-
-
-def _layout(message: PointCloud2) -> PointCloud2Layout:
-    return PointCloud2Layout(
-        height=message.height,
-        width=message.width,
-        fields=tuple(LayoutField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
-        point_step=message.point_step,
-        row_step=message.row_step,
-        is_bigendian=message.is_bigendian,
-        is_dense=message.is_dense,
-    )
+    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))
 
 
 def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:
@@ -163,15 +125,3 @@ def _fields(record: np.dtype[Any]) -> list[PointField]:
         datatype = PointField.FLOAT32 if name == "rgb" else codes[kind.str]
         fields.append(PointField(name=name, offset=offset, datatype=datatype, count=1))
     return fields
-
-
-def _field(message: PointCloud2, name: str) -> npt.NDArray[Any] | None:
-    """One of our integer fields of an unorganised cloud, or None where it is absent."""
-    kinds = {PointField.UINT32: "u4", PointField.UINT16: "u2"}
-    field = next((f for f in message.fields if f.name == name), None)
-    if field is None:
-        return None
-    if field.datatype not in kinds or field.count != 1 or message.height != 1:
-        raise CloudError(f"{name}: is not one UINT32 or UINT16 a point of an unorganised cloud")
-    kind = (">" if message.is_bigendian else "<") + kinds[field.datatype]
-    return np.ndarray((message.width,), kind, buffer=message.data, offset=field.offset, strides=(message.point_step,))

@@ -12,7 +12,8 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
-from foretouch.errors import GraspError
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import has_orientation, rotation_from_quaternion, stamp_ns
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -40,18 +41,11 @@ __all__ = [
 ]
 
 _SECOND_NS = 1_000_000_000
-_UNIT_TOLERANCE = 1e-3  # of a quaternion's length; planners work with float32
-_AGREEMENT = 1e-3  # between a grasp's matrix and its quaternion, per element
 _REFERENCES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
 }
-
-
-def stamp_ns(stamp: Time) -> int:
-    """Convert a stamp to integer nanoseconds."""
-    return int(stamp.sec) * _SECOND_NS + int(stamp.nanosec)
 
 
 def stamp_to_msg(nanoseconds: int) -> Time:
@@ -111,66 +105,6 @@ def grasp_to_msg(grasp: Grasp, status: int = Status.OK, reason: str = "") -> Gra
         status=status,
         reason=reason,
     )
-
-
-def has_orientation(message: GraspMsg) -> bool:
-    """Whether the message holds a rotation of the hand."""
-    q = message.pose.orientation
-    return any((q.x, q.y, q.z, q.w)) or bool(np.any(message.rotation))
-
-
-def grasp_from_msg(message: GraspMsg, rotation: Float64 | None = None) -> Grasp:
-    """A grasp as the core knows it. The position of its pose is not read: it is the midpoint.
-
-    Args:
-        message: With a rotation, a quaternion, or both.
-        rotation: (3, 3) float64, instead of what the message holds.
-
-    Raises:
-        GraspError: If a number is not finite, the contacts are one point, there is no rotation, or matrix and
-            quaternion contradict each other.
-    """
-    g1, g2 = (np.array([p.x, p.y, p.z]) for p in (message.g1, message.g2))
-    if rotation is None:
-        rotation = _rotation_of(message)
-    return Grasp(g1, g2, rotation, float(message.score), message.id, message.object_id)
-
-
-def rotation_from_quaternion(xyzw: Float64) -> Float64:
-    """(3, 3) float64 rotation of a quaternion.
-
-    Args:
-        xyzw: (4,) of unit length within 1e-3; normalised here.
-
-    Raises:
-        GraspError: If a number is not finite or the length is another.
-    """
-    length = float(np.linalg.norm(xyzw))
-    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
-        raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
-    x, y, z, w = xyzw / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _rotation_of(message: GraspMsg) -> Float64:
-    q = message.pose.orientation
-    quaternion = np.array([q.x, q.y, q.z, q.w])
-    matrix = np.asarray(message.rotation, np.float64).reshape(3, 3)
-    if not np.any(matrix):
-        if not np.any(quaternion):
-            raise GraspError("pose: no orientation")
-        return rotation_from_quaternion(quaternion)
-    if not np.isfinite(matrix).all() or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
-        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
-    if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
-        raise GraspError("rotation: is not that of pose.orientation")
-    return matrix
 
 
 def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:

@@ -1,29 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Watches a running graph for a person: counts answers, keeps the last one, collects diagnostics.
+"""Watches a running graph for display: counts answers, keeps the last one, collects diagnostics.
 
-Its callbacks only store, under a lock; whoever draws takes a copy.
+Its callbacks only store, under a lock; `view` gives a copy.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.errors import CloudError
+from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, SampleAssembler, SerializedCloud, TouchCut
+from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.messages.clouds import cloud_from_msg, objects_from_msg
 from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.status import status_name
-from foretouch.ros.runtime.lifecycle_node import NAMESPACE
-from foretouch.ros.touch.executed import Felt, TactileWindow
+from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import Cloud
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray
 
@@ -44,48 +48,48 @@ class NodeView:
 
 @dataclass
 class View:
-    """What is known of the graph at one moment.
+    """State of the graph at one moment.
 
     Attributes:
-        answers: Arrays of touch received, by status.
+        answers: Number of `touch` messages by status.
         reasons: How often each reason was given.
-        last: The last array of touch, or None.
-        executed: The last grasp that a hand executed with success: what was predicted, and what was read.
+        last: The last `touch` message, or None.
+        executed: The last grasp that a hand executed with success: its prediction and its tactile readings.
         nodes: Last diagnostics by node name.
     """
 
     answers: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     last: TouchPredictionArray | None = None
-    executed: tuple[TouchPrediction, Felt] | None = None
+    executed: tuple[TouchPrediction, TouchCut] | None = None
     nodes: dict[str, NodeView] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Drawable:
-    """A prediction with what it was made of.
+    """A prediction with its input.
 
     Attributes:
-        scene: The whole cloud, where it was seen.
+        scene: The whole cloud, if it was received.
         target: The object.
-        prediction: The answer.
-        felt: What was read when the grasp was executed; None if it was not.
+        prediction: The prediction.
+        readings: Tactile readings of the executed grasp; None if it was not executed.
     """
 
     scene: Cloud | None
     target: FoundObject
     prediction: TouchPrediction
-    felt: Felt | None = None
+    readings: TouchCut | None = None
 
 
 class MonitorNode(Node):
-    """Listens to `touch` and /diagnostics, and to the clouds where a picture is wanted.
+    """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
 
     Args:
-        namespace: Of the graph.
+        namespace: Namespace of the graph.
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
-        with_hand: Whether to listen to a hand, so that what was read can be drawn beside it.
-        on_touch: Called with each array of touch, in the executor's thread.
+        with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
+        on_touch: Called with each `touch` message, in the executor's thread.
     """
 
     def __init__(
@@ -106,35 +110,37 @@ class MonitorNode(Node):
         self._kept = _KEPT_WHILE_GRASPING if with_hand else _KEPT_CLOUDS
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
         self._executed: Drawable | None = None
-        self._tactile = TactileWindow()
+        self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
+        self._with_hand = with_hand
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-        self.create_subscription(TouchPredictionArray, "touch", self._take_touch, reliable)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 50)
+        self.create_subscription(TouchPredictionArray, "touch", self._receive_touch, reliable)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, 50)
         if with_hand:
-            self.create_subscription(BiotacAll, "/rh/tactile", self._tactile.add, reliable)
-            self.create_subscription(ExecutedGrasp, "executed_grasp", self._take_executed, reliable)
+            self.create_subscription(BiotacAll, TACTILE_TOPIC, partial(self._assemble, "tactile"), reliable)
+            self.create_subscription(ExecutedGrasp, EXECUTED_TOPIC, partial(self._assemble, "executed"), reliable)
+            self.create_subscription(PointCloud2, CLOUD_TOPIC, self._receive_cloud, qos_profile_sensor_data, raw=True)
         if with_clouds:
-            for topic, kept in (("points", self._scenes), ("object_cloud", self._objects)):
+            for topic, kept in (("points", self._scenes), (CLOUD_TOPIC, self._objects)):
                 self.create_subscription(
                     PointCloud2, topic, lambda message, kept=kept: self._keep(kept, message), qos_profile_sensor_data
                 )
 
     def view(self) -> View:
-        """A copy that no callback changes."""
+        """A copy of the state."""
         with self._lock:
             view = self._view
             return View(Counter(view.answers), Counter(view.reasons), view.last, view.executed, dict(view.nodes))
 
     def last_drawable(self) -> Drawable | None:
-        """The last answer whose grasp was executed, else the newest whose clouds are still kept."""
+        """The last prediction whose grasp was executed, else the newest whose clouds are still kept."""
         with self._lock:
             if self._executed is not None:
                 return self._executed
             answers = list(self._drawable)
         return next(filter(None, (self._drawn(answer.predictions[0]) for answer in reversed(answers))), None)
 
-    def _drawn(self, prediction: TouchPrediction, felt: Felt | None = None) -> Drawable | None:
-        """A prediction with its clouds; None where they are gone."""
+    def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
+        """A prediction with its clouds; None if they are no longer kept."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
             scene_message, object_message = self._scenes.get(stamp), self._objects.get(stamp)
@@ -146,9 +152,9 @@ class MonitorNode(Node):
         except CloudError:
             return None
         wanted = prediction.grasp.object_id
-        return next((Drawable(scene, one, prediction, felt) for one in found if one.id == wanted), None)
+        return next((Drawable(scene, one, prediction, readings) for one in found if one.id == wanted), None)
 
-    def _take_touch(self, message: TouchPredictionArray) -> None:
+    def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
             self._view.answers[status_name(message.status)] += 1
             if message.reason:
@@ -156,23 +162,34 @@ class MonitorNode(Node):
             self._view.last = message
             if message.predictions:
                 self._drawable.append(message)
+                if self._with_hand:
+                    header, grasps = message.header, [one.grasp for one in message.predictions]
+                    self._assembler.add_grasps(stamp_ns(header.stamp), header.frame_id, grasps)
         if self._on_touch is not None:
             self._on_touch(message)
 
-    def _take_executed(self, report: ExecutedGrasp) -> None:
-        felt = self._tactile.felt(report)
-        if felt is None:
-            return
-        with self._lock:
-            predictions = [one for answer in self._drawable for one in answer.predictions]
-        for one in predictions:
-            if one.grasp.id == felt.grasp_id:
-                drawn = self._drawn(one, felt)
-                with self._lock:
-                    self._view.executed = one, felt
-                    self._executed = drawn or self._executed
+    def _receive_cloud(self, data: bytes) -> None:
+        self._assemble("cloud", SerializedCloud(data, partial(deserialize_message, data, PointCloud2)))
 
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+    def _assemble(self, role: Role, message: Any) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            try:
+                self._assembler.add(role, message, received_ns=self.get_clock().now().nanoseconds, now_s=now_s)
+            except (TactileError, DatasetError):
+                return  # the node that uses the message counts it
+            results = self._assembler.poll(now_s) if self._assembler.pending else []
+            predictions = [one for answer in self._drawable for one in answer.predictions] if results else []
+        for result in results:
+            if isinstance(result, AssembledSample) and result.cut is not None:
+                for one in predictions:
+                    if one.grasp.id == result.record.sample.grasp.id:
+                        drawn = self._drawn(one, result.cut)
+                        with self._lock:
+                            self._view.executed = one, result.cut
+                            self._executed = drawn or self._executed
+
+    def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:
             for status in message.status:
                 values = {pair.key: pair.value for pair in status.values}

@@ -1,103 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder's services: start and stop a recording, label a grasp.
+"""The recorder: writes what the graph, the robot and the hand send, and assembles labelled samples.
 
-Records what the graph, the robot and the hand send, and makes labelled samples of it.
-
-Threads: the executor's callbacks put serialised messages into a queue and return; the session's thread writes them,
-waits for the disk, pairs and makes samples. Services have a callback group of their own.
+Threads: callbacks of the executor put serialised messages into a queue and return; the thread of the session writes
+them, waits for the disk, and assembles samples. Services have a callback group of their own.
 """
 
 from __future__ import annotations
 
 import time
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.pairing import Interval, Label
+from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, SampleAssembler
 from foretouch.dataset.recording import Outcome, RecordingWriter
 from foretouch.dataset.recording.record import check_name
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import stamp_ns
-from foretouch.ros.messages.tactile import TactileAdapter, make_adapter
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.recorder.config import RecorderConfig
 from foretouch.ros.recorder.message_queue import MessageQueue
-from foretouch.ros.recorder.sample_desk import DeskConfig, Roles, SampleDesk
-from foretouch.ros.recorder.samples import SampleMaker
-from foretouch.ros.recorder.session import Session, SessionView
+from foretouch.ros.recorder.session import RecordingSession, SessionStatus
 from foretouch.ros.recorder.status import status_to_msg
 from foretouch.ros.recorder.subscriptions import InputTopic, RecorderSubscriptions
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
+from foretouch.tactile.messages import TactileReader, make_reader
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 
-__all__ = ["RecorderNode", "RecorderServices"]
-
+__all__ = ["RecorderNode"]
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
+_MB = 1_000_000
+_TICK_S = 0.5
+_DEPTH = 1000  # messages that the middleware keeps while this process does not get to run
+_CLOUD_DEPTH = 100
+_RAW_DEPTH = 20
 
 
-class RecorderServices:
-    """Offers the services until `destroy`.
-
-    Args:
-        node: The recorder.
-        group: That the services run in.
-    """
-
-    def __init__(self, node: RecorderNode, group: CallbackGroup) -> None:
-        self._node = node
-        self._services: list[Any] = [
-            node.create_service(kind, name, answer, callback_group=group)
-            for kind, name, answer in (
-                (StartRecording, "start_recording", self._start),
-                (StopRecording, "stop_recording", self._stop),
-                (LabelGrasp, "label_grasp", self._label),
-            )
-        ]
-
-    def destroy(self) -> None:
-        """Offer them no more."""
-        for service in self._services:
-            self._node.destroy_service(service)
-
-    def _start(self, request: Any, response: Any) -> Any:
-        try:
-            if self._node.state_name != "active":
-                raise ConfigError(f"the recorder is {self._node.state_name}")
-            response.path = str(self._node.begin(request.path, request.object, request.note))
-            response.success = True
-        except ForetouchError as err:
-            response.message = str(err)
-        return response
-
-    def _stop(self, _request: Any, response: Any) -> Any:
-        if not self._node.in_session:
-            response.message = self._node.reason or "nothing is being recorded"
-            return response
-        view = self._node.end()
-        response.path, response.samples, response.message = self._node.path, view.samples, view.error
-        response.success = not view.error
-        return response
-
-    def _label(self, request: Any, response: Any) -> Any:
-        try:
-            response.grasp_id, response.message = self._node.label(_label(request))
-            response.success = True
-        except ForetouchError as err:
-            response.grasp_id, response.message = request.grasp_id, str(err)
-        return response
-
-
-def _label(request: Any) -> Label:
-    """The request in the core's words.
+def _decode_label(request: Any) -> Label:
+    """The label in a request.
 
     Raises:
-        ConfigError: If the outcome is no known one.
+        ConfigError: If the outcome is not one of the known.
         DatasetError: If the label of the object is no plain name.
     """
     if request.outcome >= len(_OUTCOMES):
@@ -115,67 +64,68 @@ def _label(request: Any) -> Label:
     )
 
 
-_MB = 1_000_000
-_TICK_S = 0.5
-_DEPTH = 1000  # messages that the middleware may hold while this process does not get to run
-_CLOUD_DEPTH = 100
-_RAW_DEPTH = 20
-
-
 class RecorderNode(ForetouchNode[RecorderConfig]):
     """The recorder as a lifecycle node; deactivating it ends the recording.
 
     Attributes:
-        path: Of the dataset at hand, or of the last one; "" before the first.
+        path: Path of the current dataset, or of the last one; "" before the first.
         reason: Why the last recording ended by itself, or "".
     """
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         self.path = ""
         self.reason = ""
-        self._intake: RecorderSubscriptions | None = None
-        self._offered: RecorderServices | None = None
-        self._adapter: TactileAdapter | None = None
-        self._session: Session | None = None
-        self._view = SessionView()
+        self._input_topics: RecorderSubscriptions | None = None
+        self._offered: list[Any] = []
+        self._reader: TactileReader | None = None
+        self._session: RecordingSession | None = None
+        self._last_status = SessionStatus()
         self._duration_s = 0.0
         super().__init__(name, RecorderConfig, **options)
 
-    # Hooks of the base.
+    # Hooks of the base class.
 
     def setup(self) -> None:
-        """Subscribe, advertise, offer the services."""
-        self._adapter = make_adapter(self.config.tactile)
+        """Subscribe to all topics, advertise the status, offer the services."""
+        self._reader = make_reader(self.config.tactile)
         self._status = self.advertise(RecorderStatus, "recorder_status")
-        self._intake = RecorderSubscriptions(self, self._wanted(self._adapter), self._mismatch)
+        self._input_topics = RecorderSubscriptions(self, self._topics(), self._mismatch)
         group = MutuallyExclusiveCallbackGroup()
         self._timer = self.create_timer(_TICK_S, self._tick, callback_group=group)
-        self._offered = RecorderServices(self, group)
+        self._offered = [
+            self.create_service(kind, name, answer, callback_group=group)
+            for kind, name, answer in (
+                (StartRecording, "start_recording", self._start_recording),
+                (StopRecording, "stop_recording", self._stop_recording),
+                (LabelGrasp, "label_grasp", self._label_grasp),
+            )
+        ]
 
     def start(self) -> None:
-        """Record, where the settings say so."""
+        """Start recording, if the settings name a dataset."""
         if self.config.record:
             self.begin(self.config.record, self.config.object, self.config.note)
 
     def stop(self) -> None:
-        """End the recording at hand."""
+        """End the current recording."""
         self.end()
 
     def teardown(self) -> None:
-        """Listen no more."""
-        if self._offered is not None:
-            self._offered.destroy()
+        """Remove services, timer and subscriptions."""
+        for service in self._offered:
+            self.destroy_service(service)
+        if self._offered:
             self.destroy_timer(self._timer)
-        if self._intake is not None:
-            self._intake.destroy()
-        self._offered = self._intake = self._adapter = None
+        if self._input_topics is not None:
+            self._input_topics.destroy()
+        self._offered, self._input_topics, self._reader = [], None, None
 
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
         return (self.reason,) if self.reason else ()
 
     def notes(self) -> dict[str, str]:
-        """The counts."""
+        """The counts, for /diagnostics."""
         status = self.status()
         counts = dict(zip(status.outcomes, status.outcome_counts, strict=True))
         return {
@@ -187,8 +137,8 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             "rate_hz": f"{sum(topic.rate for topic in status.topics):.2f}",
             "samples": str(status.samples),
             "unlabelled": str(status.unlabelled),
-            **{f"executed.{outcome}": str(count) for outcome, count in counts.items()},
-            **{f"tactile.{name}": str(count) for name, count in self._view_now().oddities.items()},
+            **{f"executed.{result}": str(count) for result, count in counts.items()},
+            **{f"tactile.{name}": str(count) for name, count in self.session_status().anomalies.items()},
             **{f"sensor.{name}": s for name, s in zip(status.sensors, status.sensor_states, strict=True)},
         }
 
@@ -196,32 +146,37 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
 
     @property
     def recording(self) -> bool:
-        """Whether a session goes on."""
+        """Whether a session is running."""
         return self._session is not None and not self._session.ended.is_set()
 
     @property
     def in_session(self) -> bool:
-        """Whether there is something to end: a session that goes on, or has just ended by itself."""
+        """Whether there is a session to end: a running one, or one that has just ended by itself."""
         return self._session is not None
 
     @property
     def samples(self) -> int:
-        """Labelled samples of the session at hand, or of the last one."""
-        return self._view_now().samples
+        """Number of samples with a touch in the current session, or in the last one."""
+        return self.session_status().samples
+
+    def session_status(self) -> SessionStatus:
+        """State of the current session, or of the last one."""
+        session = self._session
+        return self._last_status if session is None else session.status
 
     def begin(self, path: str, label: str = "", note: str = "") -> Path:
-        """Start a session; a dataset that is there goes on.
+        """Start a session; an existing dataset is extended.
 
         Args:
-            path: Of the dataset; "" for a name made of the time.
-            label: Of the object on the table.
-            note: For every sample.
+            path: Path of the dataset; "" for a name made of the time.
+            label: Label of the object on the table.
+            note: Note for every sample.
 
         Returns:
             The dataset's path.
 
         Raises:
-            ConfigError: If a session goes on.
+            ConfigError: If a session is running.
             DatasetError: If the label is no plain name.
             FileError: If it cannot be written, or is of another hand or camera.
         """
@@ -230,104 +185,133 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         self.end()
         if label:
             check_name(label, "object")
-        assert self._intake is not None  # noqa: S101  setup made it
+        assert self._input_topics is not None  # noqa: S101  made by setup
+        assert self._reader is not None  # noqa: S101
         config = self.config
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
-        writer = RecordingWriter(target, config.who(), config.writing)
-        for name, one in self._intake.inputs.items():
+        writer = RecordingWriter(target, config.dataset_identity(), config.writing)
+        for name, one in self._input_topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)
-        inbox = MessageQueue(config.queue_mb * _MB)
-        self._intake.open(inbox)
-        self._session = Session(writer, inbox, self._desk_maker(label, note), self._intake.lost, self._warn)
+        assembler = SampleAssembler(
+            AssemblerConfig(
+                pairing=config.pairing,
+                contact=config.contact,
+                object=label,
+                note=note,
+                unlabelled_s=config.unlabelled_s if config.unlabelled else None,
+                assume_grasps=config.assume_grasps,
+                watch_sensors=True,
+            ),
+            self._reader,
+        )
+        queue = MessageQueue(config.queue_mb * _MB)
+        self._input_topics.open(queue)
+        roles: dict[str, Role] = {
+            config.tactile_topic: "tactile",
+            CLOUD_TOPIC: "cloud",
+            GRASPS_TOPIC: "grasps",
+            EXECUTED_TOPIC: "executed",
+        }
+        inputs = {
+            name: (roles[one.topic.name], one.topic.message)
+            for name, one in self._input_topics.inputs.items()
+            if one.topic.name in roles
+        }
+        self._session = RecordingSession(writer, queue, assembler, inputs, self._input_topics.lost, self._warn)
         self.path, self.reason = str(target), ""
         self.get_logger().info(f"recording into {writer.file}")
         return target
 
-    def end(self) -> SessionView:
-        """End the session, if one goes on; gives what became of the last one."""
-        if self._intake is not None:
-            self._intake.close()
-        self._conclude()
-        return self._view
+    def end(self) -> SessionStatus:
+        """End the session, if one is running; gives the final state of the last one."""
+        if self._input_topics is not None:
+            self._input_topics.close()
+        self._finish_session()
+        return self._last_status
 
     def label(self, label: Label) -> tuple[str, str]:
-        """What the operator says of a grasp (see `GraspTouchMatcher.label`).
+        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`).
 
         Raises:
-            ConfigError: If no session goes on.
+            ConfigError: If no session is running.
             PairingError: If the grasp is not known, or its sample is complete.
         """
         session = self._session
         if session is None:
             raise ConfigError("nothing is being recorded")
-        return session.desk.label(label)
+        return session.label(label)
 
     def status(self) -> RecorderStatus:
-        """What `recorder_status` tells now."""
-        session, view = self._session, self._view_now()
+        """The current `recorder_status`."""
+        session, state = self._session, self.session_status()
         return status_to_msg(
-            view,
-            {} if self._intake is None else self._intake.inflows(),
+            state,
+            {} if self._input_topics is None else self._input_topics.statistics(),
             path=self.path,
             recording=self.recording,
             duration_s=self._duration_s if session is None else time.monotonic() - session.began_s,
-            reason=view.error or self.reason,
+            reason=state.error or self.reason,
             now_ns=self.get_clock().now().nanoseconds,
         )
 
-    # Its own affairs.
+    # Services.
+
+    def _start_recording(self, request: Any, response: Any) -> Any:
+        try:
+            if self.state_name != "active":
+                raise ConfigError(f"the recorder is {self.state_name}")
+            response.path = str(self.begin(request.path, request.object, request.note))
+            response.success = True
+        except ForetouchError as err:
+            response.message = str(err)
+        return response
+
+    def _stop_recording(self, _request: Any, response: Any) -> Any:
+        if not self.in_session:
+            response.message = self.reason or "nothing is being recorded"
+            return response
+        last = self.end()
+        response.path, response.samples, response.message = self.path, last.samples, last.error
+        response.success = not last.error
+        return response
+
+    def _label_grasp(self, request: Any, response: Any) -> Any:
+        try:
+            response.grasp_id, response.message = self.label(_decode_label(request))
+            response.success = True
+        except ForetouchError as err:
+            response.grasp_id, response.message = request.grasp_id, str(err)
+        return response
+
+    # The timer, and the end of a session.
 
     def _tick(self) -> None:
-        intake = self._intake
-        for text in () if intake is None else intake.tick():
+        inputs = self._input_topics
+        for text in () if inputs is None else inputs.tick():
             self.get_logger().info(text)
         session = self._session
-        if session is not None and session.ended.is_set():  # by itself; what still comes is counted as such
-            self._conclude()
+        if session is not None and session.ended.is_set():  # by itself; messages from now on are counted as late
+            self._finish_session()
             self.get_logger().error(self.reason or "the recording has ended")
         self._status.publish(self.status())
 
-    def _conclude(self) -> None:
+    def _finish_session(self) -> None:
         session = self._session
         if session is not None:
             session.close()
-            self._view, self.reason, self._session = session.view, session.view.error, None
+            self._last_status, self.reason, self._session = session.status, session.status.error, None
             self._duration_s = time.monotonic() - session.began_s
 
-    def _desk_maker(self, label: str, note: str) -> Any:
-        """Makes the desk of a session, given what writes a record."""
-        assert self._adapter is not None  # noqa: S101  setup made both
-        assert self._intake is not None  # noqa: S101
-        config, name = self.config, self._intake.name
-        roles = Roles(
-            tactile=name(config.tactile_topic),
-            clouds=name("object_cloud"),
-            grasps=name("grasps"),
-            executed=name("executed_grasp"),
-        )
-        maker = SampleMaker(object=label, note=note, others=self._adapter.others, flags=self._adapter.flags)
-        how = DeskConfig(
-            pairing=config.pairing,
-            contact=config.contact,
-            assume_grasps=config.assume_grasps,
-            unlabelled_s=config.unlabelled_s if config.unlabelled else None,
-        )
-        return partial(SampleDesk, roles, self._adapter, maker, how, warn=self._warn)
-
-    def _wanted(self, adapter: TactileAdapter) -> list[InputTopic]:
+    def _topics(self) -> list[InputTopic]:
         topics = [
-            InputTopic(self.config.tactile_topic, adapter.message, _DEPTH),
-            InputTopic("object_cloud", PointCloud2, _CLOUD_DEPTH),
+            InputTopic(self.config.tactile_topic, tactile_class(self.config.tactile.type), _DEPTH),
+            InputTopic(CLOUD_TOPIC, PointCloud2, _CLOUD_DEPTH),
             InputTopic("table", TablePlane, _DEPTH),
-            InputTopic("grasps", GraspArray, _DEPTH),
+            InputTopic(GRASPS_TOPIC, GraspArray, _DEPTH),
             InputTopic("touch", TouchPredictionArray, _DEPTH),
-            InputTopic("executed_grasp", ExecutedGrasp, _DEPTH),
+            InputTopic(EXECUTED_TOPIC, ExecutedGrasp, _DEPTH),
         ]
         return topics + [InputTopic("points", PointCloud2, _RAW_DEPTH)] * self.config.points
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
-
-    def _view_now(self) -> SessionView:
-        session = self._session
-        return self._view if session is None else session.view

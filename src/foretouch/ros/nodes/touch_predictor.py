@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
 
-Where a hand sends what it reads, and tells of the grasps that it executes, predictions lean on that (see `feeling`): on
-the reading at rest, and on touches of the object at hand. `forget_touches` says that another object is at hand. Without
-any tactile message it is as if none of this were there.
+If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
+tare, and to touches of the current object. Call `forget_touches` after changing the object. Without tactile messages,
+predictions use vision alone.
 
-Service and action work in threads of their own (see `offload`), beside the worker that answers the topics:
-the model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer
-then says so, and cleaning up and configuring again is the way to try once more.
+Service and action run in threads of their own (see `ThreadPool`), beside the worker that answers the topics: the
+model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer then
+gives the reason, and cleaning up and configuring again retries.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import check_frames, read_plane, read_targets
 from foretouch.ros.messages.status import RefusalError
-from foretouch.ros.messages.tactile import make_adapter
+from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
+from foretouch.tactile.messages import make_reader
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -53,7 +55,7 @@ from foretouch_msgs.srv import PredictTouch
 __all__ = ["TouchPredictorNode"]
 
 _T = TypeVar("_T")
-_REQUESTS_AT_A_TIME = 2  # more would only take turns at the processor
+_PARALLEL_REQUESTS = 2  # more would only share the processor
 _TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
 _TACTILE_DEPTH = 200  # two seconds of a hand's messages
 _EXECUTED_DEPTH = 10
@@ -66,30 +68,30 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     _markers: LifecyclePublisher[Any]
 
     def __init__(self, **options: Any) -> None:
-        inputs = [(PointCloud2, "object_cloud"), (GraspArray, "grasps")]
+        inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
         self._predictor: Predictor | None = None
-        self._feeling: OnlineAdapter | None = None
+        self._adapter: OnlineAdapter | None = None
         self._used_tare = self.config.use_tare
-        self._offload: ThreadPool | None = None
+        self._threads: ThreadPool | None = None
         self._answering: list[Service[Any, Any]] = []
         self._action: ActionServer[Any, Any, Any] | None = None
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()
 
-    # Hooks of the base.
+    # Hooks of the base class.
 
     def setup(self) -> None:
-        """Load the model, then offer the topic, the service and the action."""
+        """Load the model, then offer topics, services and the action."""
         self._predictor = Predictor(self.config.model, self.config.fallback_model)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
-        self._feel(self._predictor)
+        self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch")
         self._markers = self.advertise(MarkerArray, "markers")
-        self._offload = ThreadPool(self, _REQUESTS_AT_A_TIME)
+        self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
         group = ReentrantCallbackGroup()
         self._answering = [
             self.create_service(PredictTouch, "predict_touch", self._predict_touch, callback_group=group),
@@ -107,35 +109,35 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         super().setup()
 
     def teardown(self) -> None:
-        """Withdraw services and action, forget model and touches."""
+        """Remove services and action, model and touches."""
         for service in self._answering:
             self.destroy_service(service)
         self._answering.clear()
         if self._action is not None:
             self._action.destroy()
-        if self._offload is not None:
-            self._offload.close()
-        self._action = self._offload = self._predictor = self._feeling = self._latest = None
+        if self._threads is not None:
+            self._threads.close()
+        self._action = self._threads = self._predictor = self._adapter = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
-        """The model's fault, if it has one."""
+        """Why the model could not be loaded."""
         return (self._predictor.fault,) if self._predictor and self._predictor.fault else ()
 
     def notes(self) -> dict[str, str]:
-        """The model's name and hash besides, and what it leans on."""
+        """The model's name and hash, and the state of online adaptation, for /diagnostics."""
         model = self._predictor.model if self._predictor else None
         known = {"model": model.name, "model_sha256": model.sha256} if model else {}
-        if model is not None and self._feeling is None:
+        if model is not None and self._adapter is None:
             known["regime"] = "none: the model's card holds no calibration"
-        return {**super().notes(), **known, **(self._feeling.notes() if self._feeling else {})}
+        return {**super().notes(), **known, **(self._adapter.notes() if self._adapter else {})}
 
     def config_changed(self, config: TouchPredictorConfig) -> None:
-        """Touches compared with a tare and without are not of one kind: where that changes, they are forgotten."""
+        """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
         if config.use_tare != self._used_tare:
             self._used_tare = config.use_tare
-            if self._feeling is not None:
-                self._feeling.forget()
+            if self._adapter is not None:
+                self._adapter.forget()
 
     # The topic.
 
@@ -146,9 +148,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if not grasps.grasps:
             raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames("grasps", grasps.header, header)
-        targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # prediction asks for no table
+        targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # predictions do not use the table
         message = self._predict(targets, grasps.grasps, header, None)
-        self._see(messages["object_cloud"], grasps.grasps)
+        if self._adapter is not None:
+            self._adapter.add_grasps(messages["object_cloud"], grasps.grasps)
         self._touch.publish(message)
         if self._markers.get_subscription_count():
             for prediction in message.predictions[:1]:
@@ -157,13 +160,13 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                         prediction,
                         self.config.ranges,
                         thumb_takes_g1=self.config.thumb_takes_g1,
-                        touches=self._feeling.touches() if self._feeling else 0,
+                        touches=self._adapter.touches() if self._adapter else 0,
                     )
                 )
         return message.status, message.reason
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Nothing can be said of this cloud."""
+        """Publish why this cloud gets no predictions."""
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
@@ -178,49 +181,49 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             raise RefusalError(Status.NO_MODEL, "the node is not configured")
         return self._predictor
 
-    async def _aside(self, work: Callable[[], _T]) -> _T:
-        if self._offload is None:
+    async def _in_thread(self, work: Callable[[], _T]) -> _T:
+        if self._threads is None:
             raise RefusalError(Status.NO_MODEL, "the node is not configured")
-        return await self._offload.run(work)
+        return await self._threads.run(work)
 
-    # What is felt.
+    # Online adaptation.
 
-    def _feel(self, predictor: Predictor) -> None:
-        """Listen to the hand, where the model can make something of it."""
-        adapter = make_adapter(self.config.tactile)  # a mistake in its settings is told in any case
+    def _adapt(self, predictor: Predictor) -> None:
+        """Subscribe to the topics of the hand, if the model has a calibration."""
+        reader = make_reader(self.config.tactile)  # wrong settings are reported in any case
+        message = tactile_class(self.config.tactile.type)
         if predictor.model is None or predictor.model.calibration is None:
             return
-        self._feeling = predictor.feeling = OnlineAdapter(
+        self._adapter = predictor.adapter = OnlineAdapter(
             predictor.model,
-            adapter,
+            reader,
             config=lambda: self.config,
             now_ns=lambda: int(self.get_clock().now().nanoseconds),
             warn=self._warn,
         )
-        tactile, executed = self._feeling.take_tactile, self._feeling.take_executed
-        self.subscribe(adapter.message, self.config.tactile_topic, tactile, depth=_TACTILE_DEPTH)
-        self.subscribe(ExecutedGrasp, "executed_grasp", executed, depth=_EXECUTED_DEPTH)
+        self.subscribe(message, self.config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
+        self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
 
-    def _see(self, cloud: PointCloud2, grasps: Sequence[Grasp]) -> None:
-        """Take note of grasps that somebody may execute, be they planned, sampled or asked about."""
-        if self._feeling is not None:
-            self._feeling.see(cloud, cloud.header.frame_id, grasps)
+    def _add_requested(self, cloud: PointCloud2, grasps: Sequence[Grasp]) -> None:
+        """Keep grasps of a request, which may be executed."""
+        if self._adapter is not None:
+            self._adapter.add_grasps(cloud, grasps, requested=True)
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
 
     def _forget_touches(self, _request: Any, response: Any) -> Any:
-        count = self._feeling.forget() if self._feeling else 0
+        count = self._adapter.forget() if self._adapter else 0
         response.success, response.message = True, f"{count} touches forgotten"
         return response
 
     # The services.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        response.touch = await self._aside(lambda: self._answer_or_say_why(request))
+        response.touch = await self._in_thread(lambda: self._response_or_refusal(request))
         return response
 
-    def _answer_or_say_why(self, request: Any) -> TouchPredictionArray:
+    def _response_or_refusal(self, request: Any) -> TouchPredictionArray:
         header = request.cloud.header
         try:
             return self._answer_request(request, header)
@@ -234,14 +237,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
         message = self._predict(targets, request.grasps, header, posing)
-        self._see(request.cloud, request.grasps)  # not before: the same grasp may have been felt already
+        self._add_requested(request.cloud, request.grasps)  # not before: the same grasp may have been executed already
         return message
 
     # The action.
 
     async def _sample_grasps(self, goal_handle: Any) -> Any:
         try:
-            result = await self._aside(lambda: self._sample(goal_handle))
+            result = await self._in_thread(lambda: self._sample(goal_handle))
         except RefusalError as refusal:
             goal_handle.abort()
             return failed(refusal)
@@ -258,7 +261,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         goal = goal_handle.request
         result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
         own = goal.cloud.width * goal.cloud.height > 0
-        self._see(goal.cloud if own or latest is None else latest.cloud, result.grasps)
+        self._add_requested(goal.cloud if own or latest is None else latest.cloud, result.grasps)
         return result
 
     def _predict_candidates(

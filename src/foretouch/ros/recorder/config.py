@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.dataset.recording import Identity, RecordingConfig
-from foretouch.ros.messages.tactile import AdapterConfig
 from foretouch.ros.runtime.lifecycle_node import NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.tactile.messages import TactileConfig
+from foretouch.topics import TACTILE_TOPIC
 
 __all__ = ["IdentityConfig", "RecorderConfig"]
 
@@ -20,37 +21,39 @@ class IdentityConfig(Settings):
     """Which hand and which camera: a dataset holds recordings of one of each."""
 
     hand: str = setting("shadow_hand", "Model of the hand", read_only=True)
-    hand_serial: str = setting("", "Its serial number", read_only=True)
+    hand_serial: str = setting("", "Serial number of the hand", read_only=True)
     camera: str = setting("realsense", "Model of the camera", read_only=True)
-    camera_serial: str = setting("", "Its serial number", read_only=True)
+    camera_serial: str = setting("", "Serial number of the camera", read_only=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecorderConfig(NodeConfig):
     """Settings of the recorder."""
 
-    folder: str = setting(".", "Where recordings go that are given no path, or a relative one", read_only=True)
-    record: str = setting("", "Dataset to record into from the start; empty waits for start_recording", read_only=True)
+    folder: str = setting(".", "Folder of datasets with a relative path, or without a path", read_only=True)
+    record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
-    note: str = setting("", "Of the operator, for `record`", read_only=True)
-    tactile_topic: str = setting("/rh/tactile", "What the hand sends", read_only=True)
-    points: bool = setting(False, "Whether the camera's whole clouds are recorded too", read_only=True)
-    unlabelled: bool = setting(True, "Whether clouds whose grasps were not executed become samples without a touch")
-    unlabelled_s: float = setting(1.0, "Least time between two of those", unit="s", minimum=0.0, maximum=3600.0)
+    note: str = setting("", "Note of the operator, for `record`", read_only=True)
+    tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
+    points: bool = setting(False, "Whether to record the camera's whole clouds too", read_only=True)
+    unlabelled: bool = setting(True, "Whether clouds without an executed grasp become samples without a touch")
+    unlabelled_s: float = setting(
+        1.0, "Minimum time between two samples without a touch", unit="s", minimum=0.0, maximum=3600.0
+    )
     assume_grasps: bool = setting(
-        False, "Whether a contact that nobody tells of belongs to the best grasp of the last cloud before it"
+        False, "Whether a contact without a report is assigned to the best grasp of the last cloud before it"
     )
     queue_mb: int = setting(
         500, "Memory for messages that wait for the disk", unit="MB", minimum=10, maximum=100_000, read_only=True
     )
-    tactile: AdapterConfig = field(default_factory=AdapterConfig)
+    tactile: TactileConfig = field(default_factory=TactileConfig)
     identity: IdentityConfig = field(default_factory=IdentityConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     writing: RecordingConfig = field(default_factory=RecordingConfig)
 
-    def who(self) -> Identity:
-        """Hand and camera, with all that makes recordings of the one differ from those of another."""
+    def dataset_identity(self) -> Identity:
+        """Hand and camera, with all settings that make recordings of one incompatible with those of another."""
         thumb, middle = self.tactile.fingers
         hand = {"model": self.identity.hand, "serial": self.identity.hand_serial, "tactile": self.tactile.type}
         camera = {"model": self.identity.camera, "serial": self.identity.camera_serial}

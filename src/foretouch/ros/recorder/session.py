@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One session of recording: a thread that takes messages out of the inbox, writes them, and makes samples of them.
+"""One recording session: a thread that takes messages out of the queue, writes them, and assembles samples.
 
-It owns the writer, so that waiting for the disk delays no callback. What it tells of itself (`view`) is a value that
-is replaced as a whole after each batch.
+The thread owns the writer, so that waiting for the disk delays no callback. Its `status` is a value that is replaced
+as a whole after each batch of messages.
 """
 
 from __future__ import annotations
@@ -13,42 +13,46 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
-from foretouch.dataset.recording import RecordingWriter, SampleRecord, TopicAccount
-from foretouch.errors import ForetouchError
+from rclpy.serialization import deserialize_message
+
+from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
+from foretouch.dataset.recording import RecordingWriter, TopicAccount
+from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
-from foretouch.ros.recorder.sample_desk import SampleDesk
 
-__all__ = ["Session", "SessionView"]
+__all__ = ["RecordingSession", "SessionStatus"]
 
 _POLL_S = 0.1
 _RATE_WINDOW_S = 10.0
+_KEPT_ERRORS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
-class SessionView:
-    """What a session has done so far; nothing in it changes.
+class SessionStatus:
+    """State of a session; immutable.
 
     Attributes:
-        accounts: By topic; neither what waits in the inbox is among it, nor what came after the session had ended.
-        samples: With a touch.
-        unlabelled: Without.
-        outcomes: Executed grasps by outcome.
-        oddities: Of the tactile stamps, and messages that could not be read.
-        last_sample: Its id.
-        pairing_errors_ns: Of the labelled samples, the latest 1000.
+        accounts: Message counts by topic, without messages in the queue and those after the session has ended.
+        samples: Number of samples with a touch.
+        unlabelled: Number of samples without.
+        results: Executed grasps by result: `recorded`, or why they were rejected.
+        anomalies: Counts of anomalies in tactile stamps, and of messages that could not be decoded.
+        last_sample: Id of the latest sample with a touch.
+        pairing_errors_ns: Pairing errors of the latest 1000 samples with a touch [ns].
         sensors: State by finger, and of the camera.
         bytes_written: Size of the file.
-        bytes_per_s: At present.
-        free_bytes: Until the session ends by itself.
+        bytes_per_s: Current rate.
+        free_bytes: Space left until the session ends by itself.
         error: Why it ended by itself, else "".
     """
 
     accounts: Mapping[str, TopicAccount] = field(default_factory=dict)
     samples: int = 0
     unlabelled: int = 0
-    outcomes: Counter[str] = field(default_factory=Counter)
-    oddities: Counter[str] = field(default_factory=Counter)
+    results: Counter[str] = field(default_factory=Counter)
+    anomalies: Counter[str] = field(default_factory=Counter)
     last_sample: str = ""
     pairing_errors_ns: tuple[int, ...] = ()
     sensors: Mapping[str, str] = field(default_factory=dict)
@@ -58,46 +62,57 @@ class SessionView:
     error: str = ""
 
 
-class Session:
-    """Records until `close`, or until the disk takes no more.
+class RecordingSession:
+    """Records until `close`, or until the disk is full or fails.
 
     Args:
         writer: Open; closed here.
-        inbox: Where messages come from.
-        make_desk: Makes the desk, given what writes a record.
-        losses: Tells what the middleware has lost since the session began, by topic.
-        warn: Told what goes wrong.
+        queue: Source of the messages.
+        assembler: Assembles the samples.
+        inputs: Role and message class by topic, for the topics that samples are assembled from.
+        losses: Gives the number of messages that the middleware has lost since the session began, by topic.
+        warn: Called with each warning.
 
     Attributes:
-        desk: Makes the samples.
-        view: The state; replaced as a whole.
+        status: The state; replaced as a whole.
         ended: Set when everything is written and the file is closed.
     """
 
     def __init__(
         self,
         writer: RecordingWriter,
-        inbox: MessageQueue,
-        make_desk: Callable[[Callable[[SampleRecord], str]], SampleDesk],
+        queue: MessageQueue,
+        assembler: SampleAssembler,
+        inputs: Mapping[str, tuple[Role, type]],
         losses: Callable[[], Mapping[str, int]],
         warn: Callable[[str], None],
     ) -> None:
         self.writer = writer
-        self.desk = make_desk(writer.append)
-        self.view = SessionView(sensors=self.desk.sensors)
-        self.ended = threading.Event()
         self.began_s = time.monotonic()
-        self._inbox = inbox
+        self.status = SessionStatus(sensors=assembler.sensor_states(self.began_s))
+        self.ended = threading.Event()
+        self._queue = queue
+        self._assembler = assembler
+        self._assembler_lock = threading.Lock()  # labels come from a service
+        self._inputs = inputs
         self._losses = losses
         self._warn = warn
+        self._unreadable: Counter[str] = Counter()
+        self._last_sample = ""
+        self._errors_ns: deque[int] = deque(maxlen=_KEPT_ERRORS)
         self._sizes: deque[tuple[float, int]] = deque()
-        writer.before_end = self._book_rest
+        writer.before_end = self._account_for_rest
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
+    def label(self, label: Label) -> tuple[str, str]:
+        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
+        with self._assembler_lock:
+            return self._assembler.label(label, time.monotonic())
+
     def close(self) -> None:
-        """Write what has come, finish what waits, and close the file."""
-        self._inbox.close()
+        """Write all messages received so far, complete pending grasps, and close the file."""
+        self._queue.close()
         self._thread.join()
 
     # The thread.
@@ -105,44 +120,40 @@ class Session:
     def _run(self) -> None:
         error = ""
         try:
-            while not self._inbox.closed:
-                self._work(*self._inbox.take(_POLL_S))
-            self._work(*self._inbox.take(0.0), ending=True)
+            while not self._queue.closed:
+                self._process(*self._queue.take(_POLL_S))
+            self._process(*self._queue.take(0.0), ending=True)
         except ForetouchError as err:
             error = str(err)
         except Exception as err:  # noqa: BLE001  a thread that ends silently would lose everything
             self._warn(traceback.format_exc())
             error = f"{type(err).__name__}: {err}"
-        error = self._close(error)
-        self._tell(error)
-        self.ended.set()
-
-    def _close(self, error: str) -> str:
         try:
             self.writer.close()
         except ForetouchError as err:
-            return error or str(err)
-        return error
+            error = error or str(err)
+        self._update_status(error)
+        self.ended.set()
 
-    def _book_rest(self) -> None:
-        """Take nothing more in, and account for what nobody will look into: called before the last accounts."""
-        self._inbox.close()
-        left, refused = self._inbox.take(0.0)
+    def _account_for_rest(self) -> None:
+        """Close the queue and count its messages as dropped; the writer calls this before it writes the last counts."""
+        self._queue.close()
+        left, refused = self._queue.take(0.0)
         for topic, count in (Counter(arrival.topic for arrival in left) + refused).items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "session ended", count)
-        self._book_losses()
+        self._account_for_losses()
 
-    def _book_losses(self) -> None:
+    def _account_for_losses(self) -> None:
         for topic, count in self._losses().items():
             self.writer.lose(topic, count)
 
-    def _work(self, arrivals: list[Arrival], refused: Counter[str], *, ending: bool = False) -> None:
+    def _process(self, arrivals: list[Arrival], refused: Counter[str], *, ending: bool = False) -> None:
         for topic, count in refused.items():
             self.writer.receive(topic, count)
             self.writer.drop(topic, "queue full", count)
-        self._book_losses()
-        for arrival in arrivals:  # booked before anything can fail
+        self._account_for_losses()
+        for arrival in arrivals:  # counted before anything can fail
             self.writer.receive(arrival.topic)
         for arrival in arrivals:
             self.writer.write(
@@ -152,30 +163,60 @@ class Session:
                 publish_time_ns=max(0, arrival.sent_ns),
                 sequence=None if arrival.sequence is None else arrival.sequence % 2**32,
             )
-            self.desk.take(arrival)
+            self._assemble(arrival)
         if not arrivals:
-            self.writer.flush()  # it looks at its own clock only when something comes
-        self.desk.settle(ending=ending)
-        self._tell()
+            self.writer.flush()  # it checks its own timer only when something is written
+        with self._assembler_lock:
+            results = self._assembler.poll(time.monotonic(), ending=ending)
+        for result in results:
+            if isinstance(result, RejectedGrasp):
+                self._warn(f"grasp {result.grasp_id}: no sample: {result.reason}: {result.message}")
+                continue
+            name = self.writer.append(result.record)
+            if result.cut is not None:
+                self._last_sample = name
+                self._errors_ns.append(result.cut.error_ns)
+        self._update_status()
 
-    def _tell(self, error: str = "") -> None:
+    def _assemble(self, arrival: Arrival) -> None:
+        """Give a message to the assembler; one that cannot be decoded is counted, and is in the file nevertheless."""
+        role, message_class = self._inputs.get(arrival.topic, (None, object))
+        if role is None:
+            return
+        decode = partial(deserialize_message, arrival.data, message_class)
+        try:
+            message = SerializedCloud(arrival.data, decode) if role == "cloud" else decode()
+            with self._assembler_lock:
+                self._assembler.add(role, message, received_ns=arrival.received_ns, now_s=time.monotonic())
+        except FileError:
+            raise
+        except ForetouchError as err:
+            name = f"unreadable {arrival.topic}"
+            self._unreadable[name] += 1
+            if self._unreadable[name] == 1:
+                self._warn(f"{arrival.topic}: {err}")
+
+    def _update_status(self, error: str = "") -> None:
         now, size = time.monotonic(), self.writer.bytes_written
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
             self._sizes.popleft()
-        since_s, then = self._sizes[0]
+        since_s, before = self._sizes[0]
         accounts = self.writer.accounts.topics
-        self.view = SessionView(
+        with self._assembler_lock:
+            results, anomalies = +self._assembler.results, self._assembler.anomalies + self._unreadable
+            sensors = self._assembler.sensor_states(now)
+        self.status = SessionStatus(
             accounts={name: replace(a, dropped=Counter(a.dropped)) for name, a in list(accounts.items())},
             samples=self.writer.labelled,
             unlabelled=self.writer.samples - self.writer.labelled,
-            outcomes=self.desk.outcomes,
-            oddities=self.desk.oddities,
-            last_sample=self.desk.last_sample,
-            pairing_errors_ns=tuple(self.desk.errors_ns),
-            sensors=self.desk.sensors,
+            results=results,
+            anomalies=anomalies,
+            last_sample=self._last_sample,
+            pairing_errors_ns=tuple(self._errors_ns),
+            sensors=sensors,
             bytes_written=size,
-            bytes_per_s=(size - then) / (now - since_s) if now > since_s else 0.0,
+            bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
             free_bytes=0 if error else self.writer.free_bytes,
             error=error,
         )

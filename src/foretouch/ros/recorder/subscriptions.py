@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of the recorder: serialised messages, reliable wherever that is offered, and what was lost on the way.
+"""Subscriptions of the recorder: serialised messages into the queue of the session, and statistics of each topic.
 
-A reliable subscriber gets nothing from a best-effort publisher. So every input begins reliable, and is made anew with
-best effort as soon as a publisher on its topic offers no more; it is made reliable again when all do. A parameter
-`qos_overrides.<topic>.subscription.reliability` ends that: then the input is what the parameter says, and a publisher
-that offers less is told of.
-
-All inputs of the recorder: what arrives goes into the inbox of the session at hand, and how much is known of it.
+A reliable subscriber receives nothing from a best-effort publisher. Therefore every subscription starts reliable, is
+replaced by one with best effort as soon as a publisher on its topic offers no more, and by a reliable one when all
+publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.reliability` overrides that: the
+subscription is then as the parameter demands, and a publisher that offers less is reported.
 """
 
 from __future__ import annotations
@@ -39,9 +37,9 @@ class InputTopic:
     """A topic to record.
 
     Attributes:
-        name: As it is subscribed to: relative to the namespace, and before remapping.
+        name: Name before remapping, which may be relative to the namespace.
         message: Class of its messages.
-        depth: Messages that the middleware may hold for us.
+        depth: Queue size of the middleware.
     """
 
     name: str
@@ -50,19 +48,19 @@ class InputTopic:
 
     @property
     def type_name(self) -> str:
-        """Such as `sensor_msgs/msg/PointCloud2`."""
+        """Name of the type, such as `sensor_msgs/msg/PointCloud2`."""
         module = self.message.__module__.split(".")
         return f"{module[0]}/{module[1]}/{self.message.__name__}"
 
 
 class RecorderInput:
-    """One topic.
+    """The subscription to one topic.
 
     Args:
-        node: Subscribes.
-        topic: What to.
-        take: Called with every message, in a thread of the executor; must return at once.
-        mismatch: Told of topic, `publisher` and event where a publisher offers less than a parameter asks for.
+        node: The recorder.
+        topic: The topic.
+        receive: Called with every message, in a thread of the executor; must return at once.
+        mismatch: Called with topic, `publisher` and event where a publisher offers less than a parameter demands.
 
     Attributes:
         name: Full name of the topic.
@@ -73,17 +71,17 @@ class RecorderInput:
         self,
         node: Node,
         topic: InputTopic,
-        take: Callable[[Arrival], None],
+        receive: Callable[[Arrival], None],
         mismatch: Callable[[str, str, Any], None],
     ) -> None:
         self.topic = topic
         self.name: str = node.resolve_topic_name(topic.name)
         self.reliable = True
         self._node = node
-        self._take = take
+        self._forward = receive
         self._mismatch = mismatch
-        wish = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
-        self._pinned = wish in getattr(node, "_parameter_overrides", {})
+        override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
+        self._overridden = override in getattr(node, "_parameter_overrides", {})
         self._lock = threading.Lock()
         self._last: dict[bytes, int] = {}
         self._gaps = 0
@@ -93,18 +91,18 @@ class RecorderInput:
 
     @property
     def lost(self) -> int:
-        """Messages since `reset` that the middleware lost: gaps in the publishers' numbers, or its own events."""
+        """Messages that the middleware has lost since `reset`, by gaps in sequence numbers or by its own events."""
         with self._lock:
             return max(self._gaps, self._events)
 
     def reset(self) -> None:
-        """Count what is lost from now on."""
+        """Restart the count of lost messages."""
         with self._lock:
             self._gaps = self._events = 0
 
     def adapt(self) -> bool:
-        """Look at what the publishers offer; whether the subscription was made anew."""
-        if self._pinned:
+        """Adapt to what the publishers offer; whether the subscription was replaced."""
+        if self._overridden:
             return False
         offered = {info.qos_profile.reliability for info in self._node.get_publishers_info_by_topic(self.name)}
         reliable = ReliabilityPolicy.BEST_EFFORT not in offered
@@ -116,7 +114,7 @@ class RecorderInput:
         return True
 
     def destroy(self) -> None:
-        """Listen no more."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     def _subscribe(self) -> Any:
@@ -128,28 +126,28 @@ class RecorderInput:
             self._receive,
             profile,
             callback_group=self._group,
-            qos_overriding_options=QoSOverridingOptions((*_OVERRIDDEN, *[_ADAPTED] * self._pinned)),
+            qos_overriding_options=QoSOverridingOptions((*_OVERRIDDEN, *[_ADAPTED] * self._overridden)),
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=self._differ, message_lost=self._lose, use_default_callbacks=False
+                incompatible_qos=self._report_mismatch, message_lost=self._count_lost, use_default_callbacks=False
             ),
             raw=True,
         )
         self.reliable = profile.reliability == ReliabilityPolicy.RELIABLE  # overrides were written into it
         return subscription
 
-    def _differ(self, event: Any) -> None:
-        if self._pinned:  # else `adapt` sees to it
+    def _report_mismatch(self, event: Any) -> None:
+        if self._overridden:  # otherwise `adapt` handles it
             self._mismatch(self.topic.name, "publisher", event)
 
     def _receive(self, data: bytes, info: Any) -> None:
         sequence = info.get("publication_sequence_number")
         publisher = info.get("publisher_gid")
-        if sequence is not None and publisher is not None and not self._follow(publisher["data"], sequence):
+        if sequence is not None and publisher is not None and not self._is_new(publisher["data"], sequence):
             return
-        self._take(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
+        self._forward(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
 
-    def _follow(self, publisher: bytes, sequence: int) -> bool:
-        """Count what is missing; False for a message that the subscription made anew has received once more."""
+    def _is_new(self, publisher: bytes, sequence: int) -> bool:
+        """Count missing messages; False for a message that was received before the subscription was replaced."""
         with self._lock:
             last = self._last.get(publisher)
             if last is not None and sequence <= last:
@@ -158,7 +156,7 @@ class RecorderInput:
             self._last[publisher] = sequence
             return True
 
-    def _lose(self, event: Any) -> None:
+    def _count_lost(self, event: Any) -> None:
         with self._lock:
             self._events += event.total_count_change
 
@@ -167,67 +165,62 @@ _RATE_TICKS = 11
 
 
 class RecorderSubscriptions:
-    """Subscribes to all topics; without a session, what arrives is only counted.
+    """All subscriptions of the recorder; without a session, messages are only counted.
 
     Args:
-        node: Subscribes.
-        topics: What to.
+        node: The recorder.
+        topics: The topics.
         mismatch: See `RecorderInput`.
 
     Attributes:
-        inputs: By full name.
+        inputs: Subscriptions by full name of the topic.
     """
 
     def __init__(self, node: Node, topics: Sequence[InputTopic], mismatch: Callable[[str, str, Any], None]) -> None:
         self.inputs: dict[str, RecorderInput] = {}
-        self._names: dict[str, str] = {}
-        self._inbox: MessageQueue | None = None
+        self._queue: MessageQueue | None = None
         self._late: Counter[str] = Counter()
         self._arrived: Counter[str] = Counter()
         self._ticks: deque[tuple[float, Counter[str]]] = deque(maxlen=_RATE_TICKS)
         try:
             for topic in topics:
-                one = RecorderInput(node, topic, self._take, mismatch)
-                self.inputs[one.name], self._names[topic.name] = one, one.name
+                one = RecorderInput(node, topic, self._receive, mismatch)
+                self.inputs[one.name] = one
         except BaseException:  # such as an override that names no policy
             self.destroy()
             raise
 
-    def name(self, relative: str) -> str:
-        """The full name of a topic, as it was subscribed to."""
-        return self._names[relative]
-
-    def open(self, inbox: MessageQueue) -> None:
-        """A session begins: count what is lost from now on, and put what arrives into its inbox."""
+    def open(self, queue: MessageQueue) -> None:
+        """Begin a session: restart the counts, and put messages into its queue."""
         for one in self.inputs.values():
             one.reset()
         self._late.clear()
-        self._inbox = inbox
+        self._queue = queue
 
     def close(self) -> None:
-        """The session is over."""
-        inbox, self._inbox = self._inbox, None
-        if inbox is not None:
-            self._late = inbox.late()
+        """End the session."""
+        queue, self._queue = self._queue, None
+        if queue is not None:
+            self._late = queue.late()
 
     def lost(self) -> dict[str, int]:
-        """What the middleware has lost since `open`, by topic."""
+        """Messages that the middleware has lost since `open`, by topic."""
         return {name: one.lost for name, one in self.inputs.items()}
 
     def tick(self) -> list[str]:
-        """Look at the clock and at what the publishers offer; tells of subscriptions that were made anew."""
+        """Update the rates and adapt to the publishers; gives a line for each subscription that was replaced."""
         self._ticks.append((time.monotonic(), Counter(self._arrived)))
         return [
-            f"{one.name}: is offered {'reliable' if one.reliable else 'best effort'}, and subscribed to likewise"
+            f"{one.name}: subscribed with {'reliable' if one.reliable else 'best effort'} QoS, as its publishers offer"
             for one in self.inputs.values()
             if one.adapt()
         ]
 
-    def inflows(self) -> dict[str, TopicStatistics]:
-        """What is known of each topic now."""
-        inbox, rates = self._inbox, self._rates()
-        waiting: Counter[str] = Counter() if inbox is None else inbox.waiting()
-        late = self._late if inbox is None else inbox.late()
+    def statistics(self) -> dict[str, TopicStatistics]:
+        """Current statistics of each topic."""
+        queue, rates = self._queue, self._rates()
+        waiting: Counter[str] = Counter() if queue is None else queue.waiting()
+        late = self._late if queue is None else queue.late()
         return {
             name: TopicStatistics(
                 waiting=waiting[name], late=late[name], reliable=one.reliable, rate_hz=rates.get(name, 0.0)
@@ -236,15 +229,15 @@ class RecorderSubscriptions:
         }
 
     def destroy(self) -> None:
-        """Listen no more."""
+        """End all subscriptions."""
         for one in self.inputs.values():
             one.destroy()
 
-    def _take(self, arrival: Arrival) -> None:
+    def _receive(self, arrival: Arrival) -> None:
         self._arrived[arrival.topic] += 1
-        inbox = self._inbox
-        if inbox is not None:
-            inbox.put(arrival)
+        queue = self._queue
+        if queue is not None:
+            queue.put(arrival)
 
     def _rates(self) -> dict[str, float]:
         if len(self._ticks) < 2:

@@ -8,20 +8,23 @@ from dataclasses import dataclass, field
 from foretouch.config import setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.grasp import GeoGraspConfig
-from foretouch.ros.messages.tactile import AdapterConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
 from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.tactile.messages import TactileConfig
+from foretouch.topics import TACTILE_TOPIC
 
 __all__ = ["TouchPredictorConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TouchPredictorConfig(ProcessingConfig):
-    """Settings of the touch predictor; those of the hand have the names that the recorder gives them."""
+    """Settings of the touch predictor; tactile settings have the same names as those of the recorder."""
 
-    model: str = setting("default", "Name of a shipped model, or the path of a checkpoint", read_only=True)
-    fallback_model: str = setting("", "Model used, and flagged, where `model` cannot be; none if empty", read_only=True)
+    model: str = setting("default", "Name of a released model, or the path of a checkpoint", read_only=True)
+    fallback_model: str = setting(
+        "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
+    )
     late_after_s: float = setting(
         0.5,
         "Age of a cloud beyond which its predictions are flagged late; 0 for never",
@@ -29,22 +32,22 @@ class TouchPredictorConfig(ProcessingConfig):
         minimum=0.0,
         maximum=3600.0,
     )
-    thumb_takes_g1: bool = setting(True, "Which finger the markers put at g1: thumb, else middle finger")
-    use_tare: bool = setting(True, "Whether predictions lean on what the fingertips read at rest")
-    tare_max_age_s: float = setting(
-        60.0, "Time after which what was read at rest no longer counts", unit="s", minimum=0.0, maximum=1e6
+    thumb_takes_g1: bool = setting(True, "Whether the markers show the thumb at g1, else the middle finger")
+    use_tare: bool = setting(True, "Whether predictions use the tare: the tactile readings at rest")
+    tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", unit="s", minimum=0.0, maximum=1e6)
+    use_touches: bool = setting(
+        True, "Whether predictions adapt to the tactile readings of executed grasps of the same object"
     )
-    use_touches: bool = setting(True, "Whether predictions lean on what was read in grasps of the same object")
     forget_after_s: float = setting(
-        300.0, "Time after the last touch of an object at which its touches are forgotten", unit="s", minimum=0.0,
+        300.0, "Time after the last touch of an object until its touches are forgotten", unit="s", minimum=0.0,
         maximum=1e6,
     )  # fmt: skip
     same_object_m: float = setting(
-        0.02, "How far an object may have moved, or seem to have changed in size, since it was touched", unit="m",
+        0.02, "How far an object may have moved, or changed in apparent size, since it was touched", unit="m",
         minimum=0.0, maximum=1.0,
     )  # fmt: skip
-    tactile_topic: str = setting("/rh/tactile", "What the hand sends", read_only=True)
-    tactile: AdapterConfig = field(default_factory=AdapterConfig)
+    tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
+    tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     grasp: GeoGraspConfig = GeoGraspConfig()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action `sample_grasps`: plan on the given or the latest object, predict, and tell the costs."""
+"""The action `sample_grasps`: plan on the given or the latest object, predict, and compute the costs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class GraspSampler:
     Args:
         predict: Gives the predictions for grasps on one target, in order.
         grasp: Settings of GeoGrasp.
-        ranges: Of the tactile values, for the cost `pressure`.
+        ranges: Ranges of the tactile values, for the cost `pressure`.
     """
 
     def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges) -> None:
@@ -59,21 +59,21 @@ class GraspSampler:
         self._ranges = ranges
 
     def sample(
-        self, goal: Any, latest: Latest | None, tell: Callable[[Any], None], cancelled: Callable[[], bool]
+        self, goal: Any, latest: Latest | None, feedback: Callable[[Any], None], cancelled: Callable[[], bool]
     ) -> Any:
         """Plan, predict and sort.
 
         Args:
             goal: `SampleGrasps.Goal`.
-            latest: What the graph saw last, for a goal without a cloud.
-            tell: Called with a `SampleGrasps.Feedback` after each object.
-            cancelled: Asked before each object; what was found so far is then the result.
+            latest: The latest cloud of the graph, for a goal without a cloud.
+            feedback: Called with a `SampleGrasps.Feedback` after each object.
+            cancelled: Called before each object; if true, the result holds the grasps found so far.
 
         Returns:
-            `SampleGrasps.Result`, cheapest grasp first; those without a prediction come last, at infinite cost.
+            `SampleGrasps.Result`, lowest cost first; grasps without a prediction are last, at infinite cost.
 
         Raises:
-            RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal cannot be understood.
+            RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal is invalid.
         """
         cost = goal.cost or SampleGrasps.Goal.PRESSURE
         if cost not in _COSTS:
@@ -88,7 +88,7 @@ class GraspSampler:
                 break
             plan = plan_targets(pipeline, [target], header)
             fresh = self._rate(target, plan.grasps, header, cost)
-            tell(_feedback(fresh, header))
+            feedback(_feedback(fresh, header))
             candidates += fresh
         if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
             raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
@@ -104,10 +104,10 @@ class GraspSampler:
 
 
 def pressure_cost(prediction: TouchPrediction, ranges: TactileRanges) -> float:
-    """Mean of both fingers' predicted static pressure, each on the scale of its range: 0 least, 1 most.
+    """Mean of both fingers' predicted static pressure, each relative to its range: 0 lowest, 1 highest.
 
     Returns:
-        Infinity where nothing was predicted.
+        Infinity without a prediction.
     """
     if prediction.status != Status.OK:
         return math.inf
@@ -119,7 +119,7 @@ def pressure_cost(prediction: TouchPrediction, ranges: TactileRanges) -> float:
 
 
 def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObject, ...]]:
-    """The objects that the goal is about, and the header of their cloud."""
+    """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
             raise RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")

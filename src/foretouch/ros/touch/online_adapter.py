@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the hand has felt, and predictions that lean on it. No node.
+"""Online adaptation: predictions that use the tare and the tactile readings of executed grasps. No node.
 
-Tactile readings give a tare; a reading, by stamps, of a grasp that the robot tells of as executed is paired with its cloud
-exactly as the recorder pairs it, and added to the memory of the object at hand.
+Tactile messages give a tare. The touch of an executed grasp is assembled exactly as the recorder assembles it, and
+added to the memory of the current object.
 
-Threads: callbacks store, under one lock; who predicts settles first what is complete by then, under another, so that a
-touch is taken in before the next prediction and never within a callback.
+Threads: callbacks store, under one lock; the thread that predicts first adds the touches that are complete, under
+another lock, so that a touch is used in the next prediction and never processed within a callback.
 """
 
 from __future__ import annotations
@@ -14,187 +14,159 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.pairing import (
-    CloudBuffer,
-    Execution,
-    GraspTouchMatcher,
-    Interval,
-    MatchedGrasp,
-    PairingError,
-    RejectedGrasp,
-    TouchBuffer,
-    TouchReading,
-)
+from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.messages.conversions import stamp_ns
-from foretouch.ros.messages.tactile import TactileAdapter
-from foretouch.ros.recorder.samples import SampleMaker
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.ros.touch.object_memory import ObjectMemory
+from foretouch.tactile.messages import TactileReader
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 
 __all__ = ["OnlineAdapter"]
 
-_MAKER = SampleMaker(object="", note="", others=(), flags=())
-
 
 class OnlineAdapter:
-    """Of one model that has a calibration.
+    """Adapts the predictions of one model, which has a calibration.
 
     Args:
-        model: Predicts.
-        adapter: Reads tactile messages.
-        config: Gives the settings now in force.
-        now_ns: The node's clock [ns].
-        warn: Told of touches that were refused.
+        model: The model.
+        reader: Decodes tactile messages.
+        config: Gives the current settings.
+        now_ns: Gives the time of the node's clock [ns].
+        warn: Called with a line for each touch that is refused.
     """
 
     def __init__(
         self,
         model: TouchModel,
-        adapter: TactileAdapter,
+        reader: TactileReader,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
         warn: Callable[[str], None],
     ) -> None:
         settings = config()
         self._model = model
-        self._adapter = adapter
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        self._inbox = threading.Lock()  # of what callbacks fill; never held while the model works
-        self._buffer = TouchBuffer(settings.pairing.kept_s)
+        self._input_lock = threading.Lock()  # of what callbacks store; not taken while the model works
+        self._assembler = SampleAssembler(
+            AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
+        )
         self._tare = LiveTare(settings.contact)
-        self._jumps = 0
-        self._readings = 0
+        self._received = 0
         self._unreadable = 0
         self._last_unreadable = ""
-        self._learning = threading.Lock()  # of the memory; taken before the other one
-        self._object = ObjectMemory(model)
-        self._outcomes: Counter[str] = Counter()
+        self._memory_lock = threading.Lock()  # of the memory; taken before the other one
+        self._memory = ObjectMemory(model)
+        self._touch_counts: Counter[str] = Counter()
         self._last_refusal = ""
         self._regime = ""
-        self._begin()
 
-    def _begin(self) -> None:
-        settings = self._config()
-        self._clouds = CloudBuffer(settings.pairing.kept_s, settings.pairing.kept_mb)
-        self._book: GraspTouchMatcher[Any] = GraspTouchMatcher(
-            self._buffer, self._clouds, settings.pairing, settings.contact
-        )
+    # Input, from callbacks and from the worker.
 
-    # What callbacks and the worker store.
-
-    def take_tactile(self, message: Any) -> None:
-        """A message of the hand; one that holds no reading is counted."""
-        arrived_ns = self._now_ns()
-        with self._inbox:
-            self._readings += 1
+    def add_tactile(self, message: Any) -> None:
+        """Add a tactile message; one without a reading is counted."""
+        received_ns = self._now_ns()
+        with self._input_lock:
+            self._received += 1
+            jumps = self._assembler.clock_jumps
             try:
-                reading = self._adapter.read(message)
+                reading = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
             except TactileError as err:
                 self._unreadable += 1
                 self._last_unreadable = str(err)
                 return
-            stamp = arrived_ns if reading.stamp_ns is None else reading.stamp_ns
-            self._buffer.add(TouchReading(stamp, reading.counts, reading.others, arrived_ns))
-            if self._buffer.oddities["clock_jump"] != self._jumps:
-                self._jumps = self._buffer.oddities["clock_jump"]
-                self._tare.forget()
-            self._tare.update(stamp, reading.counts, time.monotonic())
+            if self._assembler.clock_jumps != jumps:
+                self._tare.reset()
+            self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
 
-    def take_executed(self, message: ExecutedGrasp) -> None:
-        """The robot tells of a grasp; one that failed teaches nothing."""
-        start, contact, release = (stamp_ns(t) for t in (message.start, message.contact, message.release))
-        with self._inbox:
-            self._tare.held(contact, release)
-            if not self._config().use_touches or not self._readings:
-                return
-            if not message.success:
-                self._outcomes["refused.grasp_failed"] += 1
-                return
-            interval = Interval(start=start, contact=contact, release=release)
-            self._book.tell(Execution(grasp_id=message.grasp_id, interval=interval, success=True), time.monotonic())
+    def add_executed(self, message: ExecutedGrasp) -> None:
+        """Add the robot's report of an executed grasp; grasps that failed are refused."""
+        with self._input_lock:
+            self._tare.exclude(stamp_ns(message.contact), stamp_ns(message.release))
+            if self._config().use_touches and self._received:
+                self._assembler.add("executed", message, received_ns=0, now_s=time.monotonic())
 
-    def see(self, cloud: PointCloud2, frame_id: str, grasps: Sequence[GraspMsg]) -> None:
-        """Keep a cloud with grasps on it, planned or asked about, where there is a hand that may execute one.
+    def add_grasps(self, cloud: PointCloud2, grasps: Sequence[GraspMsg], *, requested: bool = False) -> None:
+        """Keep a cloud and the grasps on it, if there is a hand that may execute one.
 
         Args:
-            cloud: With a stamp: without one, nothing could tell which cloud a grasp was planned on.
-            frame_id: Of the grasps.
-            grasps: Those without an id cannot be told of later, and are left out.
+            cloud: With a stamp, by which its grasps are found again.
+            grasps: Grasps without an id are left out, since no report can name them.
+            requested: Whether the cloud came with a request; one from the topic with the same stamp is then used.
         """
         stamp, named = stamp_ns(cloud.header.stamp), [grasp for grasp in grasps if grasp.id]
-        if not self._config().use_touches or not self._readings or not stamp or not named:
+        if not self._config().use_touches or not self._received or not stamp or not named:
             return
-        data = bytes(serialize_message(cloud))
-        with self._inbox:
-            plan = self._book.planned(stamp)
-            if plan is None:
-                for gone in self._clouds.add(stamp, data, time.monotonic()):
-                    self._book.forget(gone.stamp_ns)
-            known = {} if plan is None else {grasp.id: grasp for grasp in plan.grasps}
-            self._book.plan(stamp, frame_id, list({**known, **{grasp.id: grasp for grasp in named}}.values()))
+        with self._input_lock:
+            known = requested and self._assembler.has_cloud(stamp)
+        data = b"" if known else bytes(serialize_message(cloud))
+        with self._input_lock:
+            if not known:
+                message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))
+                self._assembler.add_cloud(message, now_s=time.monotonic())
+            self._assembler.add_grasps(stamp, cloud.header.frame_id, named)
 
-    # What whoever predicts asks for.
+    # Output, for the thread that predicts.
 
     def predict(self, cloud: Cloud, grasps: Sequence[Grasp]) -> list[TouchPrediction]:
-        """As of `TouchModel.predict`, leaning on the touches of the object in this cloud, else on a fresh tare.
+        """Predict as `TouchModel.predict`, with the touches of the object in this cloud, else with a recent tare.
 
         Raises:
-            CloudError: As of `TouchModel.predict`.
-            ModelError: Likewise.
+            CloudError: See `TouchModel.predict`.
+            ModelError: See `TouchModel.predict`.
         """
         config = self._config()
-        self.settle()
-        with self._learning:
-            memory = self._object.of(cloud, config.same_object_m) if config.use_touches else None
+        self.process_touches()
+        with self._memory_lock:
+            memory = self._memory.of(cloud, config.same_object_m) if config.use_touches else None
             if memory is not None:
                 return self._noted(self._model.predict(cloud, grasps, memory=memory), memory.tare)
-        tare = self._fresh_tare(config)
+        tare = self._recent_tare(config)
         return self._noted(self._model.predict(cloud, grasps, tare=tare), tare)
 
-    def settle(self) -> None:
-        """Take in the touches that are complete by now, and forget those that are too old."""
+    def process_touches(self) -> None:
+        """Add the touches that are complete by now to the memory, and forget touches that are too old."""
         config, now_s = self._config(), time.monotonic()
-        with self._learning:
-            self._object.expire(now_s, config.forget_after_s)
-            with self._inbox:
-                results = self._book.poll(now_s) if self._book.pending else []
+        with self._memory_lock:
+            self._memory.expire(now_s, config.forget_after_s)
+            with self._input_lock:
+                results = self._assembler.poll(now_s) if self._assembler.pending else []
             for result in results:
                 if isinstance(result, RejectedGrasp):
                     self._refuse(result.grasp_id, result.reason, result.message)
                 else:
-                    self._learn(result, config)
+                    self._add_touch(result, config)
 
     def forget(self) -> int:
-        """Another object is at hand: forget touches, and grasps planned so far; gives the number of touches."""
-        with self._learning, self._inbox:
-            count = self._object.count
-            self._object.forget()
-            self._begin()
+        """Forget all touches and all grasps so far, since the object was changed; gives the number of touches."""
+        with self._memory_lock, self._input_lock:
+            count = self._memory.count
+            self._memory.forget()
+            self._assembler.reset_grasps()
             return count
 
     def touches(self) -> int:
-        """In memory."""
-        return self._object.count
+        """Number of touches in memory."""
+        return self._memory.count
 
     def notes(self) -> dict[str, str]:
-        """For /diagnostics."""
-        with self._inbox:
+        """Entries for /diagnostics."""
+        with self._input_lock:
             age_s, fault = self._tare.age_s(time.monotonic()), self._tare.fault
-            outcomes = {"waiting": self._book.pending, **self._outcomes}
-            words = {
+            counts = {"waiting": self._assembler.pending, **self._touch_counts}
+            texts = {
                 "tare.fault": fault,
                 "touches.last_refusal": self._last_refusal,
                 "tactile.last_unreadable": self._last_unreadable,
@@ -202,32 +174,28 @@ class OnlineAdapter:
         return {
             "regime": self._regime,
             "touches": str(self.touches()),
-            **{f"touches.{outcome}": str(count) for outcome, count in sorted(outcomes.items())},
+            **{f"touches.{name}": str(count) for name, count in sorted(counts.items())},
             "tare_age_s": "none" if age_s == float("inf") else f"{age_s:.1f}",
-            "tactile.received": str(self._readings),
+            "tactile.received": str(self._received),
             "tactile.unreadable": str(self._unreadable),
-            **{name: text for name, text in words.items() if text},
+            **{name: text for name, text in texts.items() if text},
         }
 
-    # Its own affairs.
-
-    def _fresh_tare(self, config: TouchPredictorConfig) -> Touch | None:
+    def _recent_tare(self, config: TouchPredictorConfig) -> Touch | None:
         if not config.use_tare:
             return None
-        with self._inbox:
+        with self._input_lock:
             return self._tare.tare(time.monotonic(), config.tare_max_age_s)
 
-    def _learn(self, linked: MatchedGrasp[Any], config: TouchPredictorConfig) -> None:
+    def _add_touch(self, assembled: AssembledSample, config: TouchPredictorConfig) -> None:
+        sample, cut = assembled.record.sample, assembled.cut
+        assert cut is not None  # noqa: S101  samples without a touch are not asked for
+        tare = cut.tare if config.use_tare else None
         try:
-            sample = _MAKER.labelled(linked).sample
-            tare, touch = sample.tare if config.use_tare else None, sample.touch
-            assert touch is not None  # noqa: S101  a labelled sample has one
-            self._object.add(sample.cloud, sample.grasp, touch, tare, time.monotonic(), config.same_object_m)
-        except PairingError as err:
-            self._refuse(linked.execution.grasp_id, err.reason, str(err))
+            self._memory.add(sample.cloud, sample.grasp, cut.touch, tare, time.monotonic(), config.same_object_m)
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
-            self._refuse(linked.execution.grasp_id, reasons.get(type(err), "refused"), str(err))
+            self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))
         else:
             self._count("taken_in")
 
@@ -236,12 +204,12 @@ class OnlineAdapter:
         self._last_refusal = f"grasp {grasp_id}: {message}"
         self._warn(f"touch of grasp {grasp_id}: refused: {reason}: {message}")
 
-    def _count(self, outcome: str) -> None:
-        with self._inbox:
-            self._outcomes[outcome] += 1
+    def _count(self, name: str) -> None:
+        with self._input_lock:
+            self._touch_counts[name] += 1
 
     def _noted(self, predictions: list[TouchPrediction], tare: Touch | None) -> list[TouchPrediction]:
-        """Keep, for /diagnostics, what the first prediction leaned on and which calibration it took."""
+        """Keep the reference and the calibration group of the first prediction for /diagnostics."""
         if predictions:
             first = predictions[0]
             regime = ("new" if "unfamiliar" in first.flags else "known") + ("_tare" if tare is not None else "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the touch predictor answers, for a topic, a service or an action alike: messages in, messages out."""
+"""Predictions as messages, in the same way for the topic, the service and the action."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ __all__ = ["Predictor"]
 
 
 class Predictor:
-    """A model that may be absent: then every answer says so, and why.
+    """A model that may be absent: every answer then gives the reason.
 
     Args:
         model: Name or path.
-        fallback: Name or path of the model used where `model` cannot be; "" for none.
+        fallback: Name or path of the model to use if `model` cannot be loaded; "" for none.
 
     Attributes:
         model: None if neither could be loaded.
-        feeling: What predictions lean on besides the cloud; None for sight alone.
+        adapter: Adapts predictions to tactile readings; None for vision alone.
         fault: Why `model` could not be loaded; "" if it could.
-        flags: Of every prediction.
+        flags: Flags of every prediction.
     """
 
     def __init__(self, model: str, fallback: str = "") -> None:
         self.model: TouchModel | None = None
-        self.feeling: OnlineAdapter | None = None
+        self.adapter: OnlineAdapter | None = None
         self.fault = ""
         self.flags: tuple[str, ...] = ()
         try:
@@ -75,16 +75,16 @@ class Predictor:
         header: Header,
         posing: GeoGraspConfig | None = None,
     ) -> TouchPredictionArray:
-        """A prediction or a refusal for every grasp, in order.
+        """Predict or refuse every grasp, in order.
 
         Args:
             targets: The objects; features are computed once for each that has grasps.
             grasps: Each on the object that it names, or on the only one.
-            header: Of the cloud.
-            posing: Settings to pose grasps without an orientation with, on the target's table; None refuses them.
+            header: Header of the cloud.
+            posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
 
         Returns:
-            Status OK where any prediction is, else that of the first.
+            Status OK if any prediction is OK, else the status of the first.
         """
         answers: list[TouchPrediction | None] = [None] * len(grasps)
         by_target: dict[int, list[int]] = {}
@@ -94,8 +94,8 @@ class Predictor:
             except GraspError as err:
                 answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            mine = self._on_target(targets[k], [grasps[i] for i in members], header, posing)
-            for i, answer in zip(members, mine, strict=True):
+            predicted = self._on_target(targets[k], [grasps[i] for i in members], header, posing)
+            for i, answer in zip(members, predicted, strict=True):
                 answers[i] = answer
         predictions = [answer for answer in answers if answer is not None]
         ok = any(p.status == Status.OK for p in predictions)
@@ -103,12 +103,12 @@ class Predictor:
         return TouchPredictionArray(header=header, predictions=predictions, status=status, reason=reason)
 
     def finish(self, message: TouchPredictionArray, age_s: float, late_after_s: float) -> TouchPredictionArray:
-        """Add to each prediction the model, the age of its input, and the flags that follow.
+        """Add the model, the age of its input and the resulting flags to each prediction.
 
         Args:
             message: Changed and returned.
-            age_s: From the cloud's stamp to now [s].
-            late_after_s: Beyond this age a prediction is `late`; 0 for never [s].
+            age_s: Time since the cloud's stamp [s].
+            late_after_s: Age beyond which a prediction is `late`; 0 for never [s].
         """
         late = ("late",) if 0.0 < late_after_s < age_s else ()
         age = duration_to_msg(age_s)
@@ -135,7 +135,7 @@ class Predictor:
             except (GraspError, CloudError) as err:
                 answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
         try:
-            predicted = iter((self.feeling or model).predict(target.cloud, posed) if posed else [])
+            predicted = iter((self.adapter or model).predict(target.cloud, posed) if posed else [])
         except (CloudError, ModelError) as err:
             status = Status.TOO_FEW_POINTS if isinstance(err, CloudError) else Status.REFUSED
             return [old or refusal_to_msg(g, header, status, str(err)) for g, old in zip(grasps, answers, strict=True)]
@@ -143,7 +143,7 @@ class Predictor:
 
 
 class _Poser:
-    """Poses the hand at given contacts as `Pipeline.grasp_between` does, with one search for the object's axis."""
+    """Computes orientations of grasps as `Pipeline.grasp_between` does, with one search for the object's axis."""
 
     def __init__(self, target: FoundObject, config: GeoGraspConfig | None) -> None:
         self._target = target
@@ -151,19 +151,19 @@ class _Poser:
         self._axis: Float64 | None = None
 
     def grasp(self, message: GraspMsg) -> Grasp:
-        """The grasp of a message, turned if the message leaves that open."""
+        """The grasp of a message, with an orientation computed if the message has none."""
         if has_orientation(message):
             return grasp_from_msg(message)
         if self._config is None:
             raise GraspError("pose: no orientation, and no table to compute it with")
-        unturned = grasp_from_msg(message, np.eye(3))
+        unposed = grasp_from_msg(message, np.eye(3))
         if self._axis is None:
             self._axis, _ = object_axis(self._target.cloud, self._target.plane, self._config)
-        return grasp_from_msg(message, hand_rotation(unturned.g1, unturned.g2, self._axis))
+        return grasp_from_msg(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
-    """Index of the target that a grasp is for; one that is alone and nameless takes any."""
+    """Index of a grasp's target; a single target matches if it or the grasp has no object id."""
     ids = [target.id for target in targets]
     if grasp.object_id in ids:
         return ids.index(grasp.object_id)

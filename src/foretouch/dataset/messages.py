@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decoders of `Grasp` and of object clouds, without ROS: they accept messages of rclpy and of rosbags alike.
+
+`object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
+rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
+`column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of tactile messages are in
+`foretouch.tactile.messages`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode
+from foretouch.errors import CloudError, GraspError
+from foretouch.tactile.messages import stamp_ns
+from foretouch.types import Cloud, Float64, Grasp
+
+__all__ = [
+    "ObjectCloud",
+    "decode_cloud",
+    "decode_grasp",
+    "decode_objects",
+    "has_orientation",
+    "rotation_from_quaternion",
+    "stamp_ns",
+]
+
+_UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
+_AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
+
+
+class ObjectCloud(NamedTuple):
+    """One object of an `object_cloud`.
+
+    Attributes:
+        id: Its label as text; "" in a cloud without labels.
+        cloud: (N, 3), the points of this object.
+        pixels: (N,) int64, flat index of each point in the image that it was cut from; None without an image.
+        image_shape: (H, W) of that image.
+    """
+
+    id: str
+    cloud: Cloud
+    pixels: npt.NDArray[np.int64] | None = None
+    image_shape: tuple[int, int] | None = None
+
+
+def decode_cloud(message: Any) -> Cloud:
+    """A `sensor_msgs/PointCloud2`; the arrays are read-only views of the message where its layout allows.
+
+    Raises:
+        CloudError: If the sizes do not add up, or x, y or z is missing or of another type.
+    """
+    layout = PointCloud2Layout(
+        height=message.height,
+        width=message.width,
+        fields=tuple(PointField(f.name, f.offset, f.datatype, f.count) for f in message.fields),
+        is_bigendian=bool(message.is_bigendian),
+        point_step=message.point_step,
+        row_step=message.row_step,
+    )
+    xyz, rgb = decode(layout, message.data)
+    return Cloud(xyz, rgb, message.header.frame_id, stamp_ns(message.header.stamp))
+
+
+def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
+    """The objects of an `object_cloud` in their order; a cloud without labels is one object, without its NaN points.
+
+    Raises:
+        CloudError: See `decode_cloud`; also if a label, row or column is of another type.
+    """
+    cloud = decode_cloud(message)
+    if cloud.size == 0:
+        return ()
+    labels, rows, columns = (_integer_field(message, name) for name in ("label", "row", "column"))
+    if labels is None:
+        finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
+        return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
+    shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
+    _, first = np.unique(labels, return_index=True)
+    objects = []
+    for label in labels[np.sort(first)]:
+        members = np.flatnonzero(labels == label)
+        pixels = None
+        if shape is not None and rows is not None and columns is not None:
+            pixels = rows[members].astype(np.int64) * shape[1] + columns[members]
+        objects.append(ObjectCloud(str(label), cloud.take(members), pixels, shape))
+    return tuple(objects)
+
+
+def has_orientation(message: Any) -> bool:
+    """Whether a `foretouch_msgs/Grasp` holds a rotation, as a matrix or as a quaternion."""
+    return bool(np.any(_quaternion(message)) or np.any(message.rotation))
+
+
+def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | None = None) -> Grasp:
+    """A `foretouch_msgs/Grasp`. The position of its pose is not used: it is the midpoint of the contacts.
+
+    Args:
+        message: With a matrix, a quaternion, or both; nine zeros as matrix mean that only the quaternion counts.
+        rotation: (3, 3) float64, instead of that of the message.
+        score: Instead of that of the message, which is rounded to float32.
+
+    Raises:
+        GraspError: If a number is not finite, the contacts are one point, there is no rotation, or matrix and
+            quaternion contradict each other.
+    """
+    g1, g2 = (np.array([p.x, p.y, p.z], np.float64) for p in (message.g1, message.g2))
+    rotation = _rotation_of(message) if rotation is None else rotation
+    return Grasp(g1, g2, rotation, float(message.score if score is None else score), message.id, message.object_id)
+
+
+def rotation_from_quaternion(xyzw: Float64) -> Float64:
+    """(3, 3) float64 rotation of a quaternion.
+
+    Args:
+        xyzw: (4,) of unit length within 1e-3; normalised here.
+
+    Raises:
+        GraspError: If a number is not finite or the length is another.
+    """
+    length = float(np.linalg.norm(xyzw))
+    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
+        raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
+    x, y, z, w = xyzw / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _rotation_of(message: Any) -> Float64:
+    quaternion = _quaternion(message)
+    matrix = np.asarray(message.rotation, np.float64).reshape(3, 3)
+    if not np.any(matrix):
+        if not np.any(quaternion):
+            raise GraspError("pose: no orientation")
+        return rotation_from_quaternion(quaternion)
+    if not np.isfinite(matrix).all() or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
+        raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
+    if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
+        raise GraspError("rotation: is not that of pose.orientation")
+    return matrix
+
+
+def _quaternion(message: Any) -> Float64:
+    q = message.pose.orientation
+    return np.array([q.x, q.y, q.z, q.w], np.float64)
+
+
+def _integer_field(message: Any, name: str) -> npt.NDArray[Any] | None:
+    """One of the whole-number fields of an unorganised object cloud, or None where it is absent."""
+    field = next((f for f in message.fields if f.name == name), None)
+    if field is None:
+        return None
+    kind = DATATYPES.get(field.datatype)
+    if kind not in {"u4", "u2"} or field.count != 1 or message.height != 1:
+        raise CloudError(f"{name}: is not one UINT32 or UINT16 a point of an unorganised cloud")
+    order = ">" if message.is_bigendian else "<"
+    return np.ndarray(
+        (message.width,), order + kind, buffer=message.data, offset=field.offset, strides=(message.point_step,)
+    )

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assembles labelled samples from messages: the recorder, online adaptation, bag import and monitor all use this.
+
+Input are tactile messages, object clouds, planned grasps, executed grasps and the operator's labels, decoded by rclpy
+or by rosbags. Output are samples, or rejected grasps with a reason. Nothing here depends on ROS, and every time is
+given by the caller.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from foretouch.dataset.cdr import read_header
+from foretouch.dataset.messages import decode_grasp, decode_objects, stamp_ns
+from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
+from foretouch.dataset.pairing.matcher import (
+    ExecutedGrasp,
+    GraspTouchMatcher,
+    Label,
+    MatchedGrasp,
+    PlannedGrasps,
+    RejectedGrasp,
+)
+from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
+from foretouch.dataset.recording.record import DISCARDED, Outcome, SampleRecord, TouchSeries
+from foretouch.errors import CloudError, GraspError
+from foretouch.tactile.contact_detector import ContactConfig
+from foretouch.tactile.messages import TactileReader
+from foretouch.types import Cloud, Grasp, GraspSample
+
+__all__ = ["AssembledSample", "AssemblerConfig", "Role", "SampleAssembler"]
+
+Role = Literal["tactile", "cloud", "grasps", "executed"]
+
+_DETECTOR: Final = "change against the tare (foretouch.tactile.contact_detector)"
+_TACTILE_TIMEOUT_S: Final = 1.0
+_CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssemblerConfig:
+    """How samples are assembled.
+
+    Attributes:
+        pairing: Settings of the pairing.
+        contact: Settings of the contact detector.
+        object: Label of the object on the table; "" becomes `unknown`.
+        note: Note for every sample.
+        unlabelled_s: Minimum time between two samples without a touch, by stamps of their clouds [s]; None for none.
+        assume_grasps: See `GraspTouchMatcher`.
+        successes_only: See `GraspTouchMatcher`.
+        watch_sensors: Whether contacts are detected and the state of the sensors is followed, which takes time.
+        check_clock: Whether the time of reception is that of a live system, so that clocks can be compared.
+    """
+
+    pairing: PairingConfig = PairingConfig()
+    contact: ContactConfig = ContactConfig()
+    object: str = ""
+    note: str = ""
+    unlabelled_s: float | None = None
+    assume_grasps: bool = False
+    successes_only: bool = False
+    watch_sensors: bool = False
+    check_clock: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class AssembledSample:
+    """A sample.
+
+    Attributes:
+        record: The sample as it is recorded, without an id.
+        cut: Its readings; None for a sample without a touch.
+    """
+
+    record: SampleRecord
+    cut: TouchCut | None = None
+
+
+class SampleAssembler:
+    """Assembles samples of one session. Not thread-safe.
+
+    Args:
+        config: Settings.
+        reader: Decodes tactile messages.
+
+    Attributes:
+        results: Executed grasps by result: `recorded`, or why they were rejected.
+        rejected_clouds: Clouds that could not become samples without a touch, as `unlabelled <reason>`.
+        clouds_without_grasps: Number of clouds that left the buffer without a plan.
+    """
+
+    def __init__(self, config: AssemblerConfig, reader: TactileReader) -> None:
+        self.config = config
+        self.results: Counter[str] = Counter()
+        self.rejected_clouds: Counter[str] = Counter()
+        self.clouds_without_grasps = 0
+        self._reader = reader
+        self._readings = TouchBuffer(config.pairing.kept_s)
+        self._episodes = ContactEpisodes(config.contact)
+        self._health = SensorHealth()
+        self._last_unlabelled_ns: int | None = None
+        self._last_tactile_s = self._last_cloud_s = float("-inf")
+        self.reset_grasps()
+
+    def reset_grasps(self) -> None:
+        """Forget clouds and all grasps, planned or executed; tactile readings are kept."""
+        pairing = self.config.pairing
+        self._clouds = CloudBuffer(pairing.kept_s, pairing.kept_mb)
+        self._matcher = GraspTouchMatcher(
+            self._readings,
+            self._clouds,
+            pairing,
+            self.config.contact,
+            assume=self.config.assume_grasps,
+            successes_only=self.config.successes_only,
+        )
+        self._labelled_clouds: set[int] = set()
+        self._removed: list[tuple[BufferedCloud, PlannedGrasps]] = []
+
+    # State.
+
+    @property
+    def pending(self) -> int:
+        """Number of executed grasps that are not complete yet."""
+        return self._matcher.pending
+
+    @property
+    def plans_without_cloud(self) -> int:
+        """Number of plans whose cloud has not come; at the end, after all clouds have left the buffer."""
+        return self._matcher.plans
+
+    @property
+    def anomalies(self) -> Counter[str]:
+        """Anomalies of tactile stamps (see `TouchBuffer`), and rejected clouds."""
+        return self._readings.anomalies + self.rejected_clouds
+
+    @property
+    def clock_jumps(self) -> int:
+        """How often the sensor's clock was set back."""
+        return self._readings.anomalies["clock_jump"]
+
+    def sensor_states(self, now_s: float) -> dict[str, str]:
+        """State by finger, and of the camera: `alive`, `no data`, or the fault."""
+        camera = ALIVE if now_s - self._last_cloud_s <= _CLOUD_TIMEOUT_S else NO_DATA
+        return {**self._health.states, "camera": camera}
+
+    def has_cloud(self, cloud_stamp_ns: int) -> bool:
+        """Whether a cloud of this stamp is in the buffer."""
+        return self._clouds.get(cloud_stamp_ns) is not None
+
+    # Input.
+
+    def add(self, role: Role, message: Any, *, received_ns: int, now_s: float) -> None:
+        """Add a message.
+
+        Args:
+            role: What its topic holds.
+            message: A tactile message of the reader's type, a `SerializedCloud`, a `GraspArray` or an `ExecutedGrasp`.
+            received_ns: When it was received, by the clock of the stamps [ns].
+            now_s: Time of a clock that never goes back [s].
+
+        Raises:
+            TactileError: If a tactile message holds no reading.
+            DatasetError: If a cloud has no header.
+        """
+        if role == "tactile":
+            self.add_tactile(message, received_ns=received_ns, now_s=now_s)
+        elif role == "cloud":
+            self.add_cloud(message, now_s=now_s)
+        elif role == "grasps":
+            self.add_grasps(stamp_ns(message.header.stamp), message.header.frame_id, message.grasps)
+        else:
+            self._matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
+
+    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> TouchReading:
+        """Add a tactile message; gives its reading (raises as `add`)."""
+        content = self._reader.read(message)
+        stamp = received_ns if content.stamp_ns is None else content.stamp_ns
+        received = received_ns if self.config.check_clock else stamp
+        reading = TouchReading(stamp, content.counts, content.others, received)
+        jumps = self.clock_jumps
+        self._readings.add(reading)
+        self._last_tactile_s = now_s
+        if self.config.watch_sensors:
+            self._health.update(reading.counts)
+            if self.clock_jumps != jumps:
+                self._episodes.reset()
+            episode = self._episodes.update(stamp, reading.counts)
+            if episode is not None:
+                self._matcher.add_episode(episode, now_s)
+        return reading
+
+    def add_cloud(self, message: SerializedCloud, *, now_s: float) -> None:
+        """Add an object cloud (raises as `add`)."""
+        header = read_header(message.data)
+        self._last_cloud_s = now_s
+        self._remove(self._clouds.add(header.stamp_ns, message, now_s))
+
+    def add_grasps(self, cloud_stamp_ns: int, frame_id: str, grasps: Any) -> None:
+        """Add `Grasp` messages planned on the cloud of this stamp."""
+        self._matcher.add_plan(cloud_stamp_ns, frame_id, grasps)
+
+    def label(self, label: Label, now_s: float) -> tuple[str, str]:
+        """Add the operator's label of a grasp (see `GraspTouchMatcher.add_label`)."""
+        return self._matcher.add_label(label, now_s)
+
+    # Output.
+
+    def poll(self, now_s: float, *, ending: bool = False) -> list[AssembledSample | RejectedGrasp]:
+        """The samples and rejected grasps that are complete by now; at the end, all."""
+        if now_s - self._last_tactile_s > _TACTILE_TIMEOUT_S:
+            self._health.silence()
+        results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled()]
+        for one in self._matcher.poll(now_s, ending=ending):
+            result = one if isinstance(one, RejectedGrasp) else self._labelled(one)
+            self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
+            results.append(result)
+        if ending:
+            self._remove(self._clouds.clear())
+            results += self._unlabelled()
+        return results
+
+    def _labelled(self, match: MatchedGrasp) -> AssembledSample | RejectedGrasp:
+        name = match.executed.grasp_id
+        try:
+            record = self._labelled_record(match)
+        except PairingError as err:
+            return RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
+        self._labelled_clouds.add(match.cloud.stamp_ns)
+        return AssembledSample(record, match.cut)
+
+    def _remove(self, clouds: list[BufferedCloud]) -> None:
+        """Clouds that left the buffer may become samples without a touch."""
+        for cloud in clouds:
+            plan = self._matcher.forget_plan(cloud.stamp_ns)
+            if cloud.stamp_ns in self._labelled_clouds:
+                self._labelled_clouds.remove(cloud.stamp_ns)
+            elif plan is None:
+                self.clouds_without_grasps += 1
+            elif self.config.unlabelled_s is not None and not cloud.ambiguous:
+                self._removed.append((cloud, plan))
+
+    def _unlabelled(self) -> list[AssembledSample]:
+        samples = []
+        removed, self._removed = self._removed, []
+        for cloud, plan in removed:
+            last, every_s = self._last_unlabelled_ns, self.config.unlabelled_s or 0.0
+            if last is not None and abs(cloud.stamp_ns - last) < every_s * 1e9:
+                continue
+            try:
+                samples.append(AssembledSample(self._unlabelled_record(cloud, plan)))
+            except PairingError as err:
+                self.rejected_clouds[f"unlabelled {err.reason}"] += 1
+            else:
+                self._last_unlabelled_ns = cloud.stamp_ns
+        return samples
+
+    # Records.
+
+    def _labelled_record(self, match: MatchedGrasp) -> SampleRecord:
+        label, cut, window, executed = match.label, match.cut, match.cut.window, match.executed
+        grasp, candidates = _grasps(match.plan, executed.grasp_id)
+        sample = GraspSample(
+            id="",
+            object=(label.object if label else "") or self.config.object or "unknown",
+            cloud=_object_cloud(match.cloud, match.plan.frame_id, grasp.object_id),
+            grasp=grasp,
+            touch=cut.touch,
+            tare=cut.tare,
+            stamp_ns=executed.interval.contact if executed.interval else 0,
+            extra={"clock_offset_s": cut.clock_ns * 1e-9},
+        )
+        others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
+        discard = (DISCARDED,) if label and label.discard else ()
+        return SampleRecord(
+            sample=sample,
+            candidates=candidates,
+            outcome=_outcome(match),
+            note="; ".join(filter(None, (self.config.note, label.note if label else ""))),
+            series=TouchSeries(window.stamps_ns, window.counts, cut.phases, others),
+            contact_ns=cut.contact_ns,
+            detector=_DETECTOR if cut.contact_ns is not None else "",
+            pairing_error_ns=cut.error_ns,
+            flags=(*self._reader.flags, *executed.flags, *cut.flags, *discard),
+        )
+
+    def _unlabelled_record(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
+        grasp, candidates = _grasps(plan, plan.grasps[0].id)
+        sample = GraspSample(
+            id="",
+            object=self.config.object or "unknown",
+            cloud=_object_cloud(cloud, plan.frame_id, grasp.object_id),
+            grasp=grasp,
+            stamp_ns=cloud.stamp_ns,
+        )
+        return SampleRecord(sample=sample, candidates=candidates, note=self.config.note)
+
+
+def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...]]:
+    """The grasp, and the others planned on the same object."""
+    try:
+        grasps = [decode_grasp(message) for message in plan.grasps]
+    except GraspError as err:
+        raise PairingError("bad_grasp", str(err)) from err
+    grasp = next((one for one in grasps if one.id == wanted), None)
+    if grasp is None:
+        raise PairingError("grasp_unknown", f"grasp {wanted}: is not among the grasps of its cloud any more")
+    return grasp, tuple(one for one in grasps if one.object_id == grasp.object_id and one.id != wanted)
+
+
+def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
+    message = cloud.message.decode()
+    try:
+        objects = decode_objects(message)
+    except CloudError as err:
+        raise PairingError("bad_cloud", str(err)) from err
+    if message.header.frame_id != frame_id:
+        raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")
+    match = [one.cloud for one in objects if one.id == object_id or (one.id == "" and len(objects) == 1)]
+    if len(match) != 1:
+        raise PairingError("object_unknown", f"object {object_id!r} is not in the cloud of {cloud.stamp_ns}")
+    return match[0]
+
+
+def _outcome(match: MatchedGrasp) -> Outcome:
+    """The outcome by the operator's label, else by the robot's report."""
+    if match.label is not None and match.label.outcome != "unknown":
+        return match.label.outcome
+    success = match.executed.success
+    return "unknown" if success is None else "success" if success else "failure"

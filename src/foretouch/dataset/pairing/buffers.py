@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The latest tactile readings and clouds by stamp, bounded in time and memory.
+
+Stamps of tactile readings may repeat, come in the wrong order, or come from a clock that is set while it runs. A
+reading whose stamp leaps is set aside until the next one shows whether the clock has jumped or one stamp was wrong.
+After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter, OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.types import TOUCH_SIZE, Float32
+
+__all__ = ["BufferedCloud", "CloudBuffer", "SerializedCloud", "TouchBuffer", "TouchReading", "TouchWindow"]
+
+_SECOND_NS = 1_000_000_000
+_MB = 1_000_000
+_TRIM_EVERY = 100  # readings; removing the front of a list takes time
+
+
+@dataclass(frozen=True, eq=False)
+class TouchReading:
+    """One tactile reading of both fingers.
+
+    Attributes:
+        stamp_ns: Stamp of the sensor [ns].
+        counts: (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts].
+        others: (K,) float32, further channels, the same K in all readings.
+        received_ns: When the message was received [ns].
+    """
+
+    stamp_ns: int
+    counts: Float32
+    others: Float32
+    received_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class TouchWindow:
+    """Readings between two stamps, in the order of their stamps.
+
+    Attributes:
+        stamps_ns: (T,) int64 [ns].
+        counts: (T, 50) float32.
+        others: (T, K) float32.
+        received_ns: (T,) int64 [ns].
+    """
+
+    stamps_ns: npt.NDArray[np.int64]
+    counts: Float32
+    others: Float32
+    received_ns: npt.NDArray[np.int64]
+
+    def between(self, low_ns: int, high_ns: int) -> TouchWindow:
+        """The readings stamped in [low, high)."""
+        first, last = np.searchsorted(self.stamps_ns, (low_ns, high_ns))
+        rows = slice(int(first), int(last))
+        return TouchWindow(self.stamps_ns[rows], self.counts[rows], self.others[rows], self.received_ns[rows])
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+class TouchBuffer:
+    """Readings by stamp. Not thread-safe.
+
+    Args:
+        kept_s: How long readings are kept, by their stamps [s].
+        leap_s: A stamp further than this from the newest is a leap; a smaller step back is jitter [s].
+        max_readings: Maximum number of readings.
+
+    Attributes:
+        anomalies: Counts by kind: `duplicate_stamp`, `out_of_order`, `clock_jump` (back), `stamp_gap` (a leap
+            forward that stayed), `wrong_stamp` (a leap that did not; such readings are left out).
+        newest_ns: Latest stamp [ns], None before the first.
+    """
+
+    def __init__(self, kept_s: float = 60.0, leap_s: float = 1.0, max_readings: int = 100_000) -> None:
+        self.anomalies: Counter[str] = Counter()
+        self.newest_ns: int | None = None
+        self._kept_ns = round(kept_s * _SECOND_NS)
+        self._leap_ns = round(leap_s * _SECOND_NS)
+        self._max_readings = max_readings
+        self._suspect: TouchReading | None = None
+        self._stamps: list[int] = []
+        self._readings: list[TouchReading] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(self, reading: TouchReading) -> None:
+        """Add a reading, in any order."""
+        if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > self._leap_ns:
+            self._add_leap(reading)
+            return
+        if self._suspect is not None:
+            self.anomalies["wrong_stamp"] += 1
+            self._suspect = None
+        self._insert(reading)
+
+    def between(self, low_ns: int, high_ns: int) -> TouchWindow:
+        """The readings stamped in [low, high)."""
+        rows = self._readings[bisect_left(self._stamps, low_ns) : bisect_left(self._stamps, high_ns)]
+        width = len(rows[0].others) if rows else 0
+        return TouchWindow(
+            np.array([r.stamp_ns for r in rows], np.int64),
+            np.array([r.counts for r in rows], np.float32).reshape(len(rows), TOUCH_SIZE),
+            np.array([r.others for r in rows], np.float32).reshape(len(rows), width),
+            np.array([r.received_ns for r in rows], np.int64),
+        )
+
+    def _insert(self, reading: TouchReading) -> None:
+        stamp, newest = reading.stamp_ns, self.newest_ns
+        if newest is None or stamp > newest:
+            self._stamps.append(stamp)
+            self._readings.append(reading)
+            self.newest_ns = stamp
+        else:
+            index = bisect_right(self._stamps, stamp)
+            duplicate = index > 0 and self._stamps[index - 1] == stamp
+            self.anomalies["duplicate_stamp" if duplicate else "out_of_order"] += 1
+            self._stamps.insert(index, stamp)
+            self._readings.insert(index, reading)
+        if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > self._max_readings:
+            self._trim()
+
+    def _add_leap(self, reading: TouchReading) -> None:
+        before, self._suspect = self._suspect, reading
+        if before is None:
+            return
+        if abs(reading.stamp_ns - before.stamp_ns) > self._leap_ns:
+            self.anomalies["wrong_stamp"] += 1  # the reading before; this one is now the suspect
+            return
+        self._suspect = None
+        if self.newest_ns is not None and before.stamp_ns < self.newest_ns:
+            self.anomalies["clock_jump"] += 1
+            self._stamps.clear()
+            self._readings.clear()
+        else:
+            self.anomalies["stamp_gap"] += 1
+        self.newest_ns = self._stamps[-1] if self._stamps else None
+        self._insert(before)
+        self._insert(reading)
+
+    def _trim(self) -> None:
+        first = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)
+        first = max(first, len(self._stamps) - self._max_readings)
+        if first > 0:
+            del self._stamps[:first], self._readings[:first]
+
+
+@dataclass(frozen=True, eq=False)
+class SerializedCloud:
+    """A `PointCloud2` that is decoded only where a sample needs it.
+
+    Attributes:
+        data: The message as CDR.
+        decode: Gives the message.
+    """
+
+    data: bytes
+    decode: Callable[[], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class BufferedCloud:
+    """A cloud in the buffer.
+
+    Attributes:
+        stamp_ns: Stamp of its header [ns].
+        message: The cloud.
+        since_s: When it was added [s].
+        ambiguous: Whether a different cloud has the same stamp.
+    """
+
+    stamp_ns: int
+    message: SerializedCloud
+    since_s: float
+    ambiguous: bool = False
+
+
+class CloudBuffer:
+    """Serialised clouds by stamp; the oldest arrival is removed first. Not thread-safe.
+
+    A grasp asks for its cloud seconds after the hand has hidden the object.
+
+    Args:
+        kept_s: How long a cloud is kept [s].
+        kept_mb: Maximum memory [MB].
+
+    Attributes:
+        bytes: Memory in use.
+    """
+
+    def __init__(self, kept_s: float, kept_mb: float) -> None:
+        self.bytes = 0
+        self._kept_s = kept_s
+        self._max_bytes = kept_mb * _MB
+        self._clouds: OrderedDict[int, BufferedCloud] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._clouds)
+
+    def get(self, stamp_ns: int) -> BufferedCloud | None:
+        """The cloud of this stamp, None where there is none or it has been removed."""
+        return self._clouds.get(stamp_ns)
+
+    def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:
+        """Add a cloud; gives the clouds that were removed for it.
+
+        Args:
+            stamp_ns: Stamp of its header [ns].
+            message: The cloud; not copied.
+            now_s: Time of a clock that never goes back [s].
+        """
+        known = self._clouds.get(stamp_ns)
+        if known is not None:
+            ambiguous = known.ambiguous or known.message.data != message.data
+            self._clouds[stamp_ns] = replace(known, ambiguous=ambiguous)
+            return []
+        self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
+        self.bytes += len(message.data)
+        removed = []
+        while self._clouds and (self.bytes > self._max_bytes or self._oldest.since_s < now_s - self._kept_s):
+            removed.append(self._pop())
+        return removed
+
+    def clear(self) -> list[BufferedCloud]:
+        """Remove all clouds; gives them, oldest first."""
+        return [self._pop() for _ in range(len(self._clouds))]
+
+    @property
+    def _oldest(self) -> BufferedCloud:
+        return next(iter(self._clouds.values()))
+
+    def _pop(self) -> BufferedCloud:
+        _, cloud = self._clouds.popitem(last=False)
+        self.bytes -= len(cloud.message.data)
+        return cloud

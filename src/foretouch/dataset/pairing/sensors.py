@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the stream of tactile readings shows by itself: contacts of both fingers, and whether the sensors work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from foretouch.tactile import FULL_SCALE, check_touch
+from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
+from foretouch.tactile.validity import CONSTANT_SAMPLES
+from foretouch.types import Float32, Touch
+
+__all__ = ["ALIVE", "NO_DATA", "ContactEpisodes", "Episode", "SensorHealth"]
+
+ALIVE = "alive"
+NO_DATA = "no data"
+_FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repeats an old message
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """One contact of both fingers, by the sensor's stamps [ns].
+
+    Attributes:
+        first: When the first finger touched.
+        both: When the other finger touched.
+        release: When the first finger released.
+    """
+
+    first: int
+    both: int
+    release: int
+
+
+class ContactEpisodes:
+    """Finds episodes in which both fingers are in contact. Not thread-safe."""
+
+    def __init__(self, config: ContactConfig | None = None) -> None:
+        self._detector = ContactDetector(config)
+        self._onset: dict[str, int] = {}
+        self._holding = False
+
+    def update(self, stamp_ns: int, counts: Float32) -> Episode | None:
+        """Add a reading of both fingers; gives the episode that ends with it."""
+        changes = self._detector.update(stamp_ns, counts)
+        if not changes:
+            return None
+        for change in changes:
+            if change.kind == "onset":
+                self._onset[change.finger] = change.stamp_ns
+        before, self._holding = self._holding, self._detector.holding
+        if not before or self._holding:
+            return None
+        first, both = sorted(self._onset.values())
+        released = min(change.stamp_ns for change in changes if change.kind == "release")
+        return Episode(first=first, both=both, release=released)
+
+    def reset(self) -> None:
+        """Restart detection, after the clock has jumped."""
+        self._detector.forget()
+        self._holding = False
+
+
+class SensorHealth:
+    """State of thumb and middle finger. Not thread-safe.
+
+    Args:
+        constant: Number of readings with the same PDC from which a sensor is dead (see `tactile.check_series`).
+        frozen: Number of identical readings from which the stream is frozen.
+
+    Attributes:
+        states: By finger: `alive`, `no data`, or the fault.
+    """
+
+    def __init__(self, constant: int = CONSTANT_SAMPLES, frozen: int = _FROZEN_SAMPLES) -> None:
+        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
+        self._constant = constant
+        self._frozen = frozen
+        self._last: dict[str, Float32] = {}
+        self._same = dict.fromkeys(FINGER_COLUMNS, 0)
+        self._same_pdc = dict.fromkeys(FINGER_COLUMNS, 0)
+
+    def update(self, counts: Float32) -> None:
+        """Add a reading, (50,) as `Touch.vector()`."""
+        plausible = float(counts.min()) > 0.0 and float(counts.max()) <= FULL_SCALE
+        faults = () if plausible else check_touch(Touch.from_vector(counts)).faults
+        for finger, columns in FINGER_COLUMNS.items():
+            self._count(finger, counts[columns])
+            own = [fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower())]
+            self.states[finger] = own[0] if own else self._state(finger)
+
+    def silence(self) -> None:
+        """No reading has come for a while."""
+        self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
+
+    def _count(self, finger: str, counts: Float32) -> None:
+        last = self._last.get(finger)
+        same_pdc = last is not None and last[0] == counts[0]
+        self._same_pdc[finger] = self._same_pdc[finger] + 1 if same_pdc else 0
+        self._same[finger] = self._same[finger] + 1 if last is not None and (last == counts).all() else 0
+        self._last[finger] = counts
+
+    def _state(self, finger: str) -> str:
+        if self._same[finger] >= self._frozen:
+            return f"frozen: the same {self._same[finger] + 1} times"
+        if self._same_pdc[finger] >= self._constant:
+            pdc = self._last[finger][0]
+            return f"dead: PDC constant at {pdc:g} over {self._same_pdc[finger] + 1} readings"
+        return ALIVE

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Default names of the topics that samples are made of, for nodes, commands and the import of bags alike."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["CLOUD_TOPIC", "EXECUTED_TOPIC", "GRASPS_TOPIC", "NAMESPACE", "TACTILE_TOPIC", "full_name"]
+
+NAMESPACE: Final = "/foretouch"
+"""Namespace of the nodes; names below without a slash are relative to it."""
+
+TACTILE_TOPIC: Final = "/rh/tactile"
+CLOUD_TOPIC: Final = "object_cloud"
+GRASPS_TOPIC: Final = "grasps"
+EXECUTED_TOPIC: Final = "executed_grasp"
+
+
+def full_name(topic: str) -> str:
+    """The name of a topic in the default namespace."""
+    return topic if topic.startswith("/") else f"{NAMESPACE}/{topic}"

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages in, samples or reasons out, without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from pair_builders import SECOND, interval, level, stream
+
+from foretouch.dataset.messages import decode_grasp
+from foretouch.dataset.pairing import (
+    AssembledSample,
+    AssemblerConfig,
+    Label,
+    PairingConfig,
+    RejectedGrasp,
+    SampleAssembler,
+    SerializedCloud,
+)
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.message_fields import cloud_fields
+from foretouch.errors import GraspError, TactileError
+from foretouch.tactile.messages import TactileReader, TactileReading
+from foretouch.types import Cloud
+
+STORE = Definitions().store
+READER = TactileReader(lambda one: TactileReading(one.stamp_ns, one.counts, one.others))
+
+
+def stamp(time_ns: int) -> SimpleNamespace:
+    return SimpleNamespace(sec=time_ns // SECOND, nanosec=time_ns % SECOND)
+
+
+def point(x: float, y: float, z: float) -> SimpleNamespace:
+    return SimpleNamespace(x=x, y=y, z=z)
+
+
+def grasp(name: str, **changes: Any) -> SimpleNamespace:
+    pose = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))
+    fields = {"id": name, "object_id": "", "g1": point(0.1, 0, 1), "g2": point(-0.1, 0, 1), "pose": pose}
+    return SimpleNamespace(**{**fields, "rotation": np.eye(3).ravel(), "score": 0.5, **changes})
+
+
+class Session:
+    """An assembler that has received all readings of so many grasps."""
+
+    def __init__(self, grasps: int, **config: Any) -> None:
+        self.assembler = SampleAssembler(AssemblerConfig(pairing=PairingConfig(kept_s=1e3), **config), READER)
+        for reading in stream(grasps):
+            self.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
+
+    def plan(self, number: int, *grasps: SimpleNamespace, frame_id: str = "camera") -> None:
+        at = interval(number).start - SECOND // 2
+        cloud = Cloud(np.full((5, 3), number, np.float32), frame_id="camera", stamp_ns=at)
+        message = cloud_fields(cloud)
+        data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2"))
+        self.assembler.add("cloud", SerializedCloud(data, lambda: message), received_ns=0, now_s=0.0)
+        self.assembler.add_grasps(at, frame_id, grasps or [grasp(f"g-{number}"), grasp(f"g-{number} second")])
+
+    def report(self, number: int, name: str | None = None, *, success: bool = True, touched: bool = True) -> None:
+        times = {
+            key: stamp(getattr(interval(number), key) if touched else 0) for key in ("start", "contact", "release")
+        }
+        message = SimpleNamespace(grasp_id=name or f"g-{number}", success=success, **times)
+        self.assembler.add("executed", message, received_ns=0, now_s=0.0)
+
+    def results(self) -> list[Any]:
+        return self.assembler.poll(10.0, ending=True)
+
+    def reasons(self) -> list[str]:
+        """Of the executed grasps."""
+        return [
+            one.reason if isinstance(one, RejectedGrasp) else "recorded"
+            for one in self.results()
+            if isinstance(one, RejectedGrasp) or one.cut is not None
+        ]
+
+
+def test_samples_hold_their_own_cloud_touch_and_candidates() -> None:
+    session = Session(2, object="can", note="a note")
+    for number in (0, 1):
+        session.plan(number)
+        session.report(number, success=number == 0)
+    results = session.results()
+    for number, one in enumerate(results):
+        assert isinstance(one, AssembledSample)
+        sample = one.record.sample
+        assert (sample.cloud.xyz == number).all()
+        np.testing.assert_allclose(sample.touch.vector(), level(number), atol=5.0)  # type: ignore[union-attr]
+        assert (sample.object, one.record.note, sample.grasp.id) == ("can", "a note", f"g-{number}")
+        assert [other.id for other in one.record.candidates] == [f"g-{number} second"]
+    assert [one.record.outcome for one in results] == ["success", "failure"]
+    assert session.assembler.results == {"recorded": 2}
+
+
+def test_reasons_of_messages_that_cannot_become_samples() -> None:
+    session = Session(6)
+    session.plan(0, grasp("g-0"), grasp("bad", rotation=np.full(9, 2.0)))
+    session.plan(1, grasp("g-1"), frame_id="base")
+    session.plan(2, grasp("g-2", g2=point(0.1, 0, 1)))
+    for number in (3, 4, 5):
+        session.plan(number)
+    for number in (0, 1, 2, 3, 5):
+        session.report(number)
+    session.report(4, success=False, touched=False)
+    assert session.reasons() == ["bad_grasp", "frame_differs", "bad_grasp", "recorded", "recorded", "grasp_failed"]
+    assert session.assembler.results["bad_grasp"] == 2
+
+
+def test_a_failed_grasp_is_a_sample_unless_only_successes_count_and_its_time_is_taken_in_any_case() -> None:
+    for only, expected in ((False, ["recorded", "overlap"]), (True, ["grasp_failed", "overlap"])):
+        session = Session(1, successes_only=only)
+        session.plan(0)
+        session.report(0, success=False)
+        session.report(0, "g-0 second")
+        assert session.reasons() == expected
+
+
+def test_grasps_planned_later_on_the_same_cloud_do_not_replace_those_before() -> None:
+    session = Session(1)
+    session.plan(0, grasp("first"))
+    session.plan(0, grasp("second"))
+    session.report(0, "first")
+    (one,) = session.results()
+    assert one.record.sample.grasp.id == "first"
+    assert [other.id for other in one.record.candidates] == ["second"]
+
+
+def test_other_clouds_become_samples_without_a_touch_at_most_one_in_a_time() -> None:
+    session = Session(4, unlabelled_s=4.0)
+    for number in range(4):
+        session.plan(number)
+    session.report(1)
+    session.assembler.add("cloud", _cloud_without_grasps(), received_ns=0, now_s=0.0)
+    touched, *others = session.results()
+    assert touched.record.sample.grasp.id == "g-1"
+    assert [one.record.sample.grasp.id for one in others] == ["g-0", "g-2"]  # 6 s apart
+    assert all(one.record.sample.touch is None for one in others)
+    assert session.assembler.clouds_without_grasps == 1
+
+
+def _cloud_without_grasps() -> SerializedCloud:
+    message = cloud_fields(Cloud(np.zeros((1, 3), np.float32), frame_id="camera", stamp_ns=interval(9).start))
+    return SerializedCloud(bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/PointCloud2")), lambda: message)
+
+
+def test_labels_and_contacts_without_a_report() -> None:
+    session = Session(0, watch_sensors=True)
+    for number in (0, 1):
+        session.plan(number)
+    assert session.assembler.label(Label(grasp_id="g-1", object="cup", discard=True), 0.0)[1] == "waits for its contact"
+    for reading in stream(2):
+        session.assembler.add_tactile(reading, received_ns=reading.received_ns, now_s=0.0)
+    assert session.assembler.sensor_states(0.5) == {"TH": "alive", "MF": "alive", "camera": "alive"}
+    (one,) = session.assembler.poll(3.0)
+    assert (one.record.sample.object, one.record.flags) == ("cup", ("detected_interval", "discarded"))  # type: ignore[union-attr]
+    assert set(session.assembler.sensor_states(9.0).values()) == {"no data"}
+
+
+def test_readings_whose_stamps_jitter_are_waited_for() -> None:
+    """A sample does not depend on when it is polled, as long as stamps jitter by less than half the guard."""
+    windows = []
+    for polled_always in (False, True):
+        session = Session(0)
+        session.plan(0)
+        session.report(0)
+        rng, samples = np.random.default_rng(0), []
+        for reading in stream(1):
+            moved = replace(reading, stamp_ns=reading.stamp_ns + int(rng.uniform(-0.04, 0.04) * SECOND))
+            session.assembler.add_tactile(moved, received_ns=reading.received_ns, now_s=0.0)
+            samples += session.assembler.poll(0.0) if polled_always else []
+        (one,) = samples or session.assembler.poll(0.0)
+        windows.append(one.cut.window)
+    np.testing.assert_array_equal(windows[0].stamps_ns, windows[1].stamps_ns)
+    np.testing.assert_array_equal(windows[0].counts, windows[1].counts)
+
+
+def test_a_reading_that_is_none_is_refused_and_forgets_nothing() -> None:
+    def read(message: Any) -> TactileReading:
+        if message is None:
+            raise TactileError("no reading")
+        return READER.read(message)
+
+    assembler = SampleAssembler(AssemblerConfig(), TactileReader(read))
+    with pytest.raises(TactileError, match="no reading"):
+        assembler.add("tactile", None, received_ns=0, now_s=0.0)
+
+
+def test_a_grasp_counts_by_its_quaternion_where_the_matrix_is_nine_zeros() -> None:
+    turned = SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=1.0, w=0.0))
+    zeros = grasp("g", rotation=np.zeros(9), pose=turned)
+    np.testing.assert_array_equal(decode_grasp(zeros).rotation, np.diag([-1.0, -1.0, 1.0]))
+    with pytest.raises(GraspError, match=r"is not that of pose\.orientation"):
+        decode_grasp(grasp("g", pose=turned))
+    with pytest.raises(GraspError, match="pose: no orientation"):
+        decode_grasp(
+            grasp(
+                "g", rotation=np.zeros(9), pose=SimpleNamespace(orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0))
+            )
+        )

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings whose stamps repeat, come in the wrong order or from a clock that is set; clouds bounded in time and memory."""
+
+from __future__ import annotations
+
+import numpy as np
+from pair_builders import NONE, PERIOD, REST, SECOND, T0
+
+from foretouch.dataset.pairing import CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+
+
+def feed(buffer: TouchBuffer, *stamps: int) -> None:
+    for stamp in stamps:
+        buffer.add(TouchReading(stamp, REST, NONE, stamp))
+
+
+def kept(buffer: TouchBuffer) -> list[int]:
+    return buffer.between(0, 2**62).stamps_ns.tolist()
+
+
+def cloud(data: bytes) -> SerializedCloud:
+    return SerializedCloud(data, lambda: None)
+
+
+def test_order_is_that_of_the_stamps_whatever_the_arrival() -> None:
+    buffer, stamps = TouchBuffer(), [T0 + k * PERIOD for k in range(200)]
+    shuffled = [stamps[k ^ 3] for k in range(200)]
+    feed(buffer, *shuffled)
+    assert kept(buffer) == stamps
+    assert buffer.newest_ns == stamps[-1]
+    assert dict(buffer.anomalies) == {"out_of_order": 150}  # three of each four came late
+
+
+def test_the_same_stamp_twice_is_kept_and_counted() -> None:
+    buffer = TouchBuffer()
+    feed(buffer, T0, T0, T0 + PERIOD)
+    assert kept(buffer) == [T0, T0, T0 + PERIOD]
+    assert dict(buffer.anomalies) == {"duplicate_stamp": 1}
+
+
+def test_one_wrong_stamp_is_left_out_in_either_direction() -> None:
+    for wrong in (T0 - 3600 * SECOND, T0 + 3600 * SECOND):
+        buffer = TouchBuffer()
+        feed(buffer, T0, wrong, T0 + PERIOD, T0 + 2 * PERIOD)
+        assert kept(buffer) == [T0, T0 + PERIOD, T0 + 2 * PERIOD]
+        assert dict(buffer.anomalies) == {"wrong_stamp": 1}
+
+
+def test_after_a_clock_was_set_back_nothing_before_it_is_found() -> None:
+    buffer, back = TouchBuffer(), T0 - 100 * SECOND
+    feed(buffer, *(T0 + k * PERIOD for k in range(50)), *(back + k * PERIOD for k in range(50)))
+    assert kept(buffer) == [back + k * PERIOD for k in range(50)]
+    assert dict(buffer.anomalies) == {"clock_jump": 1}
+
+
+def test_a_pause_keeps_what_was_before() -> None:
+    buffer, later = TouchBuffer(), T0 + 10 * SECOND
+    feed(buffer, T0, T0 + PERIOD, later, later + PERIOD)
+    assert kept(buffer) == [T0, T0 + PERIOD, later, later + PERIOD]
+    assert dict(buffer.anomalies) == {"stamp_gap": 1}
+
+
+def test_memory_is_bounded_in_time_and_in_number() -> None:
+    buffer = TouchBuffer(kept_s=5.0)
+    feed(buffer, *(T0 + k * PERIOD for k in range(2000)))
+    assert 500 <= len(buffer) <= 600
+    crowded = TouchBuffer(kept_s=1e6, max_readings=300)
+    feed(crowded, *(T0 + k for k in range(2000)))
+    assert len(crowded) == 300
+    assert kept(crowded)[-1] == T0 + 1999
+    assert np.all(np.diff(kept(crowded)) == 1)
+
+
+def test_the_oldest_go_when_their_time_is_over() -> None:
+    clouds = CloudBuffer(kept_s=10.0, kept_mb=1.0)
+    assert clouds.add(1, cloud(b"a"), 0.0) == []
+    assert clouds.add(2, cloud(b"b"), 9.0) == []
+    assert [gone.stamp_ns for gone in clouds.add(3, cloud(b"c"), 10.5)] == [1]
+    assert clouds.get(1) is None
+    assert clouds.get(2).message.data == b"b"
+
+
+def test_the_oldest_go_when_memory_is_short() -> None:
+    clouds = CloudBuffer(kept_s=1e6, kept_mb=1.0)
+    gone = [one.stamp_ns for k in range(10) for one in clouds.add(k, cloud(bytes(300_000)), 0.0)]
+    assert gone == list(range(7))
+    assert (len(clouds), clouds.bytes) == (3, 900_000)
+    assert [one.stamp_ns for one in clouds.clear()] == [7, 8, 9]
+    assert (len(clouds), clouds.bytes) == (0, 0)
+
+
+def test_the_same_message_twice_is_one_cloud_and_two_of_one_stamp_are_neither() -> None:
+    clouds = CloudBuffer(10.0, 1.0)
+    clouds.add(1, cloud(b"a"), 0.0)
+    clouds.add(1, cloud(b"a"), 0.1)
+    assert not clouds.get(1).ambiguous
+    clouds.add(1, cloud(b"b"), 0.2)
+    assert clouds.get(1).ambiguous
+    assert clouds.bytes == 1

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags with named topics become the samples that the recorder would have made of their messages."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from recording_builders import IDENTITY
+from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
+
+from foretouch.cli.main import main
+from foretouch.dataset.bag import Recording
+from foretouch.dataset.bag_writer import BagWriter
+from foretouch.dataset.importing import BagTopics, ImportResult, import_samples
+from foretouch.dataset.recording import SampleRecord, verify_dataset
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.samples import open_samples
+from foretouch.errors import FileError
+from foretouch.types import Cloud
+
+NS = 1_000_000_000
+
+
+def _stamp(time_ns: int) -> SimpleNamespace:
+    return SimpleNamespace(sec=time_ns // NS, nanosec=time_ns % NS)
+
+
+def _header(time_ns: int) -> SimpleNamespace:
+    return SimpleNamespace(stamp=_stamp(time_ns), frame_id="camera")
+
+
+def _point(values: list[float]) -> SimpleNamespace:
+    return SimpleNamespace(x=values[0], y=values[1], z=values[2])
+
+
+def _pose() -> SimpleNamespace:
+    orientation = SimpleNamespace(x=0.0, y=0.0, z=1.0, w=0.0)  # half a turn about Z
+    return SimpleNamespace(position=_point([0.0, 0.0, 0.0]), orientation=orientation)
+
+
+def _grasp(name: str, matrix: np.ndarray) -> SimpleNamespace:
+    return SimpleNamespace(
+        id=name, object_id="1", g1=_point([0.1, 0.0, 1.0]), g2=_point([-0.1, 0.0, 1.0]), pose=_pose(),
+        rotation=matrix.ravel(), score=0.5, status=0, reason="",
+    )  # fmt: skip
+
+
+def _biotac(level: int, electrodes: int) -> SimpleNamespace:
+    return SimpleNamespace(
+        pac0=0, pac1=0, pac=np.zeros(2, np.int16), pdc=1700 + level, tac=0, tdc=0,
+        electrodes=np.arange(electrodes, dtype=np.int16) + 3000 - level,
+    )  # fmt: skip
+
+
+TURNED = np.diag([-1.0, -1.0, 1.0])
+"""The matrix of `_pose`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """What is different in a bag from the plain one."""
+
+    hole: bool = False  # in the readings
+    late_ns: int = NS // 5  # reception of the readings
+    ago_ns: int = 0  # by this all was received later than stamped: a recorded replay
+    matrix: np.ndarray = field(default_factory=lambda: TURNED)
+    reports: tuple[tuple[str, int], ...] = (("a", 0),)  # grasp and shift of its interval [ns]
+    names: tuple[tuple[str, ...], ...] = (("a", "b"), ("c",))  # by cloud
+    second_cloud: bool = False  # another one with the stamp of the first
+    frame: str = "camera"  # of the grasps
+    electrodes: int = 24
+
+
+def write_topics(path: Path, faults: Faults | None = None) -> None:
+    """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold."""
+    faults = faults or Faults()
+    definitions = Definitions()
+    start = 1_700_000_000 * NS
+    with BagWriter(path) as writer:
+        for name in ("GraspArray", "ExecutedGrasp", "BiotacAll"):
+            writer.define(f"foretouch_msgs/msg/{name}", definitions.text(f"foretouch_msgs/msg/{name}"))
+
+        def write(topic: str, kind: str, at_ns: int, message: SimpleNamespace) -> None:
+            type_name = f"foretouch_msgs/msg/{kind}"
+            data = bytes(definitions.store.serialize_cdr(message, type_name))
+            writer.write(topic, type_name, at_ns + faults.ago_ns, data)
+
+        def write_cloud(xyz: np.ndarray, at_ns: int) -> None:
+            cloud = Cloud(xyz.astype(np.float32), frame_id="camera", stamp_ns=at_ns)
+            writer.write_cloud(cloud, "/foretouch/object_cloud", bag_time_ns=at_ns + 1 + faults.ago_ns)
+
+        for k, names in enumerate(faults.names):
+            at = start + k * NS
+            write_cloud(np.full((4, 3), k), at)
+            grasps = [_grasp(name, faults.matrix) for name in names]
+            header = SimpleNamespace(stamp=_stamp(at), frame_id=faults.frame)
+            write(
+                "/foretouch/grasps",
+                "GraspArray",
+                at + 2,
+                SimpleNamespace(header=header, grasps=grasps, status=0, reason=""),
+            )
+        if faults.second_cloud:
+            write_cloud(np.full((4, 3), 7), start)
+        contact, release = start + 3 * NS, start + 4 * NS
+        for k in range(500):
+            at = start + k * NS // 100
+            if faults.hole and contact + NS // 4 < at < contact + NS // 2:
+                continue
+            level = 100 if contact <= at <= release else 0
+            tactiles = [_biotac(level, faults.electrodes) for _ in range(5)]
+            # Received late: the time of reception must not decide which readings are cut out.
+            message = SimpleNamespace(header=_header(at), tactiles=tactiles)
+            write("/rh/tactile", "BiotacAll", at + faults.late_ns, message)
+        for k, (name, shift) in enumerate(faults.reports):
+            executed = SimpleNamespace(
+                header=_header(release + k), grasp_id=name, achieved=_pose(), start=_stamp(start + 2 * NS + shift),
+                contact=_stamp(contact + shift), release=_stamp(release + shift), success=True,
+            )  # fmt: skip
+            write("/foretouch/executed_grasp", "ExecutedGrasp", release + k, executed)
+
+
+def imported(tmp_path: Path, faults: Faults, **topics: Any) -> tuple[ImportResult, list[SampleRecord]]:
+    write_topics(tmp_path / "bag", faults)
+    result = import_samples(tmp_path / "bag", tmp_path / "ds", identity=IDENTITY, topics=BagTopics(**topics))
+    with open_samples(tmp_path / "ds") as samples:
+        return result, list(samples.records(discarded=True))
+
+
+def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> None:
+    result, (touched, other) = imported(tmp_path, Faults(), object="sponge")
+    assert (result.samples, result.labelled) == (2, 1)
+    assert touched.sample.touch is not None
+    assert touched.sample.tare is not None
+    assert touched.sample.grasp.id == "a"
+    assert [grasp.id for grasp in touched.candidates] == ["b"]
+    assert (touched.outcome, touched.sample.object) == ("success", "sponge")
+    np.testing.assert_array_equal(touched.sample.touch.e_th, np.arange(24) + 2900)
+    np.testing.assert_array_equal(touched.sample.tare.e_mf, np.arange(24) + 3000)
+    assert touched.sample.touch.pdc_mf == 1800
+    assert touched.pairing_error_ns is not None
+    assert touched.pairing_error_ns <= NS // 100
+    assert touched.contact_ns == 1_700_000_003 * NS
+    assert touched.series is not None
+    assert touched.series.others.keys() == {f"{c}_{f}" for c in ("PAC0", "PAC1", "TAC", "TDC") for f in ("TH", "MF")}
+    assert (touched.sample.cloud.xyz == 0).all()
+    assert other.sample.touch is None
+    assert other.sample.grasp.id == "c"
+    assert [report.told() for report in verify_dataset(tmp_path / "ds")] == [[]]
+
+
+@pytest.mark.parametrize(
+    ("faults", "reason"),
+    [
+        (Faults(hole=True), "pairing_error"),
+        (Faults(late_ns=NS // 2), "clock_offset"),
+        (Faults(reports=(("a", 0), ("b", NS // 2))), "overlap"),
+        (Faults(reports=(("a", 0), ("a", 0))), "told_twice"),
+        (Faults(names=(("a",), ("a",))), "grasp_ambiguous"),
+        (Faults(second_cloud=True), "cloud_ambiguous"),
+        (Faults(reports=(("a", -3 * NS),)), "bad_interval"),
+        (Faults(frame="base"), "frame_differs"),
+        (Faults(matrix=np.eye(3)), "bad_grasp"),
+        (Faults(reports=(("stranger", 0),)), "grasp_unknown"),
+        (Faults(electrodes=19), "no_tactile"),
+    ],
+)
+def test_what_the_recorder_rejects_is_rejected_with_its_reason(tmp_path: Path, faults: Faults, reason: str) -> None:
+    result, _ = imported(tmp_path, faults)
+    assert result.left_out[reason] == 1
+    assert result.labelled == sum(name == "a" and shift == 0 for name, shift in faults.reports[:-1])
+    if faults.electrodes != 24:
+        assert result.left_out["unreadable /rh/tactile"] == 500
+
+
+def test_a_cloud_whose_grasp_was_rejected_becomes_a_sample_without_a_touch(tmp_path: Path) -> None:
+    result, samples = imported(tmp_path, Faults(hole=True))
+    assert (result.samples, result.labelled) == (2, 0)
+    assert [one.sample.grasp.id for one in samples] == ["a", "c"]
+
+
+def test_times_of_a_bag_that_was_not_recorded_live_say_nothing_of_the_clocks(tmp_path: Path) -> None:
+    result, samples = imported(tmp_path, Faults(ago_ns=86_400 * NS, late_ns=NS // 2))
+    assert (result.samples, result.labelled) == (2, 1)
+    assert samples[0].sample.extra["clock_offset_s"] == 0.0
+
+
+def test_a_grasp_with_nine_zeros_is_read_from_its_quaternion(tmp_path: Path) -> None:
+    result, samples = imported(tmp_path, Faults(matrix=np.zeros((3, 3))))
+    assert (result.samples, result.labelled) == (2, 1)
+    for one in samples:
+        np.testing.assert_array_equal(one.sample.grasp.rotation, TURNED)
+
+
+def test_a_missing_topic_is_named(tmp_path: Path) -> None:
+    write_topics(tmp_path / "bag")
+    with pytest.raises(FileError, match="/nowhere: no such topic; known: /foretouch/executed_grasp"):
+        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(clouds="/nowhere"))
+
+
+def test_a_tactile_topic_of_a_type_that_is_not_supported_is_named(tmp_path: Path) -> None:
+    write_topics(tmp_path / "bag")
+    rule = r"/foretouch/grasps: holds foretouch_msgs/GraspArray; supported: foretouch_msgs/BiotacAll, sr_robot"
+    with pytest.raises(FileError, match=rule):
+        import_samples(tmp_path / "bag", tmp_path / "ds", topics=BagTopics(tactile="/foretouch/grasps"))
+
+
+def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_tactile_type(tmp_path, monkeypatch)
+    for command in (["record"], ["dataset", "import"]):
+        with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()) as text:
+            main([*command, "--help"])
+        assert MADE_UP_TYPE in text.getvalue()
+
+    write_topics(tmp_path / "bag")
+    store = Definitions().store
+    with Recording(tmp_path / "bag") as bag, BagWriter(tmp_path / "other") as writer:
+        for topic in bag.topics:
+            if topic.name.startswith("/foretouch") and topic.type.startswith("foretouch"):
+                writer.define(topic.type, Definitions().text(topic.type))
+        for message in bag.messages():
+            data, kind = message.data, message.type
+            if message.topic == "/rh/tactile":
+                kind, content = "geometry_msgs/msg/PolygonStamped", bag.content(message)
+                th, mf = content.tactiles[4], content.tactiles[1]
+                values = np.r_[th.pdc, mf.pdc, th.electrodes, mf.electrodes, 0].reshape(17, 3)
+                points = [_point([float(v) for v in row]) for row in values]
+                polygon = SimpleNamespace(header=content.header, polygon=SimpleNamespace(points=points))
+                data = bytes(store.serialize_cdr(polygon, kind))
+            writer.write(message.topic, kind, message.bag_time_ns, data)
+    result = import_samples(tmp_path / "other", tmp_path / "ds")
+    assert (result.samples, result.labelled) == (2, 1)
+    with open_samples(tmp_path / "ds") as samples:
+        touch = next(samples.records()).sample.touch
+    assert touch is not None
+    np.testing.assert_array_equal(touch.e_mf, np.arange(24) + 2900)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A type of tactile messages that was added to the table is recorded, and adapted to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from geometry_msgs.msg import Point32, Polygon, PolygonStamped
+from pair_builders import level
+from robot_builders import QUICK, Robot
+from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
+from trust_builders import save_network_with_trust
+
+from foretouch.dataset.recording import RecordedDataset
+from foretouch.ros.messages.conversions import header_to_msg
+
+pytestmark = pytest.mark.ros
+
+
+class OtherHand(Robot):
+    tactile = PolygonStamped
+
+    def message(self, counts: np.ndarray) -> PolygonStamped:
+        rows = np.r_[counts, 0].reshape(17, 3).astype(float)
+        points = [Point32(x=x, y=y, z=z) for x, y, z in rows.tolist()]
+        return PolygonStamped(header=header_to_msg("rh", self.now), polygon=Polygon(points=points))
+
+
+def test_recorder_and_touch_predictor_accept_it(graph: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_tactile_type(tmp_path, monkeypatch)
+    card = save_network_with_trust(tmp_path)
+    (recorder,) = graph.add("recorder", record=str(tmp_path / "set"), tactile__type=MADE_UP_TYPE, **QUICK)
+    (predictor,) = graph.add("touch_predictor", model=card, tactile__type=MADE_UP_TYPE, **QUICK)
+    assert recorder.describe_parameter("tactile.type").additional_constraints.endswith(MADE_UP_TYPE)
+    hand = OtherHand(graph)
+    graph.matched("/rh/tactile", subscribers=2)
+    hand.grasp("g", 0)
+    graph.until(lambda: recorder.status().samples == 1)
+    graph.until(lambda: predictor.notes()["tactile.received"] == str(hand.sent["/rh/tactile"]))
+    assert predictor.notes()["tactile.unreadable"] == "0"
+    recorder.end()
+    with RecordedDataset(tmp_path / "set") as dataset:
+        stored = dataset[0]
+    np.testing.assert_allclose(stored.record.sample.touch.vector(), level(0), atol=5.0)
+    assert stored.identity.hand["tactile"] == MADE_UP_TYPE
+    assert (stored.identity.hand["thumb"], stored.identity.hand["middle_finger"]) == ("thumb", "middle")
