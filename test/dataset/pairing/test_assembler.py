@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foretouch.dataset.recording.message_fields import cloud_fields
 from pair_builders import SECOND, interval, level, stream
 
 from foretouch.dataset.messages import decode_grasp
@@ -22,7 +23,6 @@ from foretouch.dataset.pairing import (
     SerializedCloud,
 )
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.message_fields import cloud_fields
 from foretouch.errors import GraspError, TactileError
 from foretouch.tactile.messages import TactileReader, TactileReading
 from foretouch.types import Cloud
