@@ -15,7 +15,7 @@ from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression, standardisation
 from foretouch.models.novelty import SizeNoveltyDetector
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 FACTS = {
     "level": 0.9,

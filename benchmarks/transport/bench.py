@@ -65,7 +65,7 @@ def scenes(options: argparse.Namespace) -> list[Any]:
         rng = np.random.default_rng(seed)
         scene = random_scene(rng, width=options.width, height=options.height, n_objects=3)
         cloud = scene.render(rng, noise_m=0.001).cloud(frame_id=FRAME)
-        targets = Pipeline().see(cloud).targets
+        targets = Pipeline().segment(cloud).targets
         if targets:
             clouds.append(cloud)
             sizes.append(targets[0].cloud.size)
@@ -84,7 +84,7 @@ def expected(clouds: list[Any], options: argparse.Namespace) -> list[list[float]
     pipeline = Pipeline(PipelineConfig(model=options.model))
     answers = []
     for cloud in clouds:
-        values = [p.value for felt in pipeline.run(cloud).felt for p in felt.predictions]
+        values = [p.value for target in pipeline.run(cloud).targets for p in target.predictions]
         answers.append([float(np.float32(v)) for touch in values for v in (touch.pdc_th, touch.pdc_mf)])
     return answers
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, TargetConfig, choose_targets, segment
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, TargetConfig, segment, select_targets
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
@@ -107,11 +107,6 @@ class PipelineResult:
     targets: tuple[TargetResult, ...]
     ms: dict[str, float]
 
-    @property
-    def felt(self) -> tuple[TargetResult, ...]:  # alias until merge
-        """The targets."""
-        return self.targets
-
 
 class Pipeline:
     """The steps with their settings and the touch model, which is loaded when first needed."""
@@ -132,14 +127,12 @@ class Pipeline:
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
-        chosen, reason = choose_targets(found.objects, self.config.target)
+        chosen, reason = select_targets(found.objects, self.config.target)
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
         targets = tuple(
             FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape) for one in chosen
         )
         return SegmentedScene("ok" if targets else "no_target", "" if targets else reason, found, targets)
-
-    see = segment  # alias until merge
 
     def plan(self, target: FoundObject, *, slide_m: float = 0.0, rng: np.random.Generator | None = None) -> GraspPlan:
         """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).

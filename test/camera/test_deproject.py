@@ -56,17 +56,17 @@ def test_a_pixel_by_hand() -> None:
     matrix = np.array([[100.0, 0.0, 2.0], [0.0, 50.0, 1.0], [0.0, 0.0, 1.0]])
     depth = np.zeros((3, 5), np.uint16)
     depth[2, 4] = 500
-    xyz = Deprojector.pinhole(matrix, 5, 3).points(depth)
+    xyz = Deprojector.of_lens(matrix, 5, 3).points(depth)
     np.testing.assert_allclose(xyz[2, 4], [0.01, 0.01, 0.5], rtol=1e-6)
     assert np.isnan(xyz).all(axis=-1).sum() == 14
 
 
 def test_the_unit_of_depth_scales_all_three() -> None:
     depth = np.full((3, 5), 1000, np.uint16)
-    lens = Deprojector.pinhole(pinhole_matrix(5, 3), 5, 3)
+    lens = Deprojector.of_lens(pinhole_matrix(5, 3), 5, 3)
     np.testing.assert_allclose(lens.points(depth, 0.0001), lens.points(depth) / 10.0, rtol=1e-6)
 
 
 def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(CameraError, match=r"depth image: shape \(4, 5\) is not the lens's \(3, 5\)"):
-        Deprojector.pinhole(pinhole_matrix(5, 3), 5, 3).points(np.zeros((4, 5), np.uint16))
+        Deprojector.of_lens(pinhole_matrix(5, 3), 5, 3).points(np.zeros((4, 5), np.uint16))

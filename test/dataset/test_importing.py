@@ -153,7 +153,7 @@ def test_named_topics_become_samples_by_id_and_header_stamps(tmp_path: Path) -> 
     assert (touched.sample.cloud.xyz == 0).all()
     assert other.sample.touch is None
     assert other.sample.grasp.id == "c"
-    assert [report.told() for report in verify_dataset(tmp_path / "ds")] == [[]]
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "ds")] == [[]]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from foretouch.experiments.label_ratio.results import (
     summarise,
     tally,
 )
-from foretouch.tactile.ranges import P2_RANGES
+from foretouch.tactile import P2_RANGES
 
 
 def row(model: str, seed: int, squared: dict[str, list[float]], **more: Any) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from foretouch.learning.data.collection import Collection, load_collection
 from foretouch.learning.data.folds import make_folds
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.metrics import score
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 
 RESULTS = Path(__file__).parents[2] / "docs/results"
 

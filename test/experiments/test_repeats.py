@@ -3,13 +3,13 @@
 
 import numpy as np
 import pytest
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
 from sim_builders import SPONGE, scene
 
 from foretouch.errors import SimulationError
 from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
+from foretouch.simulation.world import SampleKey
 
 HIDDEN = {
     "grasps": {"insertion_m": 0.012, "control": "depth", "thumb": {"depth_m": [0.001, 0.004]}, "error": {}},

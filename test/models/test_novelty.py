@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Novelty detection: training objects are in distribution, objects of another size are not, wherever they lie."""
+"""SizeNoveltyDetector detection: training objects are in distribution, objects of another size are not, wherever they lie."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from foretouch.models.card import KINDS, ModelKind
 from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.network.checkpoint import save_ensemble, save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 
 SAMPLE = make_samples(1, 1)[0]
 

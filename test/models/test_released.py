@@ -9,7 +9,7 @@ import pytest
 
 from foretouch.dataset.vision2tactile import folder_sha256, read_sample, sample_folders
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 
 def test_the_default_is_first_and_all_load() -> None:

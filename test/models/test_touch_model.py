@@ -18,7 +18,7 @@ from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
 from foretouch.models.novelty import LengthRangeCheck, grasp_lengths
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Cloud, Grasp, Touch
 
 CARD = {"name": "toy", "sha256": "0" * 64}

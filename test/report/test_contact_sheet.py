@@ -6,7 +6,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from foretouch.report.contact_sheet import save_contact_sheet
+from foretouch.report.touch_figure import save_contact_sheet
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 

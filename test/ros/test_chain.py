@@ -56,7 +56,7 @@ def test_nodes_and_command_line_give_the_same_bits(chain, scene_cloud, model_car
         cloud = scene_cloud(seed, stamp_ns=1_700_000_000_000_000_001 + seed)
         said = send(chain, cloud_to_msg(cloud))
         result = pipeline.run(cloud)
-        (felt,) = result.felt
+        (felt,) = result.targets
         np.testing.assert_array_equal(plane_from_msg(said["table"].plane).coefficients, felt.target.plane.coefficients)
         chosen = [one for one in said["objects"].objects if one.target]
         assert [one.id for one in chosen] == [felt.target.id]

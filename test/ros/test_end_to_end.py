@@ -70,7 +70,7 @@ def play(graph, path: Path, model: str, **parameters) -> tuple[ReplayNode, list[
 
 def assert_same(message: TouchPredictionArray, cloud: Cloud, result: PipelineResult) -> None:
     """Stamp and frame are the cloud's; contacts, rotation and all 50 values are those of the pipeline, bit for bit."""
-    expected = [one for felt in result.felt for one in felt.predictions]
+    expected = [one for felt in result.targets for one in felt.predictions]
     assert (stamp_ns(message.header.stamp), message.header.frame_id) == (cloud.stamp_ns, cloud.frame_id)
     assert len(message.predictions) == len(expected)
     for got, wanted in zip(message.predictions, expected, strict=True):
@@ -91,7 +91,7 @@ def test_a_recording_gets_one_answer_a_cloud_equal_to_the_pipeline(graph, record
     results = [pipeline.run(cloud) for cloud in clouds]
     for message, cloud, result in zip(received, clouds, results, strict=True):
         assert_same(message, cloud, result)
-    assert sum(bool(result.felt) for result in results) == SCENES.count
+    assert sum(bool(result.targets) for result in results) == SCENES.count
 
 
 def test_at_the_recorded_pace_nothing_is_lost(graph, recording, model):
@@ -114,7 +114,7 @@ def test_a_bag_of_others_gets_the_same_touch(graph, recording, model, tmp_path):
 
 def test_a_folder_of_objects_gets_one_answer_a_file_behind_the_segmentation(graph, model, tmp_path):
     pipeline = Pipeline(PipelineConfig(model=model))
-    sight = pipeline.see(next(iter(scene_clouds(SCENES))))
+    sight = pipeline.segment(next(iter(scene_clouds(SCENES))))
     for number, segment in enumerate(sight.segmentation.objects):
         write_cloud(tmp_path / f"object{number}.npz", segment.cloud)
     plane = sight.segmentation.plane

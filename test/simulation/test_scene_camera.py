@@ -4,7 +4,7 @@ import pytest
 from sim_builders import CAN, scene
 
 from foretouch.camera import RealSenseConfig, open_camera
-from foretouch.camera.library import realsense
+from foretouch.camera.device import realsense
 from foretouch.errors import MissingDependencyError
 from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera

@@ -72,8 +72,6 @@ class Deprojector:
             x, y = _undistort(x, y, np.asarray(coefficients, np.float64), scaled_shift=model == "inverse_brown_conrady")
         return cls(x.astype(np.float32, order="C"), y.astype(np.float32, order="C"))
 
-    pinhole = of_lens  # alias until merge
-
     def points(self, depth: npt.NDArray[np.uint16], scale_m: float = 0.001) -> Float32:
         """Compute the points of a depth image.
 

@@ -124,7 +124,7 @@ def _verified(path: str) -> Iterator[dict[str, Any]]:
 
 def _show(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.samples import open_samples
-    from foretouch.report.contact_sheet import save_contact_sheet
+    from foretouch.report.touch_figure import save_contact_sheet
 
     with open_samples(arguments.source) as samples:
         selected = list(_selected(samples, arguments))

@@ -100,7 +100,7 @@ def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pi
         return [FoundObject("1", item.cloud, Plane.from_coefficients(arguments.plane))]
     if not (arguments.scene or item.cloud.organised):
         return [FoundObject("1", item.cloud, ASSUMED_TABLE)]
-    scene = pipeline.see(item.cloud)
+    scene = pipeline.segment(item.cloud)
     if not scene.targets:
         raise CloudError(f"{scene.status}: {scene.reason}")
     return list(scene.targets)
@@ -132,9 +132,6 @@ def process_inputs(
             failed = True
             _refuse(path, err, as_json=arguments.json)
     return int(failed)
-
-
-answer_each, found_objects = process_inputs, target_objects  # alias until merge
 
 
 def _process_item(

@@ -13,11 +13,11 @@ from foretouch.cli.inputs import (
     Record,
     add_input_arguments,
     add_plan_arguments,
-    answer_each,
-    found_objects,
     grasp_record,
     pipeline_config,
+    process_inputs,
     six_numbers,
+    target_objects,
 )
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError, GraspError
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     adaptation = read_adaptation(arguments, pipeline.model)
 
     def answer(item: SourceItem) -> Iterator[Record]:
-        targets = found_objects(item, arguments, pipeline)
+        targets = target_objects(item, arguments, pipeline)
         if adaptation.touched and len(targets) > 1:
             raise ConfigError(
                 f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "failed": not predictions or bool(refused),
             }
 
-    return answer_each(arguments, answer, _show)
+    return process_inputs(arguments, answer, _show)
 
 
 def prediction_record(prediction: TouchPrediction) -> Record:

@@ -148,7 +148,7 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         ]
     seconds = time.perf_counter() - start
     if not arguments.no_sheet:
-        from foretouch.report.contact_sheet import save_contact_sheet
+        from foretouch.report.touch_figure import save_contact_sheet
 
         save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
     _tell(simulation, writer.sha256, arguments, seconds)

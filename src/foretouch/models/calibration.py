@@ -69,8 +69,6 @@ class CalibrationGroup(TensorRecord):
         gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_reading - mean_expected)
         return np.asarray(mean_expected + self.between @ gain + self.worth * (expected - mean_expected), np.float64)
 
-    after = counts_after  # alias until merge
-
     def half_width_after(self, count: int) -> Float64:
         """(50,) half width after `count` touches [counts]: scaled with the remaining deviation, never widened."""
         if count == 0:
@@ -138,13 +136,6 @@ class Calibration:
                 counts[rows] = group.counts_after(expected[rows], *touched, count)
             half[rows] = group.half_width_after(count)
         return counts, half
-
-    lean = adapt  # alias until merge
-
-    @property
-    def regimes(self) -> Mapping[str, CalibrationGroup]:  # alias until merge
-        """The groups."""
-        return self.groups
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""

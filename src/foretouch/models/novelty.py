@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Novelty detection: whether a cloud and a grasp resemble those that a model was trained on.
+"""SizeNoveltyDetector detection: whether a cloud and a grasp resemble those that a model was trained on.
 
 Two tests are combined. `SizeNoveltyDetector` looks at the object alone: the distance of a cloud's sizes from the nearest
 training clouds, relative to the usual distances within the training objects. On the public recordings it detects nine in
@@ -31,7 +31,6 @@ from foretouch.models.network.preparation import PreparedCloud
 from foretouch.types import TOUCH_SIZE, Float32, Float64, Grasp
 
 __all__ = ["IN_DISTRIBUTION", "LENGTHS", "Fallback", "LengthRangeCheck", "SizeNoveltyDetector", "grasp_lengths"]
-__all__ += ["FAMILIAR", "Familiarity", "Novelty", "describe"]  # aliases until merge
 
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
@@ -77,8 +76,6 @@ class SizeNoveltyDetector(TensorRecord):
         distance = np.partition(np.abs(self.known - sizes).sum(axis=1), _NEAREST - 1)[:_NEAREST].mean()
         low, high = self.span
         return float(np.clip((high - distance) / (high - low), 0.0, 1.0))
-
-    familiarity = in_distribution_score  # alias until merge
 
     def _check(self) -> None:
         size = len(_COLUMNS)
@@ -205,10 +202,3 @@ class Fallback:
         if mean is None or mean.shape != (TOUCH_SIZE,) or not np.isfinite(mean).all():
             raise ModelError("mean: is missing, of another shape, or not finite")
         return cls(SizeNoveltyDetector.from_tensors(tensors), np.asarray(mean, np.float64))
-
-
-# aliases until merge
-FAMILIAR = IN_DISTRIBUTION
-Novelty = SizeNoveltyDetector
-Familiarity = LengthRangeCheck
-describe = grasp_lengths

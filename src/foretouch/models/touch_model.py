@@ -73,11 +73,6 @@ class TouchModel:
         self.ranges = estimator.ranges
         self._estimator = estimator
 
-    @property
-    def trust(self) -> Calibration | None:  # alias until merge
-        """The calibration."""
-        return self.calibration
-
     def predict(
         self,
         cloud: Cloud,
@@ -85,7 +80,6 @@ class TouchModel:
         *,
         tare: Touch | None = None,
         residuals: ObjectResiduals | None = None,
-        memory: ObjectResiduals | None = None,  # alias until merge
     ) -> list[TouchPrediction]:
         """Predict the readings of both fingertips at each grasp.
 
@@ -96,7 +90,6 @@ class TouchModel:
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before.
             residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
-            memory: Alias until merge.
 
         Returns:
             One prediction a grasp, in order. `reference` names the strongest reading that it was adapted to: touches,
@@ -109,7 +102,6 @@ class TouchModel:
                 calibration, or both are; if the residuals are of another model.
             TactileError: If the tare is not a reading of working sensors.
         """
-        residuals = residuals or memory
         if residuals is not None:
             if tare is not None:
                 raise ModelError("tare: the residuals have their own")
@@ -214,5 +206,4 @@ class ObjectResiduals:
         return self._expected / count, self._read / count
 
 
-TouchMemory = ObjectResiduals  # alias until merge
-__all__ += ["TouchMemory"]
+__all__ += ["ObjectResiduals"]

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
-from foretouch.tactile.layout import electrode_positions
+from foretouch.tactile import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 __all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_contact_sheet", "save_touch_picture"]

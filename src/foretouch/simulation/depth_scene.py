@@ -150,7 +150,7 @@ class DepthImage:
     ) -> Cloud:
         """The frame as an organised cloud, NaN where there is no depth."""
         height, width = self.depth_mm.shape
-        xyz = Deprojector.pinhole(self.K, width, height).points(self.depth_mm)
+        xyz = Deprojector.of_lens(self.K, width, height).points(self.depth_mm)
         return Cloud(xyz, self.rgb if with_rgb else None, frame_id, stamp_ns)
 
 

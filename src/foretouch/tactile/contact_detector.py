@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
-from foretouch.tactile.modalities import columns
+from foretouch.tactile import columns
 from foretouch.types import ELECTRODES, Float64
 
 __all__ = [
@@ -198,8 +198,6 @@ class ContactDetector:
         """Discard the references of both fingers."""
         for finger in self.fingers.values():
             finger.reset()
-
-    forget = reset  # alias until merge
 
 
 def resting_noise(readings: npt.ArrayLike, config: ContactConfig, *, with_pdc: bool = True) -> Float64:

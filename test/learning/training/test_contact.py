@@ -26,7 +26,7 @@ from foretouch.learning.training.contact import (
 )
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import FEATURES, ContactScene
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 SAMPLES = make_samples(5, 10)
 RIDGES = (0.01, 0.3, 3.0, 30.0)

@@ -15,10 +15,10 @@ from foretouch.errors import DatasetError
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.learning.training.contact_predictor import ContactPredictor, calibration_folds
-from foretouch.models.contact.checkpoint import add_calibration, save_contact
+from foretouch.models.calibration import add_calibration
+from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.registry import load_model
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
 from foretouch.types import GraspSample
 
@@ -43,11 +43,11 @@ def as_shipped(
     model: TouchModel, touched: list[GraspSample], sample: GraspSample, *, tare: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """(50,) value and half width by the model with a memory, whose readings are moved to the sample's tare."""
-    memory = TouchMemory(model, sample.tare if tare else None)
+    memory = ObjectResiduals(model, sample.tare if tare else None)
     for one in touched:
         reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
         memory.add(one.cloud, one.grasp, reading)
-    (found,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
+    (found,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
     return found.value.vector(), found.upper.vector() - found.value.vector()
 
 

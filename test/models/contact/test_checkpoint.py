@@ -23,7 +23,7 @@ from foretouch.models.files import file_sha256, packed, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
-from foretouch.tactile.ranges import P2_RANGES
+from foretouch.tactile import P2_RANGES
 from foretouch.types import Touch
 
 SAMPLES = make_samples(5, 10)

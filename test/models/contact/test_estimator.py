@@ -16,8 +16,7 @@ from foretouch.errors import CloudError, ModelError
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import SHAPE_FEATURES, ContactScene
 from foretouch.models.novelty import SizeNoveltyDetector
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
+from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, columns
 from foretouch.types import Cloud, Grasp
 
 SAMPLES = make_samples(5, 10)

@@ -14,7 +14,7 @@ from foretouch.models.contact.features import ContactScene
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import Fallback
-from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
+from foretouch.tactile import P1_RANGES, P2_RANGES
 from foretouch.types import Cloud
 
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from foretouch.models.network import pointnet
+from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.normalisation import freeze
 from foretouch.models.network.pointnet import InputTransform, PointNetFeatures, make_layers, pool
 
 F64 = torch.float64

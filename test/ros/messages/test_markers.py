@@ -89,7 +89,7 @@ def test_a_refusal_draws_nothing():
 def test_boxes_enclose_their_objects(scene_cloud):
     from foretouch.pipeline import Pipeline
 
-    sight = Pipeline().see(scene_cloud())
+    sight = Pipeline().segment(scene_cloud())
     objects = [object_to_msg(one, target=one.id == 1) for one in sight.segmentation.objects]
     boxes = by_name(object_markers(ObjectArray(header=HEADER, objects=objects)))["objects"]
     for box, one in zip(boxes, sight.segmentation.objects, strict=True):

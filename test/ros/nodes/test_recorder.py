@@ -14,7 +14,7 @@ from pair_builders import REST, level
 from rclpy.serialization import serialize_message
 from robot_builders import MS, QUICK, accounts, start
 
-from foretouch.dataset.recording import HOLD, RecordedDataset, TopicAccount, verify_dataset
+from foretouch.dataset.recording import HOLD, RecordedDataset, TopicCounts, verify_dataset
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp
@@ -173,7 +173,7 @@ def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is
     node.end()
     assert accounts(node.status())["/rh/tactile"].lost == 2
     (report,) = verify_dataset(tmp_path / "set")
-    account = report.accounts.topics["/rh/tactile"]
+    account = report.counts.topics["/rh/tactile"]
     assert (account.received, account.written, account.lost) == (6, 6, 2)
 
 
@@ -200,7 +200,7 @@ def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, 
         assert topic.waiting == 0
         # What the file tells and what only the status can tell add up to all that was sent.
         late = dropped.pop("after close", 0)
-        account = report.accounts.topics.get(topic.topic, TopicAccount())
+        account = report.counts.topics.get(topic.topic, TopicCounts())
         assert (account.received, account.dropped) == (topic.received - late, dropped)
     graph.until(lambda: accounts(node.status())["/rh/tactile"].received == robot.sent["/rh/tactile"])
     assert "after close" in accounts(node.status())["/rh/tactile"].drop_reasons

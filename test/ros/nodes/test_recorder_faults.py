@@ -73,7 +73,7 @@ def test_a_pulled_cable_is_told_by_name_and_the_recording_goes_on_when_it_is_bac
     assert set(sensors(node.status()).values()) == {"alive"}
     assert (node.recording, node.status().reason) == (True, "")
     node.end()
-    assert [report.told() for report in verify_dataset(tmp_path / "set")] == [[]]
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "set")] == [[]]
     assert [one.sample.grasp.id for one in recorded(tmp_path / "set") if one.sample.touch] == ["before", "after"]
 
 
@@ -94,7 +94,7 @@ def test_a_clock_set_back_and_stamps_that_repeat_make_no_wrong_pair(graph: Any, 
     graph.until(lambda: sum(outcomes(node.status()).values()) == 2)
     node.end()
     assert outcomes(node.status()) == {"recorded": 2}
-    assert [report.told() for report in verify_dataset(tmp_path / "set")] == [[]]
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "set")] == [[]]
     for record in recorded(tmp_path / "set"):
         number = {"before": 0, "after": 1}[record.sample.grasp.id]
         np.testing.assert_allclose(record.sample.touch.vector(), level(number), atol=5.0)
@@ -126,7 +126,7 @@ def test_a_disk_that_fails_ends_the_recording_and_says_why(
     graph.until(lambda: node.status().received == sum(robot.sent.values()))
     for topic in node.status().topics:
         assert topic.received == topic.written + sum(topic.drop_counts)
-    assert [report.told() for report in verify_dataset(tmp_path / "set")] == [[]]
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "set")] == [[]]
     assert len(recorded(tmp_path / "set")) == 1
     assert node.begin(str(tmp_path / "set")) == tmp_path / "set"  # the disk is back
     assert node.status().reason == ""

@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from calibrated_models import save_calibrated_network
 from geometry_msgs.msg import Point32, Polygon, PolygonStamped
 from pair_builders import level
 from robot_builders import QUICK, Robot
 from tactile_type_builder import MADE_UP_TYPE, add_tactile_type
-from trust_builders import save_network_with_trust
 
 from foretouch.dataset.recording import RecordedDataset
 from foretouch.ros.messages.conversions import header_to_msg
@@ -34,7 +34,7 @@ class OtherHand(Robot):
 
 def test_recorder_and_touch_predictor_accept_it(graph: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     add_tactile_type(tmp_path, monkeypatch)
-    card = save_network_with_trust(tmp_path)
+    card = save_calibrated_network(tmp_path)
     (recorder,) = graph.add("recorder", record=str(tmp_path / "set"), tactile__type=MADE_UP_TYPE, **QUICK)
     (predictor,) = graph.add("touch_predictor", model=card, tactile__type=MADE_UP_TYPE, **QUICK)
     assert recorder.describe_parameter("tactile.type").additional_constraints.endswith(MADE_UP_TYPE)

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(scope="module")
 def target(scene_cloud):
     """One object of a scene, on which ten pairs rank."""
-    return Pipeline().see(scene_cloud(n_objects=3, width=848)).targets[0]
+    return Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0]
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +235,7 @@ def test_without_a_cloud_the_latest_object_is_sampled(graph, model_card, target)
     tables.publish(TablePlane(header=header, plane=plane_to_msg(target.plane)))
     clouds.publish(objects_to_msg([target], "cam", 11))
     grasps.publish(GraspArray(header=header, status=Status.NO_GRASP, reason="none"))
-    graph.until(lambda: node.statistics.snapshot().used == 1)
+    graph.until(lambda: node.statistics.summary().used == 1)
     result = Sampler(graph).sample(SampleGrasps.Goal(count=2))
     assert result.grasp_state == "success"
     assert result.grasp_candidates[0].header == header

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from trust_builders import REST, save_network_with_trust
+from calibrated_models import REST, save_calibrated_network
 
 from foretouch.errors import TactileError
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import ObjectResiduals
 from foretouch.ros.touch.object_memory import ObjectMemory
 from foretouch.types import Cloud, Grasp, Touch
 
@@ -19,7 +19,7 @@ GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3)
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> TouchModel:
-    return load_model(save_network_with_trust(tmp_path_factory.mktemp("model")))
+    return load_model(save_calibrated_network(tmp_path_factory.mktemp("model")))
 
 
 def can(shift: float = 0.0, scale: float = 1.0, frame: str = "cam", seed: int = 0) -> Cloud:
@@ -70,13 +70,13 @@ def test_it_is_forgotten_by_age_or_by_word(memory: ObjectMemory) -> None:
 
 
 def test_later_readings_are_moved_to_the_first_tare(model: TouchModel) -> None:
-    drifting, still = ObjectMemory(model), TouchMemory(model, touch())
+    drifting, still = ObjectMemory(model), ObjectResiduals(model, touch())
     for drift in (0.0, 25.0, 50.0):
         drifting.add(can(), GRASP, touch(drift - 40.0), touch(drift), 100.0, NEAR_M)
         still.add(can(), GRASP, touch(-40.0))
     leaned = drifting.of(can(), NEAR_M)
     assert leaned is not None
-    (a,), (b,) = (model.predict(can(), [GRASP], memory=one) for one in (leaned, still))
+    (a,), (b,) = (model.predict(can(), [GRASP], residuals=one) for one in (leaned, still))
     assert a.value is not None
     assert b.value is not None
     np.testing.assert_allclose(a.value.vector(), b.value.vector(), rtol=1e-12)

@@ -12,17 +12,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from calibrated_models import save_calibrated_network
 from pair_builders import REST, level
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from robot_builders import FRAME, MS, QUICK, Robot
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trust_builders import save_network_with_trust
 
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
-from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import ObjectResiduals
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns, stamp_to_msg
@@ -43,7 +43,7 @@ NAMES = {TouchPredictionMsg.NONE: "none", TouchPredictionMsg.TARE: "tare", Touch
 
 @pytest.fixture(scope="module")
 def card(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return save_network_with_trust(tmp_path_factory.mktemp("model"))
+    return save_calibrated_network(tmp_path_factory.mktemp("model"))
 
 
 class Hand(Robot):
@@ -156,11 +156,11 @@ def test_predictions_shift_as_the_memory_says_to_the_bit_and_forgetting_undoes_i
     hand = start_awake(graph, card, use_tare=False)
     first = hand.ask()
     assert_answer(first, hand)
-    memory = TouchMemory(load_model(card))
+    memory = ObjectResiduals(load_model(card))
     for number in range(3):
         times = hand.touch(f"g-{number}", number)
         memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
-        assert_answer(hand.ask(), hand, memory=memory)
+        assert_answer(hand.ask(), hand, residuals=memory)
     assert (hand.notes()["touches"], hand.outcomes()) == ("3", {"taken_in": 3})
     assert hand.notes()["regime"].startswith("touches (")
 
@@ -175,9 +175,9 @@ def test_with_a_tare_readings_count_by_their_change_from_it(graph: Any, card: st
     memory = None
     for number in range(2):
         cut = hand.cut(hand.touch(f"g-{number}", number))
-        memory = memory or TouchMemory(load_model(card), cut.tare)
+        memory = memory or ObjectResiduals(load_model(card), cut.tare)
         memory.add(hand.cloud, hand.planned[0], restore(offsets(cut.touch, cut.tare), memory.tare))
-    assert_answer(hand.ask(), hand, memory=memory)
+    assert_answer(hand.ask(), hand, residuals=memory)
     assert "_tare" in hand.notes()["regime"]
 
 
@@ -267,14 +267,14 @@ def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
     hand = start_awake(graph, card, use_tare=False)
     times = hand.touch("g", 0)
     graph.until(lambda: hand.heard)  # else the service may come before the cloud
-    memory = TouchMemory(load_model(card))
+    memory = ObjectResiduals(load_model(card))
     memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
     request = PredictTouch.Request(
         cloud=objects_to_msg([FoundObject("7", hand.cloud, ASSUMED_TABLE)], FRAME, hand.now),
         grasps=[grasp_to_msg(grasp) for grasp in hand.planned],
     )
     answer = graph.call(PredictTouch, "predict_touch", request).touch
-    assert_answer(answer, hand, memory=memory)
+    assert_answer(answer, hand, residuals=memory)
     assert grasp_from_msg(answer.predictions[0].grasp).id == "g/0"
 
 
@@ -290,9 +290,9 @@ def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(graph: Any,
     asked, hand.see = hand.cloud, lambda _: None  # the planner has its own plan
     cut = hand.cut(hand.touch("mine", 2))
     del hand.see
-    memory = TouchMemory(load_model(card))
+    memory = ObjectResiduals(load_model(card))
     memory.add(asked, mine, cut.touch)
-    assert_answer(hand.ask(), hand, memory=memory)
+    assert_answer(hand.ask(), hand, residuals=memory)
 
 
 def test_a_change_of_use_tare_forgets_and_use_touches_ignores(graph: Any, card: str) -> None:
@@ -316,7 +316,7 @@ def test_a_hand_that_sends_no_readings_harms_nobody(graph: Any, card: str, scene
     lines.publish(String(data="not,a,reading"))
     graph.until(lambda: node.notes()["tactile.unreadable"] == "1")
     assert "CSV: 3 fields" in node.notes()["tactile.last_unreadable"]
-    target = Pipeline().see(scene_cloud()).targets[0]
+    target = Pipeline().segment(scene_cloud()).targets[0]
     grasps = [grasp_to_msg(grasp) for grasp in Pipeline().plan(target).grasps]
     request = PredictTouch.Request(cloud=objects_to_msg([target], FRAME, 5), grasps=grasps)
     answer = graph.call(PredictTouch, "predict_touch", request).touch

@@ -34,7 +34,6 @@ __all__ = [
     "select_targets",
 ]
 
-choose_targets = select_targets  # alias until merge
 
 SegmentationStatus = Literal["ok", "empty_cloud", "too_few_points", "no_plane", "no_object"]
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480

@@ -25,7 +25,7 @@ from foretouch.dataset.pairing.matcher import (
     RejectedGrasp,
 )
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
-from foretouch.dataset.recording.record import DISCARDED, Outcome, SampleRecord, TouchSeries
+from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
 from foretouch.errors import CloudError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileReader

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
-from foretouch.dataset.recording.record import APPROACH, HOLD, REST
+from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
 from foretouch.tactile import check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact

@@ -16,7 +16,7 @@ from typing import Any
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
 from foretouch.dataset.pairing.sensors import Episode
-from foretouch.dataset.recording.record import Outcome
+from foretouch.dataset.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import stamp_ns
 

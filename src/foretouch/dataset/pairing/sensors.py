@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from foretouch.tactile import FULL_SCALE, check_touch
+from foretouch.tactile import CONSTANT_SAMPLES, FULL_SCALE, check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
-from foretouch.tactile.validity import CONSTANT_SAMPLES
 from foretouch.types import Float32, Touch
 
 __all__ = ["ALIVE", "NO_DATA", "ContactEpisodes", "Episode", "SensorHealth"]
@@ -57,7 +56,7 @@ class ContactEpisodes:
 
     def reset(self) -> None:
         """Restart detection, after the clock has jumped."""
-        self._detector.forget()
+        self._detector.reset()
         self._holding = False
 
 

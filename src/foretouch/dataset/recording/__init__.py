@@ -11,8 +11,6 @@ from foretouch.dataset.recording.session_file import RecordingConfig
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
 from foretouch.dataset.recording.writer import RecordingWriter
 
-TopicAccount = TopicCounts  # alias until merge
-
 __all__ = [
     "APPROACH",
     "HOLD",

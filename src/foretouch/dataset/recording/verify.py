@@ -74,13 +74,6 @@ class FileReport:
         """Whether there are no faults."""
         return not self.faults
 
-    @property
-    def accounts(self) -> MessageCounts | None:  # noqa: D102  # alias until merge
-        return self.counts
-
-    def told(self) -> list[str]:  # noqa: D102  # alias until merge
-        return self.fault_lines()
-
     def fault_lines(self) -> list[str]:
         """The faults, one line each, with file and offset."""
         return [str(fault.error(self.path)) for fault in self.faults]

@@ -96,10 +96,6 @@ class RecordingWriter:
         self.close()
 
     @property
-    def accounts(self) -> MessageCounts:  # noqa: D102  # alias until merge
-        return self.counts
-
-    @property
     def file(self) -> Path:
         """The file of the session."""
         return self._file.path

@@ -22,8 +22,8 @@ from foretouch.learning.training.contact_predictor import calibration_folds
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
-from foretouch.models.novelty import FAMILIAR
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.models.novelty import IN_DISTRIBUTION
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["COMBINATIONS", "FEATURE_SETS", "FULL", "GROUP_EDITS", "Components", "ModelVariant", "fit_variants"]
@@ -55,7 +55,7 @@ class Components:
         for name in MODALITIES:
             separate[:, columns([name])] = estimator.forests[name].predict(rows)
         joint, kernel = estimator.forests[TOGETHER].predict(rows), estimator.kernel.predict(rows)
-        weights = [estimator.novelty.familiarity(row[: len(OBJECT_FEATURES)]) for row in rows]
+        weights = [estimator.novelty.in_distribution_score(row[: len(OBJECT_FEATURES)]) for row in rows]
         mean, deviation = estimator.mean, estimator.deviation
         return cls(joint * deviation + mean, separate * deviation + mean, kernel * deviation + mean, np.array(weights))
 
@@ -133,7 +133,7 @@ class ModelVariant:
         if self.calibration is not None and len(touched):
             means = self.expected[touched].mean(axis=0), (self.labels - shifts)[touched].mean(axis=0)
             count = len(touched)
-            counts, _ = self.calibration.lean(counts, self.familiar[index], tare=tare, touched=means, count=count)
+            counts, _ = self.calibration.adapt(counts, self.familiar[index], tare=tare, touched=means, count=count)
         return counts + shifts[index]
 
 
@@ -152,13 +152,13 @@ def fit_variants(
         held_out = model.held_out() if calibrated and name == FULL else {}
         for variant, combine in COMBINATIONS.items() if name == FULL else [(name, COMBINATIONS[FULL])]:
             calibration = model.calibrate(combine, held_out) if held_out else None
-            counts, familiar = combine(components), components.in_distribution >= FAMILIAR
+            counts, familiar = combine(components), components.in_distribution >= IN_DISTRIBUTION
             result[variant] = ModelVariant(counts, familiar, labels_of(test), model.shifts(test), calibration)
     full = result[FULL]
     if full.calibration is not None:
         for variant, edit in GROUP_EDITS.items():
-            groups = {name: edit(group) for name, group in full.calibration.regimes.items()}
-            result[variant] = replace(full, calibration=replace(full.calibration, regimes=groups))
+            groups = {name: edit(group) for name, group in full.calibration.groups.items()}
+            result[variant] = replace(full, calibration=replace(full.calibration, groups=groups))
     return result
 
 

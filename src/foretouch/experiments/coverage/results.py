@@ -20,7 +20,7 @@ from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
 from foretouch.learning.evaluation.comparison import BootstrapConfig, mean_over_objects
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import Float64
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ from foretouch.learning.data.collection import Collection
 from foretouch.learning.data.folds import Fold, Indices, random_folds
 from foretouch.learning.evaluation.comparison import MEAN
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.baselines import geometry_trees
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.models.network.config import ModelConfig
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 __all__ = ["EXPERIMENT", "QUICK", "SMOKE", "ChosenTrials", "LabelRatioSettings", "NetworkSettings", "run_network"]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.config import setting
 from foretouch.errors import CloudError, DatasetError
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, load_simulated

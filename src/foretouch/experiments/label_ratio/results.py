@@ -27,8 +27,7 @@ import numpy as np
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
 
 if TYPE_CHECKING:

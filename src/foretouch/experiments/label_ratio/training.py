@@ -30,8 +30,8 @@ from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import predict_set
 from foretouch.learning.training.trainer import shuffled_batches
-from foretouch.models.network.normalisation import freeze
-from foretouch.tactile.modalities import columns, modality_size
+from foretouch.models.network.batch_norm import freeze
+from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
 
 __all__ = [

@@ -37,7 +37,7 @@ from foretouch.learning.data.folds import make_folds
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample
 
 if TYPE_CHECKING:

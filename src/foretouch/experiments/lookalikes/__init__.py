@@ -29,7 +29,7 @@ from foretouch.experiments.shared.skill import skill_tables
 from foretouch.experiments.unseen_object import UnseenObjectSettings, draw_over_touches, touch_rows
 from foretouch.learning.data.training_set import labels_of
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample
 
 __all__ = ["EXPERIMENT", "OBJECT_KNOWN", "LookalikesSettings"]

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import SimulationError
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
-from foretouch.simulation.steps import EFFECTS
-from foretouch.simulation.streams import SampleKey
+from foretouch.simulation.world import SampleKey
 from foretouch.types import Float64
 
 __all__ = ["CAUSES", "NEW_OBJECT", "Repeater", "Repeats"]

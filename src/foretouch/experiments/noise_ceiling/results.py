@@ -15,8 +15,7 @@ import numpy as np
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.noise_ceiling.repeats import NEW_OBJECT
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import P2_RANGES
+from foretouch.tactile import MODALITIES, P2_RANGES, columns
 from foretouch.types import Float64
 
 if TYPE_CHECKING:

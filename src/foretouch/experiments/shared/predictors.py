@@ -30,7 +30,7 @@ from foretouch.learning.evaluation.baselines import (
 )
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.contact_predictor import ContactPredictor
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [

@@ -16,8 +16,7 @@ from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
 from foretouch.learning.data.collection import Collection, load_collection
 from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
-from foretouch.tactile.modalities import MODALITIES
-from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
+from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES
 from foretouch.types import Float64, GraspSample
 
 __all__ = [

@@ -12,7 +12,7 @@ from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
 from foretouch.learning.evaluation.comparison import MEAN
 from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -38,7 +38,7 @@ from foretouch.experiments.unseen_object import (
     tabulate_touches,
 )
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "TRANSFER_METHODS", "SimToRealSettings", "simulated_changes"]

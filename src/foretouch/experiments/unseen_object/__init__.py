@@ -38,7 +38,7 @@ from foretouch.learning.data.collection import Collection
 from foretouch.learning.data.folds import Indices, make_folds
 from foretouch.learning.data.training_set import labels_of
 from foretouch.report.panels import Rows, new_figure, save
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:

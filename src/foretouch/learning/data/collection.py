@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import sample_digest
+from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
 from foretouch.learning.data.folds import Indices

@@ -37,7 +37,7 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = [

@@ -16,7 +16,7 @@ import numpy as np
 from foretouch.learning.data.folds import Fold
 from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.evaluation.metrics import Score, score
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["MODEL", "Evaluation", "HoldOut", "evaluate"]

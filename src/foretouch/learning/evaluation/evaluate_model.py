@@ -25,8 +25,7 @@ from foretouch.learning.training.supervised import predict_set
 from foretouch.models.card import read_card
 from foretouch.models.network.checkpoint import load_network
 from foretouch.models.registry import find_card, load_model
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["judge"]

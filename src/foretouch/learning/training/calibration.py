@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = [

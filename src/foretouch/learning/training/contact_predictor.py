@@ -88,7 +88,7 @@ class ContactPredictor:
         if touched:  # at the rest level of training, since each sample has a tare of its own
             felt = labels_of(touched) - self._shifts(touched, tare=tare)
             means = self._expect(touched)[0].mean(axis=0), felt.mean(axis=0)
-        counts, half = self.trust[0].lean(expected, familiar, tare=tare, touched=means, count=len(touched))
+        counts, half = self.trust[0].adapt(expected, familiar, tare=tare, touched=means, count=len(touched))
         return counts + self._shifts(samples, tare=tare), half
 
     @cached_property

@@ -17,11 +17,9 @@ from foretouch.learning.training.contact import ContactConfig, describe_objects,
 from foretouch.learning.training.supervised import TrainConfig, predict_set, train_network
 from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.familiarity import Familiarity
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.estimator import Fallback
-from foretouch.tactile.modalities import MODALITIES
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.models.novelty import Fallback, LengthRangeCheck
+from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["ContactLearner", "Learner", "NetworkLearner"]
@@ -89,7 +87,7 @@ class NetworkLearner:
 
         everything = np.arange(len(self.data.labels))
         net = train_network(self.data, everything, self.config, lambda epoch, loss: say({"epoch": epoch, "loss": loss}))
-        familiar = Familiarity.fit(self.data.lengths).to_card()
+        familiar = LengthRangeCheck.fit(self.data.lengths).to_card()
         own = {"familiar": familiar, "training": self.config.to_mapping()}
         return save_network(out, name, net, {**facts, **own}), Fallback.fit(self.objects, self.data.labels)
 

@@ -33,9 +33,9 @@ from foretouch.learning.training.calibration import HeldOutPredictions, make_cal
 from foretouch.learning.training.contact import ContactConfig, rest_level
 from foretouch.learning.training.learners import ContactLearner, Learner, NetworkLearner
 from foretouch.learning.training.supervised import TrainConfig
-from foretouch.models.contact.checkpoint import add_calibration
+from foretouch.models.calibration import add_calibration
 from foretouch.models.network.config import ModelConfig
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["ShipConfig", "main", "ship"]

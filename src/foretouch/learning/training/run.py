@@ -27,9 +27,9 @@ from foretouch.learning.training.srgan import SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, predict_set
 from foretouch.learning.training.tensorboard_logger import open_tensorboard
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.familiarity import Familiarity
 from foretouch.models.network.checkpoint import save_network
-from foretouch.tactile.modalities import columns
+from foretouch.models.novelty import LengthRangeCheck
+from foretouch.tactile import columns
 
 __all__ = ["train_run"]
 
@@ -173,7 +173,7 @@ def _network_facts(
     return {
         **run_facts(config, data, division),
         "limits": ["Bounds are null: no calibration exists."],
-        "familiar": Familiarity.fit(prepared.lengths[learned]).to_card(),
+        "familiar": LengthRangeCheck.fit(prepared.lengths[learned]).to_card(),
         "training": {**config.replace(data=None).to_mapping(), "best_epoch": best.epoch if best.weights else None},
     }
 

@@ -14,7 +14,7 @@ from foretouch.learning.evaluation.cross_validation import MODEL
 from foretouch.learning.evaluation.evaluate_model import judge
 from foretouch.learning.training.run_config import RunConfig
 from foretouch.models.card import card_text, read_card, write_text
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 
 __all__ = ["add_scores", "run_facts"]
 

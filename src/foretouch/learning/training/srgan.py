@@ -46,9 +46,9 @@ from foretouch.learning.training.losses import (
 )
 from foretouch.learning.training.supervised import set_target_scaling
 from foretouch.learning.training.trainer import OPTIMISERS, SCHEDULES, Stepper, StepRule, Trainer, shuffled_batches
+from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
-from foretouch.models.network.normalisation import Inputs, calibrate, freeze, statistics_kept
-from foretouch.tactile.modalities import columns, modality_size
+from foretouch.tactile import columns, modality_size
 
 __all__ = ["SrganConfig", "SrganTrainer"]
 

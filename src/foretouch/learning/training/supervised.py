@@ -29,7 +29,7 @@ from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.trainer import OPTIMISERS, SCHEDULES, Stepper, StepRule, Trainer, shuffled_batches
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.regressor import TouchNet
-from foretouch.tactile.modalities import columns, modality_size
+from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
 
 __all__ = [

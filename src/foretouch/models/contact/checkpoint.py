@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.calibration import Calibration, add_calibration, calibration_file, load_calibration
+from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.files import packed, read_tensors, replace_files
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import TactileRanges
 
 __all__ = ["load_model", "save_contact"]
-__all__ += ["add_calibration"]  # alias until merge
 
 
 def save_contact(

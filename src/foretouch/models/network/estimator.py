@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from foretouch.models.network.folding import FoldedNetwork
 
 __all__ = ["Member", "NetworkEstimator"]
-__all__ += ["Fallback"]  # alias until merge
 
 
 @dataclass(frozen=True, eq=False)

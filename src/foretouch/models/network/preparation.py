@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.normals import normals_and_curvature
-from foretouch.cloud.geometry.sampling import sample_indices
-from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
+from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import Cloud, Float32, Float64, Grasp

@@ -23,9 +23,8 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
 from foretouch.simulation.message_faults import FaultConfig
-from foretouch.simulation.scene_camera import scene_camera
+from foretouch.simulation.scene_camera import scene_camera, swinging
 from foretouch.simulation.show import ShowConfig
-from foretouch.simulation.swing import swinging
 from foretouch.types import Cloud
 
 __all__ = ["CameraNode", "CameraNodeConfig", "SyntheticConfig"]

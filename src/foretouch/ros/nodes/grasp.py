@@ -39,7 +39,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
         self._grasps = self.advertise(GraspArray, "grasps")
-        for target in self._pipeline.see(warm_up_cloud()).targets:
+        for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super().setup()
 

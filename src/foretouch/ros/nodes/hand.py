@@ -28,9 +28,8 @@ from foretouch.ros.messages.conversions import grasp_from_msg, header_to_msg, po
 from foretouch.ros.messages.tactile import FINGERS, biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.simulation.execution import Course, CourseConfig, SimulatedHand
+from foretouch.simulation.execution import Course, CourseConfig, RestingFingers, SimulatedHand
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.resting import RestingFingers
 from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray

@@ -25,7 +25,7 @@ from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.messages.clouds import cloud_from_msg, objects_from_msg
 from foretouch.ros.messages.conversions import stamp_ns
-from foretouch.ros.messages.status import status_name
+from foretouch.ros.messages.requests import status_name
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
 from foretouch.types import Cloud

@@ -16,8 +16,8 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, SampleAssembler
+from foretouch.dataset.record import check_name
 from foretouch.dataset.recording import Outcome, RecordingWriter
-from foretouch.dataset.recording.record import check_name
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.tactile import tactile_class

@@ -51,7 +51,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._table = self.advertise(TablePlane, "table")
         self._object_cloud = self.advertise(PointCloud2, "object_cloud")
         self._markers = self.advertise(MarkerArray, "markers")
-        self._pipeline.see(warm_up_cloud())
+        self._pipeline.segment(warm_up_cloud())
         super().setup()
 
     def config_changed(self, config: SegmentationNodeConfig) -> None:
@@ -62,7 +62,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         """Segment one cloud."""
         self._check_frame(header.frame_id)
         cloud = read_cloud(messages["points"])
-        scene = self._pipeline.see(cloud)
+        scene = self._pipeline.segment(cloud)
         status = status_code(scene.status)
         self._publish(header, scene, cloud.xyz.shape, status)
         return status, scene.reason

@@ -29,8 +29,7 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject
 from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import check_frames, read_plane, read_targets
-from foretouch.ros.messages.status import RefusalError
+from foretouch.ros.messages.requests import RefusalError, check_frames, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool

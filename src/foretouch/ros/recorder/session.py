@@ -18,7 +18,7 @@ from functools import partial
 from rclpy.serialization import deserialize_message
 
 from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
-from foretouch.dataset.recording import RecordingWriter, TopicAccount
+from foretouch.dataset.recording import RecordingWriter, TopicCounts
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
 
@@ -48,7 +48,7 @@ class SessionStatus:
         error: Why it ended by itself, else "".
     """
 
-    accounts: Mapping[str, TopicAccount] = field(default_factory=dict)
+    accounts: Mapping[str, TopicCounts] = field(default_factory=dict)
     samples: int = 0
     unlabelled: int = 0
     results: Counter[str] = field(default_factory=Counter)
@@ -202,7 +202,7 @@ class RecordingSession:
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
             self._sizes.popleft()
         since_s, before = self._sizes[0]
-        accounts = self.writer.accounts.topics
+        accounts = self.writer.counts.topics
         with self._assembler_lock:
             results, anomalies = +self._assembler.results, self._assembler.anomalies + self._unreadable
             sensors = self._assembler.sensor_states(now)

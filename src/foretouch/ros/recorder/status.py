@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from foretouch.dataset.recording import SAMPLE_TOPIC, TopicAccount
+from foretouch.dataset.recording import SAMPLE_TOPIC, TopicCounts
 from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.recorder.session import SessionStatus
 from foretouch_msgs.msg import RecorderStatus, Status
@@ -59,7 +59,7 @@ def status_to_msg(
         now_ns: Stamp of the message [ns].
     """
     received = {name: account for name, account in session.accounts.items() if name != SAMPLE_TOPIC}  # made here
-    accounts = {name: received.get(name, TopicAccount()) for name in (*statistics, *received)}
+    accounts = {name: received.get(name, TopicCounts()) for name in (*statistics, *received)}
     topics = [_topic(name, account, statistics.get(name, TopicStatistics())) for name, account in accounts.items()]
     drops: Counter[str] = sum((account.dropped for account in accounts.values()), Counter())
     drops[AFTER_CLOSE] += sum(one.late for one in statistics.values())
@@ -90,7 +90,7 @@ def status_to_msg(
     )
 
 
-def _topic(name: str, account: TopicAccount, topic: TopicStatistics) -> TopicAccountMsg:
+def _topic(name: str, account: TopicCounts, topic: TopicStatistics) -> TopicAccountMsg:
     return TopicAccountMsg(
         topic=name,
         received=account.received + topic.waiting + topic.late,

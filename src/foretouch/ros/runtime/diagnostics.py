@@ -108,8 +108,6 @@ class InputStatistics:
                 idle_s=None if self._last_arrival is None else now - self._last_arrival,
             )
 
-    snapshot = summary  # alias until merge
-
 
 def _quantiles(values: deque[float]) -> tuple[float, float] | None:
     if not values:

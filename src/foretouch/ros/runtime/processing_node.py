@@ -25,7 +25,7 @@ from std_msgs.msg import Header
 
 from foretouch.config import setting
 from foretouch.ros.messages.conversions import stamp_ns
-from foretouch.ros.messages.status import RefusalError, status_name
+from foretouch.ros.messages.requests import RefusalError, status_name
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.types import Cloud, Float32

@@ -15,9 +15,14 @@ from std_msgs.msg import Header
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages.conversions import pose_stamped
-from foretouch.ros.messages.plans import plan_targets
-from foretouch.ros.messages.requests import read_plane, read_table, read_targets
-from foretouch.ros.messages.status import RefusalError, status_name
+from foretouch.ros.messages.requests import (
+    RefusalError,
+    plan_targets,
+    read_plane,
+    read_table,
+    read_targets,
+    status_name,
+)
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction

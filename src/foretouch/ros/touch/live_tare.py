@@ -93,7 +93,7 @@ class LiveTare:
 
     def reset(self) -> None:
         """Restart, after the clock has jumped or a contact was taken for rest."""
-        self._detector.forget()
+        self._detector.reset()
         self._recent.clear()
         self._rest, self._tare, self.fault = [], None, ""
 

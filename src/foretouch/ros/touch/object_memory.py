@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
@@ -57,7 +56,7 @@ class ObjectMemory:
 
     def __init__(self, model: TouchModel) -> None:
         self._model = model
-        self._memory: TouchMemory | None = None
+        self._memory: ObjectResiduals | None = None
         self._extent: _Extent | None = None
         self._touched_s = 0.0
 
@@ -80,19 +79,19 @@ class ObjectMemory:
             same_object_m: See above [m].
 
         Raises:
-            TactileError: See `TouchMemory.add`.
-            CloudError: See `TouchMemory.add`.
-            ModelError: See `TouchMemory.add`.
+            TactileError: See `ObjectResiduals.add`.
+            CloudError: See `ObjectResiduals.add`.
+            ModelError: See `ObjectResiduals.add`.
         """
         extent, memory = _Extent.of(cloud), self._memory
         if memory is None or self._extent is None or not extent.is_near(self._extent, same_object_m):
-            memory = TouchMemory(self._model, tare)
+            memory = ObjectResiduals(self._model, tare)
         elif memory.tare is not None and tare is not None:
             reading = restore(offsets(reading, tare), memory.tare)  # as the sensors read when the first one was taken
         memory.add(cloud, grasp, reading)
         self._memory, self._extent, self._touched_s = memory, extent, now_s
 
-    def of(self, cloud: Cloud, same_object_m: float) -> TouchMemory | None:
+    def of(self, cloud: Cloud, same_object_m: float) -> ObjectResiduals | None:
         """The touches of the object in this cloud; None if it is another object or was not touched."""
         if self._memory is None or self._extent is None:
             return None

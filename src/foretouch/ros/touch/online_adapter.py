@@ -71,7 +71,7 @@ class OnlineAdapter:
         self._memory = ObjectMemory(model)
         self._touch_counts: Counter[str] = Counter()
         self._last_refusal = ""
-        self._regime = ""
+        self._calibration_group = ""
 
     # Input, from callbacks and from the worker.
 
@@ -132,7 +132,7 @@ class OnlineAdapter:
         with self._memory_lock:
             memory = self._memory.of(cloud, config.same_object_m) if config.use_touches else None
             if memory is not None:
-                return self._noted(self._model.predict(cloud, grasps, memory=memory), memory.tare)
+                return self._noted(self._model.predict(cloud, grasps, residuals=memory), memory.tare)
         tare = self._recent_tare(config)
         return self._noted(self._model.predict(cloud, grasps, tare=tare), tare)
 
@@ -172,7 +172,7 @@ class OnlineAdapter:
                 "tactile.last_unreadable": self._last_unreadable,
             }
         return {
-            "regime": self._regime,
+            "regime": self._calibration_group,
             "touches": str(self.touches()),
             **{f"touches.{name}": str(count) for name, count in sorted(counts.items())},
             "tare_age_s": "none" if age_s == float("inf") else f"{age_s:.1f}",
@@ -212,7 +212,7 @@ class OnlineAdapter:
         """Keep the reference and the calibration group of the first prediction for /diagnostics."""
         if predictions:
             first = predictions[0]
-            regime = ("new" if "unfamiliar" in first.flags else "known") + ("_tare" if tare is not None else "")
-            known = self._model.trust is not None and regime in self._model.trust.regimes
-            self._regime = f"{first.reference} ({regime}{'' if known else ', which its calibration lacks'})"
+            group = ("new" if "unfamiliar" in first.flags else "known") + ("_tare" if tare is not None else "")
+            known = self._model.calibration is not None and group in self._model.calibration.groups
+            self._calibration_group = f"{first.reference} ({group}{'' if known else ', which its calibration lacks'})"
         return predictions

@@ -19,7 +19,7 @@ from foretouch.ros.messages.conversions import (
     prediction_to_msg,
     refusal_to_msg,
 )
-from foretouch.ros.runtime.warm_up import tabletop
+from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -58,7 +58,7 @@ class Predictor:
         """Predict once, so that the first real cloud does not wait for torch."""
         if self.model is not None:
             pipeline = Pipeline()
-            for target in pipeline.see(tabletop()).targets:
+            for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
 
     def _fall_back(self, name: str) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pad of a BioTac SP: a rigid core under a compliant layer of skin and liquid.
 
-Frame of the fingertip, as `foretouch.tactile.layout`: x along the finger towards its tip, -z towards the
+Frame of the fingertip, as `foretouch.tactile`: x along the finger towards its tip, -z towards the
 pad. The electrodes of the core lie on an ellipsoid of revolution about x; the skin is taken as the
 ellipsoid whose semi-axes are longer by the layer's thickness. The contact has its own frame: its
 origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
