@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foretouch.dataset.recording.message_fields import cloud_fields
 from pair_builders import SECOND, interval, level, stream
 
+from foretouch.dataset.cdr import cloud_fields
 from foretouch.dataset.messages import decode_grasp
 from foretouch.dataset.pairing import (
     AssembledSample,

@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_ns
-from foretouch.ros.messages.tactile import FINGERS, counts_from_msg
 from foretouch.ros.nodes.hand import HandConfig, HandNode
 from foretouch.simulation.world import CAMERA_FRAME
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
 from foretouch.types import Grasp
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
@@ -86,7 +86,7 @@ def test_a_grasp_is_felt_when_and_as_strongly_as_the_hand_says(graph, scene_file
         for message in messages:
             expected = [(touch.pdc_th, touch.e_th), (touch.pdc_mf, touch.e_mf)]
             for finger, (pdc, electrodes) in zip(("TH", "MF"), expected, strict=True):
-                np.testing.assert_array_equal(counts_from_msg(message, finger), [pdc, *electrodes])
+                np.testing.assert_array_equal(finger_counts(message, finger), [pdc, *electrodes])
     assert node.statistics.summary().used == 1
     assert node.notes()["executed.success"] == "1"
 
@@ -98,8 +98,8 @@ def test_messages_come_at_100_hz_with_even_stamps_and_zeros_where_there_is_no_se
     stamps = [stamp_ns(m.header.stamp) for m in messages]
     assert set(np.diff(stamps)) == {SECOND // 100}
     assert messages[0].header.frame_id == "rh_tactile"
-    for finger in FINGERS:
-        counts = np.array([counts_from_msg(m, finger) for m in messages])
+    for finger in FINGER_ORDER:
+        counts = np.array([finger_counts(m, finger) for m in messages])
         assert counts.shape == (100, 25)
         assert (counts > 0).all() if finger in {"MF", "TH"} else not counts.any()
     assert node.phase == "idle"
@@ -109,7 +109,7 @@ def test_other_fingers_may_carry_a_biotac_with_noise_of_its_own(graph, scene_fil
     config = scene(fingers={"noise": {}})
     _, tactile, _ = start(graph, scene_file(config), biotacs=["FF", "MF", "TH"])
     graph.until(lambda: len(tactile) >= 50)
-    first, middle = (np.array([counts_from_msg(m, name) for m in tactile[:50]]) for name in ("FF", "MF"))
+    first, middle = (np.array([finger_counts(m, name) for m in tactile[:50]]) for name in ("FF", "MF"))
     assert (first > 0).all()
     assert (first != middle).mean() > 0.5
 
@@ -152,7 +152,7 @@ def test_a_grasp_beside_the_object_fails_and_says_why(graph, scene_file) -> None
     assert (told[0].success, stamp_ns(told[0].contact), stamp_ns(told[0].release)) == (False, 0, 0)
     assert stamp_ns(told[0].start) > 0
     assert dict(node.statistics.summary().dropped) == {"misses": 1}
-    counts = [tuple(counts_from_msg(m, "TH")) for m in tactile]
+    counts = [tuple(finger_counts(m, "TH")) for m in tactile]
     assert len(set(counts)) == 1
 
 
@@ -170,7 +170,7 @@ def test_the_object_is_the_one_on_the_table_when_the_cloud_was_taken(graph, scen
         report, touch = told[-1], run(config, "touch", slot=slot).touch
         assert report.success
         held = between(tactile, stamp_ns(report.contact), stamp_ns(report.release))
-        np.testing.assert_array_equal(counts_from_msg(held[-1], "TH")[1:], touch.e_th)
+        np.testing.assert_array_equal(finger_counts(held[-1], "TH")[1:], touch.e_th)
 
 
 def test_on_request_only(graph, scene_file) -> None:

@@ -83,7 +83,7 @@ def test_object_outside_the_window_is_refused():
 
 
 def test_height_that_is_no_height_is_refused():
-    with pytest.raises(ContactError, match="-inf says that there is no surface"):
+    with pytest.raises(ContactError, match="use -inf where there is no surface"):
         gap_field(np.zeros((2, 2)), np.array([[0.0, np.nan], [0.0, 0.0]]))
     with pytest.raises(ContactError, match=r"shape \(3, 3\) is not that of the pad, \(2, 2\)"):
         gap_field(np.zeros((2, 2)), np.zeros((3, 3)))

@@ -15,12 +15,11 @@ import numpy.typing as npt
 
 from foretouch.errors import MissingDependencyError
 from foretouch.ros.messages.conversions import header_to_msg
-from foretouch.tactile.messages.biotac_all import FINGER_ORDER as FINGERS  # alias until merge
-from foretouch.tactile.messages.biotac_all import finger_counts as counts_from_msg  # alias until merge
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.types import ELECTRODES
 from foretouch_msgs.msg import Biotac, BiotacAll
 
-__all__ = ["FINGERS", "biotac_all_to_msg", "counts_from_msg", "tactile_class"]
+__all__ = ["biotac_all_to_msg", "tactile_class"]
 
 Counts = npt.NDArray[np.int16]
 
@@ -36,7 +35,7 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
         frame_id: Frame of the header.
         nanoseconds: Stamp of the header [ns].
     """
-    tactiles = [_biotac(fingers.get(name, _ABSENT)) for name in FINGERS]
+    tactiles = [_biotac(fingers.get(name, _ABSENT)) for name in FINGER_ORDER]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)
 
 

@@ -14,6 +14,7 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
+from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 __all__ = ["GraspNode", "GraspNodeConfig"]
@@ -32,13 +33,13 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     _grasps: LifecyclePublisher[Any]
 
     def __init__(self, **options: Any) -> None:
-        inputs = [(PointCloud2, "object_cloud"), (TablePlane, "table")]
+        inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
         super().__init__("grasp", GraspNodeConfig, inputs, **options)
         self._pipeline = Pipeline(PipelineConfig(grasp=self.config.grasp))
 
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
-        self._grasps = self.advertise(GraspArray, "grasps")
+        self._grasps = self.advertise(GraspArray, GRASPS_TOPIC)
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super().setup()
@@ -49,7 +50,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Plan grasps on the targets of one cloud."""
-        targets = read_targets(messages["object_cloud"], read_table(messages["table"], header))
+        targets = read_targets(messages[CLOUD_TOPIC], read_table(messages["table"], header))
         message = plan_targets(self._pipeline, targets, header)
         self._grasps.publish(message)
         return message.status, message.reason

@@ -25,13 +25,15 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.ros.messages.conversions import grasp_from_msg, header_to_msg, point_to_msg, stamp_ns, stamp_to_msg
-from foretouch.ros.messages.tactile import FINGERS, biotac_all_to_msg
+from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
 from foretouch.simulation.execution import Course, CourseConfig, RestingFingers, SimulatedHand
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.world import CAMERA_FRAME
+from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 __all__ = ["HandConfig", "HandNode"]
@@ -83,7 +85,7 @@ class HandConfig(NodeConfig):
     faults: FaultConfig = field(default_factory=FaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
-        ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGERS, read_only=True
+        ("MF", "TH"), "Fingers with a BioTac; the others send zeros", choices=FINGER_ORDER, read_only=True
     )
     tactile_frame: str = setting("rh_tactile", "Frame of the tactile messages", read_only=True)
     frame_id: str = setting(CAMERA_FRAME, "Frame of the scene's camera: grasps in another are refused", read_only=True)
@@ -129,19 +131,19 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def setup(self) -> None:
         """Read the scene, advertise, subscribe."""
+        self._faults = MessageFaults(self.config.faults)  # before the hand: the diagnostics timer runs already
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]
-        self._faults = MessageFaults(self.config.faults)
         self._solver: Worker[_Command] = Worker("hand-contact", 1, self._solve, lambda _, why: self._drop(why))
-        self._tactile = self.advertise(BiotacAll, "/rh/tactile", depth=_DEPTH)
-        self._executed_publisher = self.advertise(ExecutedGrasp, "executed_grasp", depth=_DEPTH)
+        self._tactile = self.advertise(BiotacAll, TACTILE_TOPIC, depth=_DEPTH)
+        self._executed_publisher = self.advertise(ExecutedGrasp, EXECUTED_TOPIC, depth=_DEPTH)
         self._service = self.create_service(
             Trigger, "execute_grasp", self._on_execute, callback_group=MutuallyExclusiveCallbackGroup()
         )
-        self.subscribe(GraspArray, "grasps", self._on_grasps)
+        self.subscribe(GraspArray, GRASPS_TOPIC, self._on_grasps)
 
     def start(self) -> None:
         """Start to publish from a thread."""

@@ -35,6 +35,7 @@ from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg, stamp_ns
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
@@ -45,7 +46,7 @@ _ACKNOWLEDGED_S = 2.0
 _POLL_S = 0.02
 _TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
 _LIVE_ONLY = frozenset({"/diagnostics", "/parameter_events", "/rosout"})
-_INPUTS = frozenset({"executed_grasp"})  # in the graph's namespace, but published by the robot
+_INPUTS = frozenset({EXECUTED_TOPIC})  # in the graph's namespace, but published by the robot
 
 
 def playable(topics: Iterable[Topic], namespace: str) -> tuple[dict[Topic, type], dict[str, str]]:
@@ -110,7 +111,7 @@ class ReplayConfig(NodeConfig):
         "auto",
         "Topic of the clouds: `points`, to be segmented, or `object_cloud`, together with `table`; `auto` uses"
         " `object_cloud` for samples and for files whose clouds are not organised",
-        choices=["auto", "points", "object_cloud"],
+        choices=["auto", "points", CLOUD_TOPIC],
         read_only=True,
     )
     table: tuple[float, ...] = setting(
@@ -196,11 +197,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if not self.config.path:
             raise ConfigError("path: is empty; set it to a recording, a folder or a file")
         self._source = open_source(self.config.path, self.config.topic or None, frame_id=self.config.frame_id)
-        segmented = self.config.publish == "object_cloud"
+        segmented = self.config.publish == CLOUD_TOPIC
         if self.config.publish == "auto":
             segmented = cloud_is_object(self._source)
         self._topic_publishers[CLOUDS] = self.advertise(
-            PointCloud2, "object_cloud" if segmented else "points", depth=_DEPTH
+            PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH
         )
         self._table = self.advertise(TablePlane, "table", depth=_DEPTH) if segmented else None
         self._advertise_others(self._source)

@@ -19,6 +19,7 @@ from foretouch.ros.messages.conversions import plane_to_msg, stamp_ns
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
+from foretouch.topics import CLOUD_TOPIC
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 __all__ = ["SegmentationNode", "SegmentationNodeConfig"]
@@ -49,7 +50,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         """Advertise before subscribing, so that no answer is lost."""
         self._objects = self.advertise(ObjectArray, "objects")
         self._table = self.advertise(TablePlane, "table")
-        self._object_cloud = self.advertise(PointCloud2, "object_cloud")
+        self._object_cloud = self.advertise(PointCloud2, CLOUD_TOPIC)
         self._markers = self.advertise(MarkerArray, "markers")
         self._pipeline.segment(warm_up_cloud())
         super().setup()

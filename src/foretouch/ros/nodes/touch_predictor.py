@@ -142,15 +142,15 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Predict the touch of all grasps on one cloud."""
-        grasps = messages["grasps"]
-        self._remember_cloud(messages["object_cloud"])
+        grasps = messages[GRASPS_TOPIC]
+        self._remember_cloud(messages[CLOUD_TOPIC])
         if not grasps.grasps:
             raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
-        check_frames("grasps", grasps.header, header)
-        targets = read_targets(messages["object_cloud"], ASSUMED_TABLE)  # predictions do not use the table
+        check_frames(GRASPS_TOPIC, grasps.header, header)
+        targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
         message = self._predict(targets, grasps.grasps, header, None)
         if self._adapter is not None:
-            self._adapter.add_grasps(messages["object_cloud"], grasps.grasps)
+            self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
         self._touch.publish(message)
         if self._markers.get_subscription_count():
             for prediction in message.predictions[:1]:

@@ -27,10 +27,11 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
 from foretouch.ros.runtime.parameters import NodeSettings
+from foretouch.topics import NAMESPACE
 
 __all__ = ["NAMESPACE", "ForetouchNode", "NodeConfig"]
 
-NAMESPACE = "/foretouch"
+
 _OUTPUT_DEPTH = 10
 _INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile
 _C = TypeVar("_C", bound="NodeConfig")
