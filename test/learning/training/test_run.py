@@ -15,14 +15,13 @@ import yaml
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
-from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.evaluation.evaluate_model import judge
+from foretouch.learning.data import Dataset
+from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
+from foretouch.learning.training.learners import load_run_config, read_run_config
 from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import BOARD_FOLDER, LOG_FILE, STATE_FILE, read_state, write_state
+from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, TENSORBOARD_FOLDER, read_state, write_state
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
@@ -145,17 +144,17 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
         read_state(file)
 
 
-def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_path) -> None:
+def test_an_evaluation_counts_all_parts_of_a_split_and_recognises_training_data(data, tmp_path) -> None:
     card = train_run(run_config(), data, tmp_path / "run", quiet)
-    judged = judge(card, data, data.parts("random"), baselines={})
-    assert judged["samples"] == len(data.samples)
-    assert judged["same_data"]
-    assert set(judged["scores"]) == {"model"}
-    other = Collection(data.name, data.samples, "another", data.splits)
-    assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
+    result = evaluate_model(card, data, data.parts("random"), baselines={})
+    assert result["samples"] == len(data.samples)
+    assert result["same_data"]
+    assert set(result["scores"]) == {"model"}
+    other = Dataset(data.name, data.samples, "another", data.splits)
+    assert not evaluate_model(card, other, data.parts("object"), baselines={})["same_data"]
 
 
-def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path) -> None:
+def test_a_contact_model_trains_and_is_evaluated_with_its_intervals(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name
     run = run_config(method="contact", split=f"object/{part}", contact={"trees": 5})
@@ -172,7 +171,7 @@ def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path)
 
 def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
     name = data.samples[0].object
-    alone = Collection("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
+    alone = Dataset("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
     card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
     told = json.loads(card.read_text())
     assert told["calibration"] is None
@@ -185,16 +184,17 @@ def test_a_contact_model_has_no_validation() -> None:
 
 
 @pytest.mark.parametrize(
-    "recipe", sorted((Path(__file__).parents[2] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
+    "recipe", sorted((Path(__file__).parents[3] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
 )
 def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
-    resolved = RunConfig.from_mapping(load_yaml(recipe), recipe.name)
-    assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
+    resolved = load_run_config(recipe)
+    assert read_run_config(resolved.to_mapping()) == resolved
+    assert load_run_config(recipe.stem) == resolved  # by name, as where no config folder is installed
 
 
 def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
-    recipe = Path(__file__).parents[2] / "config/train/p2_srgan.yaml"
-    chosen = RunConfig.from_mapping(load_yaml(recipe))
+    recipe = Path(__file__).parents[3] / "config/train/p2_srgan.yaml"
+    chosen = load_run_config(recipe)
     loss = chosen.srgan.loss
     assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
     assert (chosen.srgan.optimiser, chosen.srgan.learning_rate) == ("adam", 0.01)
@@ -214,7 +214,7 @@ def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
 
     train_run(run_config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
     logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
-    shown = EventAccumulator(str(tmp_path / "run" / BOARD_FOLDER))
+    shown = EventAccumulator(str(tmp_path / "run" / TENSORBOARD_FOLDER))
     shown.Reload()
     for tag, values in (
         ("losses/loss", [line["losses"]["loss"] for line in logged]),
@@ -235,7 +235,7 @@ TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "
 
 @pytest.mark.slow
 def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
-    """Started as a user starts them; gradients are compared in test_ranks."""
+    """Started as a user starts them; gradients are compared in test_distributed."""
     changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
     file = tmp_path / "tiny.yaml"
     file.write_text(yaml.safe_dump(run_config(**changes).to_mapping()))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All splits of a dataset in one file, by the ids of the samples: part of the data, made once, seeded.
+"""All splits of a dataset in one file, by sample ids: part of the dataset, made once from a seed.
 
     random   five folds of shuffled samples
     object   five folds of whole objects, or leave-one-out where there are fewer
     time     five blocks of each object's recording
     labels   P2's ratios: the same test samples, 200 of each object, and of the rest 10, 30, 50, 70 or 90 %
-             without their labels (T10...T90); an object with fewer than 1000 samples gives a fifth of them to the test
+             without their labels (T10...T90); of an object with fewer than 1000 samples, a fifth is tested
 
 Unlabelled samples are in no fold; they are listed with the unlabelled part of each ratio.
 """
@@ -44,7 +44,7 @@ _VERSION: Final = 1
 
 
 class _Facts(Protocol):
-    """What is needed of a sample."""
+    """The fields of a sample that splits depend on."""
 
     @property
     def id(self) -> str: ...
@@ -61,13 +61,13 @@ class _Facts(Protocol):
 
 @dataclass(frozen=True)
 class SplitPart:
-    """One division of the samples, by id.
+    """One partition of the samples, by id.
 
     Attributes:
         name: Such as "random 0" or "T30".
-        train: To learn from, with labels.
-        test: To be judged on.
-        unlabelled: To learn from without labels.
+        train: Samples to train on with labels.
+        test: Samples to evaluate on.
+        unlabelled: Samples to train on without labels.
     """
 
     name: str
@@ -76,7 +76,7 @@ class SplitPart:
     unlabelled: tuple[str, ...] = ()
 
     def require_disjoint(self) -> None:
-        """Check that no id stands on two sides.
+        """Check that no id is in two parts.
 
         Raises:
             DatasetError: Names the split and an id.
@@ -85,17 +85,17 @@ class SplitPart:
         for side in (self.train, self.test, self.unlabelled):
             both = seen.intersection(side)
             if both or len(set(side)) != len(side):
-                raise DatasetError(f"split {self.name}: {min(both or side)} is there twice")
+                raise DatasetError(f"split {self.name}: {min(both or side)} is listed twice")
             seen.update(side)
 
 
 @dataclass(frozen=True)
 class DatasetSplits:
-    """What `splits.json` holds.
+    """Content of `splits.json`.
 
     Attributes:
         parts: By kind of split, in the order of the file.
-        omitted: By kind that the samples are too few for, the reason.
+        omitted: By kind of split for which there are too few samples, the reason.
     """
 
     parts: dict[str, list[SplitPart]]
@@ -107,10 +107,10 @@ def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indic
 
     Args:
         groups: (S,) object of each labelled sample.
-        rng: Chooses; what has no label at one ratio has none at the higher ones.
+        rng: Makes the choices; a sample without its label at one ratio has none at higher ratios.
 
     Returns:
-        The test samples, and for each of T10...T90 those trained on with and without their labels.
+        The test samples, and for each of T10...T90 the training samples with and without their labels.
 
     Raises:
         DatasetError: If an object has fewer than two samples, or fewer than two remain to train on.
@@ -138,10 +138,10 @@ def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
 
     Args:
         samples: In the order of the store.
-        seed: Of every choice; the same samples and seed give the same text.
+        seed: Seed of every choice; the same samples and seed give the same text.
 
     Returns:
-        JSON. A split that these samples are too few for is missing, and its reason stands under `omitted`.
+        JSON. A split for which there are too few samples is missing; `omitted` gives the reason.
     """
     splits: dict[str, list[dict[str, Any]]] = {}
     omitted: dict[str, str] = {}
@@ -154,18 +154,18 @@ def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
         for part in parts:
             part.require_disjoint()
         splits[kind] = [_plain(part) for part in parts]
-    book = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
-    return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
+    content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """The splits of a store.
+    """Read the splits of a dataset.
 
     Args:
-        path: The store, or its `splits.json`.
+        path: The dataset, or its `splits.json`.
 
     Raises:
-        FileError: If there is none, it is damaged or of another version, or an id stands on two sides.
+        FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
     """
     path = Path(path)
     file = path / SPLITS_FILE if path.is_dir() else path
@@ -177,21 +177,17 @@ def read_splits(path: str | Path) -> DatasetSplits:
 
 
 def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
-    """The splits in the text of a `splits.json`.
-
-    Args:
-        text: Of `make_splits`.
-        file: Named in errors.
+    """Parse the text of a `splits.json`, which `make_splits` makes; `file` is named in errors.
 
     Raises:
-        FileError: As of `read_splits`.
+        FileError: As `read_splits`.
     """
     try:
-        book = json.loads(text)
-        if book["schema_version"] != _VERSION:
-            raise FileError(file, f"{book['schema_version']} is not {_VERSION}", field="schema_version")
-        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in book["splits"].items()}
-        omitted = {str(kind): str(reason) for kind, reason in book.get("omitted", {}).items()}
+        content = json.loads(text)
+        if content["schema_version"] != _VERSION:
+            raise FileError(file, f"{content['schema_version']} is not {_VERSION}", field="schema_version")
+        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in content["splits"].items()}
+        omitted = {str(kind): str(reason) for kind, reason in content.get("omitted", {}).items()}
     except (ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
     for parts in kinds.values():
