@@ -29,19 +29,24 @@ def find_learner(method: str, source: str = "") -> type[Learner[Any]]:
     Raises:
         ConfigError: If there is none.
     """
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
-    if method not in LEARNERS:
+    if method not in _methods():
         raise ConfigError(f"{_prefix(source)}RunConfig.method: {method!r} is none of {', '.join(sorted(LEARNERS))}")
     return LEARNERS[method]
+
+
+def _methods() -> Mapping[str, type[Learner[Any]]]:
+    """All learners by method, after importing the modules of this package."""
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    return LEARNERS
 
 
 def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunConfig:
     """Settings of a run from a YAML file and `key=value` words.
 
     Args:
-        config: A YAML file, or the name of a recipe that comes with the package, such as `contact-v1`. Its `model` may be
-            the path of another YAML file with the network's settings, relative to this one.
+        config: A YAML file, the name of a recipe that comes with the package, such as `contact-v1`, or a method, for its
+            defaults. `model` may be the path of a YAML file with the network's settings, relative to the file that names it.
         overrides: `key=value`, applied to the file's settings.
 
     Raises:
@@ -49,9 +54,12 @@ def load_run_config(config: str | Path, overrides: Sequence[str] = ()) -> RunCon
     """
     path = Path(config)
     shipped = Path(str(resources.files("foretouch.learning"))) / _RECIPES / f"{config}.yaml"
-    if not path.exists() and not path.suffix and shipped.is_file():
-        path = shipped
-    mapping = _with_network(load_yaml(path), path.parent) | _with_network(parse_overrides(overrides), Path())
+    if not path.exists() and str(config) in _methods():
+        mapping: dict[str, Any] = {"name": str(config), "method": str(config)}
+    else:
+        file = shipped if shipped.is_file() and not path.exists() else path
+        mapping = _with_network(load_yaml(file), file.parent)
+    mapping |= _with_network(parse_overrides(overrides), Path())
     return read_run_config(mapping, str(config))
 
 
@@ -72,7 +80,7 @@ def read_run_config(mapping: Mapping[str, Any], source: str = "") -> RunConfig:
     """
     method = str(mapping.get("method", RunConfig.method))
     own = find_learner(method, source).config_type
-    others = {name: kind for learner in LEARNERS.values() for name, kind in learner.config_type.groups().items()}
+    others = {name: kind for learner in _methods().values() for name, kind in learner.config_type.groups().items()}
     unused: dict[str, dict[str, Any]] = {name: {} for name in others.keys() - own.groups().keys()}
     used = {}
     for key, value in mapping.items():
