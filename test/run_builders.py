@@ -25,7 +25,9 @@ BASE: dict[str, Any] = {
 def run_config(**changes: Any) -> RunConfig:
     """`BASE` with some groups replaced, without those that the method does not use."""
     given = {**BASE, **changes}
-    unused = {"model", "train", "srgan", "contact"} - find_learner(given.get("method", "supervised")).config_type.groups().keys()
+    unused = {"model", "train", "srgan", "contact"} - find_learner(
+        given.get("method", "supervised")
+    ).config_type.groups().keys()
     return read_run_config({key: value for key, value in given.items() if key not in unused})
 
 

@@ -1,76 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small models that lean on tare and touches: what they predict is wrong, how they learn is the real thing."""
+"""Old address of `calibrated_models`."""
 
-from __future__ import annotations
+from calibrated_models import FACTS, REST, make_calibration
+from calibrated_models import save_calibrated_contact as save_contact_with_trust
+from calibrated_models import save_calibrated_network as save_network_with_trust
 
-from pathlib import Path
-
-import numpy as np
-from sklearn.ensemble import ExtraTreesRegressor
-
-from foretouch.models.calibration import REGIMES, Calibration, CalibrationGroup
-from foretouch.models.contact.checkpoint import add_calibration, save_contact
-from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
-from foretouch.models.contact.forest import Forest
-from foretouch.models.contact.kernel_regression import KernelRegression, standardisation
-from foretouch.models.novelty import Novelty
-from foretouch.tactile.modalities import MODALITIES, columns
-
-FACTS = {
-    "level": 0.9,
-    "regimes": {name: {"objects": 4, "samples": 40, "coverage": {"PDC_TH": {"mean": 0.91}}} for name in REGIMES},
-}
-REST = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0)])
-
-
-def make_calibration(seed: int = 0) -> Calibration:
-    """A trust whose four regimes all differ, and in which every value says something of every other."""
-    rng = np.random.default_rng(seed)
-    regimes = {}
-    for k, name in enumerate(REGIMES, 1):
-        factors = rng.normal(size=(50, 10))
-        between = 40.0 * k * (factors @ factors.T + np.eye(50))
-        within = rng.uniform(300.0, 900.0, 50)
-        half_width = rng.uniform(50.0, 90.0, 50) * k
-        regimes[name] = CalibrationGroup(
-            between, within, rng.uniform(0.2, 1.0, 50), np.diag(between) + within, half_width
-        )
-    return Calibration(REST, regimes)
-
-
-def save_network_with_trust(folder: Path) -> str:
-    """A network with random weights and a calibration; path of its card."""
-    import torch
-
-    from foretouch.models.network.checkpoint import save_network
-    from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.regressor import TouchNet
-
-    torch.manual_seed(0)
-    config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
-    net = TouchNet(config)
-    net.set_scaling(torch.from_numpy(REST).float(), torch.linspace(20, 300, config.output_size))
-    card = save_network(folder, "leaning", net.eval(), {})
-    add_calibration(card, make_calibration(), FACTS)
-    return str(card)
-
-
-def save_contact_with_trust(folder: Path) -> str:
-    """A contact model fitted to nothing, with a calibration; path of its card."""
-    rng = np.random.default_rng(0)
-    rows, labels = rng.normal(size=(40, len(FEATURES))), rng.normal(size=(40, 50))
-    places = {"together": np.arange(50)} | {name: columns([name]) for name in MODALITIES}
-    forests = {}
-    for name, place in places.items():
-        target = labels[:, place] if len(place) > 1 else labels[:, place[0]]
-        fitted = ExtraTreesRegressor(3, min_samples_leaf=3, random_state=0).fit(rows, target)
-        forests[name] = Forest.from_trees([tree.tree_ for tree in fitted.estimators_])
-    centre, scale = standardisation(rows)
-    known = ((rows - centre) / scale).astype(np.float32)
-    kernel = KernelRegression(centre, scale, known, 0.1 * labels.astype(np.float32), np.array(2.0))
-    novelty = Novelty.fit(rows[:, : len(OBJECT_FEATURES)])
-    estimator = ContactEstimator(forests, kernel, novelty, REST, np.full(50, 60.0))
-    card = save_contact(folder, "contact", estimator, {"summary": "fitted to nothing"})
-    add_calibration(card, make_calibration(), FACTS)
-    return str(card)
+__all__ = ["FACTS", "REST", "make_calibration", "save_contact_with_trust", "save_network_with_trust"]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from datasets.abc import Iterator
 from contextlib import contextmanager
 
 import torch

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one road from a cloud to predicted touch, shared by the nodes and the command line.
+"""The pipeline from a cloud to predicted touch, shared by the nodes and the command line.
 
-    scene cloud ─ see ─► objects + table ─ plan ─► grasps ─ predict ─► touch
+    scene cloud ─ segment ─► objects + table ─ plan ─► grasps ─ predict ─► touch
 
 Each step is one method over the public function of its package, so that the same input gives
 bit-equal output wherever it is run.
@@ -20,34 +20,42 @@ from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfi
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import ObjectResiduals
 from foretouch.types import Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
-__all__ = ["ASSUMED_TABLE", "Felt", "FoundObject", "Pipeline", "PipelineConfig", "PipelineResult", "SegmentedScene"]
+__all__ = [
+    "ASSUMED_TABLE",
+    "FoundObject",
+    "Pipeline",
+    "PipelineConfig",
+    "PipelineResult",
+    "SegmentedScene",
+    "TargetResult",
+]
 
 ASSUMED_TABLE = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
-"""The table of a cloud that holds an object and nothing else: seen from straight above, as in the public recordings."""
+"""The table of a cloud that holds only an object: seen from straight above, as in the public recordings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineConfig(Settings):
-    """Settings of the whole road, one group a step."""
+    """Settings of the pipeline, one group for each step."""
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
     grasp: GeoGraspConfig = GeoGraspConfig()
-    model: str = setting("default", "Name of a shipped model, or the path of a checkpoint", read_only=True)
+    model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObject:
-    """One object and the table it stands on.
+    """One object and the table under it.
 
     Attributes:
         id: Unique within its cloud.
-        cloud: (N, 3), the object's points alone.
+        cloud: (N, 3), only the object's points.
         plane: The table, in the cloud's frame.
-        pixels: (N,) int64, flat index of each point in the image it was cut from; None if there is none.
+        pixels: (N,) int64, flat index of each point in the image that it comes from; None if there is none.
         image_shape: (H, W) of that image.
     """
 
@@ -60,13 +68,13 @@ class FoundObject:
 
 @dataclass(frozen=True, eq=False)
 class SegmentedScene:
-    """What was seen in a scene.
+    """The table and the objects of a scene.
 
     Attributes:
-        status: "ok", "no_target", or the segmentation's own.
+        status: "ok", "no_target", or the status of the segmentation.
         reason: Why, in words; "" for "ok".
-        segmentation: Everything that was found.
-        targets: Those objects that are to be grasped, best first.
+        segmentation: The table and all objects.
+        targets: The objects to grasp, best first.
     """
 
     status: str
@@ -76,8 +84,8 @@ class SegmentedScene:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
-    """One object with what was planned and predicted for it; the predictions are in the order of the grasps."""
+class TargetResult:
+    """One object with its planned grasps and the predictions for them, in the same order."""
 
     target: FoundObject
     plan: GraspPlan
@@ -86,25 +94,30 @@ class Felt:
 
 @dataclass(frozen=True, eq=False)
 class PipelineResult:
-    """What one cloud gave.
+    """The result for one cloud.
 
     Attributes:
-        status: "ok", or the status of the step that ended the road.
+        status: "ok", or the status of the step at which the pipeline ended.
         reason: Why, in words; "" for "ok".
-        sight: None where the cloud was an object already.
-        felt: The targets, best first.
+        scene: None where the cloud holds only an object.
+        targets: The objects to grasp with their predictions, best first.
         ms: Wall time of `segment`, `grasp`, `touch` and `total` [ms].
     """
 
     status: str
     reason: str
-    sight: SegmentedScene | None
-    felt: tuple[Felt, ...]
+    scene: SegmentedScene | None
+    targets: tuple[TargetResult, ...]
     ms: dict[str, float]
+
+    @property
+    def felt(self) -> tuple[TargetResult, ...]:  # alias until merge
+        """The targets."""
+        return self.targets
 
 
 class Pipeline:
-    """The road with its settings and its model, which is loaded when first needed."""
+    """The steps with their settings and the touch model, which is loaded when first needed."""
 
     def __init__(self, config: PipelineConfig | None = None) -> None:
         self.config = config if config is not None else PipelineConfig()
@@ -112,21 +125,13 @@ class Pipeline:
 
     @property
     def model(self) -> TouchModel:
-        """The touch model, loaded once.
-
-        Raises:
-            ModelError: If it is absent or damaged.
-        """
+        """The touch model, loaded once; raises as `load_model`."""
         if self._model is None:
             self._model = load_model(self.config.model)
         return self._model
 
-    def see(self, cloud: Cloud) -> SegmentedScene:
-        """The table and the target objects of a scene.
-
-        Args:
-            cloud: Organised (H, W, 3) or (N, 3), with the table in view.
-        """
+    def segment(self, cloud: Cloud) -> SegmentedScene:
+        """Find the table and the target objects in a cloud of (H, W, 3) or (N, 3) points with the table in view."""
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
@@ -137,13 +142,15 @@ class Pipeline:
         )
         return SegmentedScene("ok" if targets else "no_target", "" if targets else reason, found, targets)
 
+    see = segment  # alias until merge
+
     def plan(self, target: FoundObject, *, slide_m: float = 0.0, rng: np.random.Generator | None = None) -> GraspPlan:
         """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
 
         Args:
             target: The object.
-            slide_m: Moves the grasp plane along the object's axis [m].
-            rng: Draws the slide instead, where given.
+            slide_m: Shift of the grasp plane along the object's axis [m].
+            rng: Draws a random shift instead, where given.
         """
         plan = plan_grasps(
             target.cloud,
@@ -157,15 +164,15 @@ class Pipeline:
         return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 
     def grasp_between(self, target: FoundObject, g1: Float64, g2: Float64) -> Grasp:
-        """The grasp with given contacts, posed as GeoGrasp would.
+        """The grasp with given contacts, and the rotation that GeoGrasp computes for them.
 
         Args:
-            target: The object; its axis fixes the rotation.
+            target: The object; its axis determines the rotation.
             g1: (3,) first contact [m], cloud frame.
             g2: (3,) second contact [m], cloud frame.
 
         Raises:
-            GraspError: If a contact is not finite or both are one.
+            GraspError: If a contact is not finite or both are equal.
         """
         posed = Grasp(g1, g2, np.eye(3), object_id=target.id)
         axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
@@ -177,42 +184,37 @@ class Pipeline:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        memory: TouchMemory | None = None,
+        residuals: ObjectResiduals | None = None,
     ) -> list[TouchPrediction]:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
-        return self.model.predict(target.cloud, grasps, tare=tare, memory=memory) if grasps else []
+        return self.model.predict(target.cloud, grasps, tare=tare, residuals=residuals) if grasps else []
 
     def run(self, cloud: Cloud) -> PipelineResult:
         """From a cloud of the whole scene to predicted touch."""
         began = time.perf_counter()
-        sight = self.see(cloud)
+        scene = self.segment(cloud)
         ms = {"segment": (time.perf_counter() - began) * 1e3}
-        if not sight.targets:
-            return PipelineResult(sight.status, sight.reason, sight, (), {**ms, "total": ms["segment"]})
-        return self._run_targets(sight.targets, sight, ms)
+        if not scene.targets:
+            return PipelineResult(scene.status, scene.reason, scene, (), {**ms, "total": ms["segment"]})
+        return self._run_targets(scene.targets, scene, ms)
 
     def run_object(self, cloud: Cloud, plane: Plane = ASSUMED_TABLE) -> PipelineResult:
-        """From a cloud that holds one object and nothing else to predicted touch.
-
-        Args:
-            cloud: The object's points.
-            plane: The table it stands on, in the cloud's frame.
-        """
+        """From a cloud that holds only one object, and the table in the cloud's frame, to predicted touch."""
         return self._run_targets((FoundObject("1", cloud, plane),), None, {})
 
     def _run_targets(
-        self, targets: Sequence[FoundObject], sight: SegmentedScene | None, ms: dict[str, float]
+        self, targets: Sequence[FoundObject], scene: SegmentedScene | None, ms: dict[str, float]
     ) -> PipelineResult:
-        felt = []
+        results = []
         ms = {**ms, "grasp": 0.0, "touch": 0.0}
         for target in targets:
             began = time.perf_counter()
             plan = self.plan(target)
             planned = time.perf_counter()
-            felt.append(Felt(target, plan, tuple(self.predict(target, plan.grasps))))
+            results.append(TargetResult(target, plan, tuple(self.predict(target, plan.grasps))))
             ms["grasp"] += (planned - began) * 1e3
             ms["touch"] += (time.perf_counter() - planned) * 1e3
         ms["total"] = sum(ms.values())
-        ok = any(one.predictions for one in felt)
-        first = felt[0].plan
-        return PipelineResult("ok" if ok else first.status, "" if ok else first.reason, sight, tuple(felt), ms)
+        ok = any(one.predictions for one in results)
+        first = results[0].plan
+        return PipelineResult("ok" if ok else first.status, "" if ok else first.reason, scene, tuple(results), ms)

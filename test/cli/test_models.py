@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`models`: what is told of each, and that every file of it is verified."""
+"""`models`: skill, coverage and limits of each, run folders, and verification of every file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from trust_builders import save_contact_with_trust, save_network_with_trust
+from calibrated_models import save_calibrated_contact, save_calibrated_network
 
 from foretouch.cli.models import model_files
 from foretouch.models import available_models
@@ -19,7 +19,7 @@ from foretouch.models.registry import find_card
 Call = Callable[..., Any]
 
 
-def test_every_shipped_model_tells_skill_files_and_intervals(call: Call) -> None:
+def test_every_model_of_the_package_has_skill_files_and_intervals(call: Call) -> None:
     answer = call("models", "--json")
     assert answer.status == 0
     assert [record["name"] for record in answer.records] == available_models()
@@ -34,19 +34,19 @@ def test_every_shipped_model_tells_skill_files_and_intervals(call: Call) -> None
         assert any(name.endswith(".trust.safetensors") for name in record["files"]) == calibrated
 
 
-def test_coverage_and_promise_are_the_cards(call: Call, tmp_path: Path) -> None:
-    (record,) = call("models", save_contact_with_trust(tmp_path), "--json").records
+def test_coverage_and_guarantee_are_those_of_the_card(call: Call, tmp_path: Path) -> None:
+    (record,) = call("models", save_calibrated_contact(tmp_path), "--json").records
     told = record["calibration"]
     assert (record["kind"], told["level"], told["objects"], told["promise"]) == ("contact", 0.9, 4, 0.8)
     assert told["regimes"]["new_tare"] == {"objects": 4, "samples": 40, "coverage": 0.91}
     table = call("models", tmp_path / "contact.json").out
     assert "0.91" in table
-    assert "can promise 80% for one more" in table
+    assert "the guaranteed coverage of one more object is at most 80%" in table
 
 
-@pytest.mark.parametrize("name", ["leaning.safetensors", "leaning.trust.safetensors"])
+@pytest.mark.parametrize("name", ["calibrated.safetensors", "calibrated.trust.safetensors"])
 def test_a_flipped_byte_in_any_file_is_found(call: Call, tmp_path: Path, name: str) -> None:
-    card = save_network_with_trust(tmp_path)
+    card = save_calibrated_network(tmp_path)
     data = bytearray((tmp_path / name).read_bytes())
     data[-3] ^= 1
     (tmp_path / name).write_bytes(data)
@@ -58,14 +58,14 @@ def test_a_flipped_byte_in_any_file_is_found(call: Call, tmp_path: Path, name: s
 
 
 def test_an_absent_calibration_is_named(call: Call, tmp_path: Path) -> None:
-    card = save_network_with_trust(tmp_path)
-    (tmp_path / "leaning.trust.safetensors").unlink()
+    card = save_calibrated_network(tmp_path)
+    (tmp_path / "calibrated.trust.safetensors").unlink()
     (record,) = call("models", card, "--json").records
-    assert "leaning.trust.safetensors: no such weights" in record["reason"]
+    assert "calibrated.trust.safetensors: no such weights" in record["reason"]
 
 
 def test_files_of_an_ensemble_are_those_of_its_members(tmp_path: Path) -> None:
-    card = save_network_with_trust(tmp_path)
+    card = save_calibrated_network(tmp_path)
     both = save_ensemble(tmp_path, "both", [card])
-    names = ["leaning.json", "leaning.safetensors", "leaning.trust.safetensors"]
+    names = ["calibrated.json", "calibrated.safetensors", "calibrated.trust.safetensors"]
     assert [path.name for path in model_files(both)] == names

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What touches teach: against Gaussian conditioning of the whole joint distribution, its limits, its speed."""
+"""Adaptation to touches: against Gaussian conditioning of the joint distribution, its limits, its speed."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrated_models import make_calibration
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from trust_builders import make_calibration
 
 from foretouch.errors import ModelError
-from foretouch.models.calibration import REGIMES, Calibration, CalibrationGroup
+from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
 
 SIZE = 50
 
 
-def regime_of(between: np.ndarray, within: np.ndarray, worth: float | np.ndarray = 1.0) -> CalibrationGroup:
+def group_of(between: np.ndarray, within: np.ndarray, worth: float | np.ndarray = 1.0) -> CalibrationGroup:
     return CalibrationGroup(
         between, within, np.broadcast_to(worth, SIZE), np.diag(between) + within, np.full(SIZE, 100.0)
     )
@@ -31,13 +31,13 @@ def full(rng: np.random.Generator) -> np.ndarray:
     return 300.0 * (factors @ factors.T) + 50.0 * np.eye(SIZE)
 
 
-def conditioned(regime: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(50,) mean and variance of an object's lasting error, given each of n residuals: the joint Gaussian, cut."""
+def conditioned(group: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(50,) mean and variance of an object's lasting error given n residuals, by conditioning the joint Gaussian."""
     n = len(residuals)
-    seen = np.kron(np.ones((n, n)), regime.between) + np.kron(np.eye(n), np.diag(regime.within))
-    cross = np.kron(np.ones((1, n)), regime.between)
+    seen = np.kron(np.ones((n, n)), group.between) + np.kron(np.eye(n), np.diag(group.within))
+    cross = np.kron(np.ones((1, n)), group.between)
     gain = np.linalg.solve(seen, cross.T).T
-    return gain @ residuals.reshape(-1), np.diag(regime.between - gain @ cross.T)
+    return gain @ residuals.reshape(-1), np.diag(group.between - gain @ cross.T)
 
 
 @pytest.mark.parametrize("touches", [1, 3, 10])
@@ -45,53 +45,53 @@ def conditioned(regime: CalibrationGroup, residuals: np.ndarray) -> tuple[np.nda
 @pytest.mark.parametrize("worth", [1.0, 0.3])
 def test_touches_move_predictions_as_conditioning_does(touches: int, diagonal: bool, worth: float, rng) -> None:
     between = np.diag(rng.uniform(10.0, 900.0, SIZE)) if diagonal else full(rng)
-    regime = regime_of(between, rng.uniform(50.0, 900.0, SIZE), worth)
+    group = group_of(between, rng.uniform(50.0, 900.0, SIZE), worth)
     touched = 3000.0 + 60.0 * rng.normal(size=(touches, SIZE))
     readings = touched + 40.0 * rng.normal(size=(touches, SIZE))
     asked = 3000.0 + 60.0 * rng.normal(size=(4, SIZE))
 
-    def believed(counts: np.ndarray) -> np.ndarray:  # differences from what was touched count for their worth
+    def shrunk(counts: np.ndarray) -> np.ndarray:  # towards the touched grasps
         return touched.mean(axis=0) + worth * (counts - touched.mean(axis=0))
 
-    lasting, variance = conditioned(regime, readings - believed(touched))
-    found = regime.after(asked, touched.mean(axis=0), readings.mean(axis=0), touches)
-    assert_allclose(found, believed(asked) + lasting, atol=1e-6)
-    wanted = 100.0 * np.sqrt((variance + regime.within) / regime.spread)
-    assert_allclose(regime.half_width_after(touches), np.minimum(wanted, 100.0), rtol=1e-9)
+    lasting, variance = conditioned(group, readings - shrunk(touched))
+    found = group.counts_after(asked, touched.mean(axis=0), readings.mean(axis=0), touches)
+    assert_allclose(found, shrunk(asked) + lasting, atol=1e-6)
+    wanted = 100.0 * np.sqrt((variance + group.within) / group.spread)
+    assert_allclose(group.half_width_after(touches), np.minimum(wanted, 100.0), rtol=1e-9)
 
 
 def test_without_touches_nothing_changes(rng) -> None:
-    regime = regime_of(full(rng), np.full(SIZE, 400.0), 0.5)
+    group = group_of(full(rng), np.full(SIZE, 400.0), 0.5)
     asked = rng.normal(size=(3, SIZE))
-    assert_array_equal(regime.after(asked, np.zeros(SIZE), np.zeros(SIZE), 0), asked)
-    assert_array_equal(regime.half_width_after(0), regime.half_width)
+    assert_array_equal(group.counts_after(asked, np.zeros(SIZE), np.zeros(SIZE), 0), asked)
+    assert_array_equal(group.half_width_after(0), group.half_width)
 
 
-def test_an_object_of_unbounded_error_is_believed_wholly_and_one_of_none_not_at_all(rng) -> None:
+def test_residuals_are_applied_fully_for_unbounded_variance_and_not_at_all_for_none(rng) -> None:
     asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
     mean_expected, mean_read = expected.mean(axis=0), read.mean(axis=0)
     residual = mean_read - mean_expected
-    wild = regime_of(1e12 * np.eye(SIZE), np.full(SIZE, 400.0))
-    assert_allclose(wild.after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
-    exact = regime_of(full(rng), np.full(SIZE, 1e-9))
-    assert_allclose(exact.after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
-    none = regime_of(np.zeros((SIZE, SIZE)), np.full(SIZE, 400.0))
-    assert_allclose(none.after(asked, mean_expected, mean_read, 5), asked, atol=1e-9)
+    wild = group_of(1e12 * np.eye(SIZE), np.full(SIZE, 400.0))
+    assert_allclose(wild.counts_after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
+    exact = group_of(full(rng), np.full(SIZE, 1e-9))
+    assert_allclose(exact.counts_after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
+    none = group_of(np.zeros((SIZE, SIZE)), np.full(SIZE, 400.0))
+    assert_allclose(none.counts_after(asked, mean_expected, mean_read, 5), asked, atol=1e-9)
 
 
-def test_worthless_differences_leave_one_prediction_for_all_grasps(rng) -> None:
-    regime = regime_of(full(rng), np.full(SIZE, 400.0), 0.0)
+def test_a_shrinkage_of_zero_leaves_one_prediction_for_all_grasps(rng) -> None:
+    group = group_of(full(rng), np.full(SIZE, 400.0), 0.0)
     asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
-    after = regime.after(asked, expected.mean(axis=0), read.mean(axis=0), 5)
+    after = group.counts_after(asked, expected.mean(axis=0), read.mean(axis=0), 5)
     assert_allclose(after, np.tile(after[0], (5, 1)), atol=1e-9)
 
 
 def test_many_touches_end_at_what_was_read(rng) -> None:
-    regime = regime_of(full(rng), np.full(SIZE, 400.0))
+    group = group_of(full(rng), np.full(SIZE, 400.0))
     asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
     residual = read.mean(axis=0) - expected.mean(axis=0)
     left = [
-        np.abs(regime.after(asked, expected.mean(axis=0), read.mean(axis=0), n) - asked - residual).max()
+        np.abs(group.counts_after(asked, expected.mean(axis=0), read.mean(axis=0), n) - asked - residual).max()
         for n in (1, 10, 100, 10**6)
     ]
     assert (np.diff(left) < 0.0).all()
@@ -103,9 +103,9 @@ def test_many_touches_end_at_what_was_read(rng) -> None:
 def test_independent_values_move_by_a_part_of_their_residual(seed: int, touches: int) -> None:
     rng = np.random.default_rng(seed)
     between, within = 10.0 ** rng.uniform(-3.0, 4.0, (2, SIZE))
-    regime = regime_of(np.diag(between), within, rng.uniform(0.0, 1.0, SIZE))
+    group = group_of(np.diag(between), within, rng.uniform(0.0, 1.0, SIZE))
     asked, expected, read = rng.normal(3000.0, 200.0, (3, SIZE))
-    moved = regime.after(asked[None], expected, read, touches)[0] - (expected + regime.worth * (asked - expected))
+    moved = group.counts_after(asked[None], expected, read, touches)[0] - (expected + group.worth * (asked - expected))
     residual = read - expected
     assert (moved * np.sign(residual) >= -1e-9).all()
     assert (np.abs(moved) <= np.abs(residual) + 1e-9).all()
@@ -116,67 +116,67 @@ def test_independent_values_move_by_a_part_of_their_residual(seed: int, touches:
 @given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.1, 10.0))
 def test_intervals_never_widen_and_narrow_with_each_touch(seed: int, spread: float) -> None:
     rng = np.random.default_rng(seed)
-    regime = regime_of(full(rng), 10.0 ** rng.uniform(0.0, 4.0, SIZE))
-    regime = replace(regime, spread=spread * regime.spread)
-    widths = np.array([regime.half_width_after(n) for n in (0, 1, 2, 3, 5, 10, 100)])
+    group = group_of(full(rng), 10.0 ** rng.uniform(0.0, 4.0, SIZE))
+    group = replace(group, spread=spread * group.spread)
+    widths = np.array([group.half_width_after(n) for n in (0, 1, 2, 3, 5, 10, 100)])
     assert (np.diff(widths, axis=0) <= 1e-9).all()
     assert (widths > 0.0).all()
 
 
-def test_a_value_that_is_known_to_move_with_another_is_moved_by_it() -> None:
-    """Two values that err together: what is read of one teaches the other, half as well."""
+def test_a_correlated_value_is_moved_by_another() -> None:
+    """Two values with correlated errors: a residual of one moves the other, by half."""
     between = np.zeros((SIZE, SIZE))
     between[:2, :2] = [[100.0, 50.0], [50.0, 100.0]]
     within = np.full(SIZE, 1e9)
-    within[0] = 100.0  # the second is too noisy to be read at all
-    moved = regime_of(between, within).after(np.zeros((1, SIZE)), np.zeros(SIZE), np.eye(SIZE)[0] * 8.0, 1)[0]
+    within[0] = 100.0  # the second is too noisy to contribute
+    moved = group_of(between, within).counts_after(np.zeros((1, SIZE)), np.zeros(SIZE), np.eye(SIZE)[0] * 8.0, 1)[0]
     assert_allclose(moved[:2], [4.0, 2.0], atol=1e-5)
     assert_allclose(moved[2:], 0.0, atol=1e-9)
 
 
-def test_predictions_do_not_depend_on_those_beside_them(rng) -> None:
-    regime = make_calibration().regimes["new"]
+def test_predictions_of_one_call_are_independent_of_each_other(rng) -> None:
+    group = make_calibration().groups["new"]
     asked, expected, read = rng.normal(3000.0, 50.0, (3, 40, SIZE))
     means = expected.mean(axis=0), read.mean(axis=0)
-    together = regime.after(asked, *means, 3)
-    assert_array_equal(together, np.concatenate([regime.after(one[None], *means, 3) for one in asked]))
+    together = group.counts_after(asked, *means, 3)
+    assert_array_equal(together, np.concatenate([group.counts_after(one[None], *means, 3) for one in asked]))
 
 
 def test_touches_cost_less_than_a_millisecond_or_so(rng) -> None:
-    regime = make_calibration().regimes["new"]
+    group = make_calibration().groups["new"]
     asked, expected, read = rng.normal(3000.0, 50.0, (3, 10, SIZE))
     taken = []
     for _ in range(51):
         start = time.process_time()
-        regime.after(asked, expected[0], read[0], 3)
+        group.counts_after(asked, expected[0], read[0], 3)
         taken.append(time.process_time() - start)
-    assert np.median(taken) < 0.005  # the promise is 0.001; CI's machines are slow
+    assert np.median(taken) < 0.005  # 0.001 is expected; CI machines are slow
 
 
-def test_each_condition_has_its_regime() -> None:
-    trust = make_calibration()
-    for familiar in (True, False):
+def test_each_condition_has_its_group() -> None:
+    calibration = make_calibration()
+    for inside in (True, False):
         for tare in (True, False):
-            name = ("known" if familiar else "new") + ("_tare" if tare else "")
-            assert trust.regime(familiar=familiar, tare=tare) is trust.regimes[name]
-    bare = Calibration(trust.rest, {name: trust.regimes[name] for name in ("known", "new")})
-    assert bare.regime(familiar=True, tare=True) is bare.regimes["known"]
-    assert bare.regime(familiar=False, tare=True) is bare.regimes["new"]
+            name = ("known" if inside else "new") + ("_tare" if tare else "")
+            assert calibration.group(in_distribution=inside, tare=tare) is calibration.groups[name]
+    bare = Calibration(calibration.rest, {name: calibration.groups[name] for name in ("known", "new")})
+    assert bare.group(in_distribution=True, tare=True) is bare.groups["known"]
+    assert bare.group(in_distribution=False, tare=True) is bare.groups["new"]
 
 
-@pytest.mark.parametrize("names", [REGIMES, ("known", "new"), ("known", "new", "new_tare")])
+@pytest.mark.parametrize("names", [GROUPS, ("known", "new"), ("known", "new", "new_tare")])
 def test_tensors_give_it_back_to_the_bit(names: tuple[str, ...], rng) -> None:
     made = make_calibration()
-    trust = Calibration(made.rest, {name: made.regimes[name] for name in names})
-    again = Calibration.from_tensors(trust.to_tensors())
-    assert set(again.regimes) == set(names)
+    calibration = Calibration(made.rest, {name: made.groups[name] for name in names})
+    again = Calibration.from_tensors(calibration.to_tensors())
+    assert set(again.groups) == set(names)
     asked = rng.normal(3000.0, 50.0, (3, SIZE))
     for name in names:
-        for after in (again.regimes[name], trust.regimes[name]):
+        for after in (again.groups[name], calibration.groups[name]):
             assert after.half_width_after(2).shape == (SIZE,)
-        assert_array_equal(again.regimes[name].half_width_after(2), trust.regimes[name].half_width_after(2))
-        args = (asked, trust.rest, trust.rest + 9.0, 2)
-        assert_array_equal(again.regimes[name].after(*args), trust.regimes[name].after(*args))
+        assert_array_equal(again.groups[name].half_width_after(2), calibration.groups[name].half_width_after(2))
+        args = (asked, calibration.rest, calibration.rest + 9.0, 2)
+        assert_array_equal(again.groups[name].counts_after(*args), calibration.groups[name].counts_after(*args))
 
 
 def changed(array: np.ndarray, index: Any, value: float) -> np.ndarray:

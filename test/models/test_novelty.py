@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Novelty: what was trained on is familiar, what is of another size is not, and place does not matter."""
+"""Novelty detection: training objects are in distribution, objects of another size are not, wherever they lie."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import SizeNoveltyDetector
 
 HERE = np.array([0.0, 0.0, 1.2])
 SIDES = np.array([[0.05, 0.08, 0.1], [0.06, 0.06, 0.15], [0.1, 0.12, 0.05]])
@@ -32,37 +32,39 @@ def trained(rng: np.random.Generator) -> np.ndarray:
     return np.array([sizes(HERE + box(one, rng)) for one in SIDES for _ in range(20)])
 
 
-def test_training_clouds_and_other_views_of_them_are_familiar(trained, rng) -> None:
-    novelty = Novelty.fit(trained)
-    assert all(novelty.familiarity(one) >= 0.5 for one in trained)
-    others = [novelty.familiarity(sizes(HERE + box(one, rng))) for one in SIDES for _ in range(30)]
-    assert np.mean(np.array(others) >= 0.5) >= 0.9  # about as many as the usual distances promise
+def test_training_clouds_and_other_views_of_them_are_in_distribution(trained, rng) -> None:
+    novelty = SizeNoveltyDetector.fit(trained)
+    assert all(novelty.in_distribution_score(one) >= 0.5 for one in trained)
+    others = [novelty.in_distribution_score(sizes(HERE + box(one, rng))) for one in SIDES for _ in range(30)]
+    assert np.mean(np.array(others) >= 0.5) >= 0.9  # about the quantile of the usual distances
 
 
 def test_a_house_and_a_pea_are_not(trained, rng) -> None:
-    novelty = Novelty.fit(trained)
+    novelty = SizeNoveltyDetector.fit(trained)
     for sides in (SIDES[0] * 100.0, SIDES[0] / 20.0):
-        assert novelty.familiarity(sizes(HERE + box(sides, rng))) == 0.0
-    assert novelty.familiarity(sizes(cylinder(0.2, HERE))) == 0.0
+        assert novelty.in_distribution_score(sizes(HERE + box(sides, rng))) == 0.0
+    assert novelty.in_distribution_score(sizes(cylinder(0.2, HERE))) == 0.0
 
 
-def test_familiarity_falls_as_an_object_grows(trained, rng) -> None:
-    novelty = Novelty.fit(trained)
+def test_the_score_falls_as_an_object_grows(trained, rng) -> None:
+    novelty = SizeNoveltyDetector.fit(trained)
     cloud = box(SIDES[2], rng)
-    found = [novelty.familiarity(sizes(HERE + factor * cloud)) for factor in np.linspace(1.0, 3.0, 30)]
+    found = [novelty.in_distribution_score(sizes(HERE + factor * cloud)) for factor in np.linspace(1.0, 3.0, 30)]
     assert (np.diff(found) <= 1e-12).all()
     assert (found[0], found[-1]) == (1.0, 0.0)
 
 
 def test_where_an_object_lies_does_not_matter(trained, rng) -> None:
-    novelty = Novelty.fit(trained)
+    novelty = SizeNoveltyDetector.fit(trained)
     cloud = box(SIDES[1] * 1.15, rng)
-    near, far = (novelty.familiarity(sizes(cloud + np.array([x, 0.0, z]))) for x, z in ((0.0, 1.0), (0.7, 2.5)))
+    near, far = (
+        novelty.in_distribution_score(sizes(cloud + np.array([x, 0.0, z]))) for x, z in ((0.0, 1.0), (0.7, 2.5))
+    )
     assert near == pytest.approx(far, abs=1e-9)
 
 
 def test_the_span_holds_the_usual_distances_within_training(trained) -> None:
-    novelty = Novelty.fit(trained)
+    novelty = SizeNoveltyDetector.fit(trained)
     known = novelty.known.astype(np.float64)
     distance = np.abs(known[:, None] - known[None]).sum(axis=2)
     np.fill_diagonal(distance, np.inf)
@@ -72,15 +74,17 @@ def test_the_span_holds_the_usual_distances_within_training(trained) -> None:
 
 
 def test_one_size_in_all_of_training_is_finite(trained) -> None:
-    novelty = Novelty.fit(np.tile(trained[0], (8, 1)))
-    assert novelty.familiarity(trained[0]) == pytest.approx(1.0)
-    assert novelty.familiarity(trained[-1]) == 0.0
+    novelty = SizeNoveltyDetector.fit(np.tile(trained[0], (8, 1)))
+    assert novelty.in_distribution_score(trained[0]) == pytest.approx(1.0)
+    assert novelty.in_distribution_score(trained[-1]) == 0.0
 
 
 def test_tensors_give_it_back_to_the_bit(trained) -> None:
-    novelty = Novelty.fit(trained)
-    again = Novelty.from_tensors(novelty.to_tensors())
-    assert_array_equal([again.familiarity(one) for one in trained], [novelty.familiarity(one) for one in trained])
+    novelty = SizeNoveltyDetector.fit(trained)
+    again = SizeNoveltyDetector.from_tensors(novelty.to_tensors())
+    assert_array_equal(
+        [again.in_distribution_score(one) for one in trained], [novelty.in_distribution_score(one) for one in trained]
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,8 +101,8 @@ def test_tensors_give_it_back_to_the_bit(trained) -> None:
     ],
 )
 def test_damage_is_refused_by_name(trained, name: str, value: Any, rule: str) -> None:
-    tensors = Novelty.fit(trained).to_tensors() | {name: value}
+    tensors = SizeNoveltyDetector.fit(trained).to_tensors() | {name: value}
     if value is None:
         del tensors[name]
     with pytest.raises(ModelError, match=rule):
-        Novelty.from_tensors(tensors)
+        SizeNoveltyDetector.from_tensors(tensors)

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding models by name and path (damage: `test_checkpoint.py` and `test_contact_checkpoint.py`)."""
+"""Finding models by name, path and run folder, and the table of kinds (damaged files: `*/test_checkpoint.py`)."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 
 from foretouch.errors import ModelError
+from foretouch.models.card import KINDS, ModelKind
 from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.network.checkpoint import save_ensemble, save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
@@ -34,7 +37,7 @@ def test_names_cards_and_weights_lead_to_the_card(contact: Path) -> None:
 
 
 def test_what_is_no_model_is_refused_with_the_names_that_are(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=f"touchnet: is no card .* and none of {DEFAULT_MODEL}"):
+    with pytest.raises(ModelError, match=f"touchnet: is no run folder, .* and none of {DEFAULT_MODEL}"):
         find_card("touchnet")
     with pytest.raises(ModelError, match=r"absent.json: no such model card"):
         load_model(tmp_path / "absent.safetensors")
@@ -59,7 +62,93 @@ def test_a_contact_model_is_no_part_of_an_ensemble_of_networks(contact: Path, ma
         load_model(card)
 
 
-def test_a_contact_model_is_loaded_and_asked_without_torch(contact: Path) -> None:
+def begin_run(folder: Path) -> Path:
+    """The files of a run before its first model."""
+    folder.mkdir(exist_ok=True)
+    for name in ("config.yaml", "log.jsonl", "state.safetensors"):
+        (folder / name).write_bytes(b"")
+    (folder / "splits.json").write_text('{"format": "foretouch-splits"}')
+    (folder / "tensorboard").mkdir()
+    return folder
+
+
+def test_a_run_folder_leads_to_its_only_card(contact: Path) -> None:
+    folder = begin_run(contact.parent)
+    assert find_card(folder) == find_card(str(folder)) == contact
+    assert load_model(folder).name == "toy"
+    assert load_model(folder).sha256 == load_model(contact).sha256
+
+
+def test_a_folder_with_an_ensemble_leads_to_the_ensemble(make_net, small, tmp_path: Path) -> None:
+    parts = [save_network(tmp_path, name, make_net(small.replace(outputs=(name,))), {}) for name in MODALITIES]
+    ensemble = save_ensemble(tmp_path, "all", parts)
+    assert find_card(tmp_path) == ensemble
+    assert load_model(tmp_path).name == "all"
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "none"
+    folder.mkdir()
+    (folder / "notes.json").write_text("[1]")
+    with pytest.raises(ModelError, match=rf"^{folder}: holds no model card \(<name>.json\)"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("only", [None, "config.yaml", "state.safetensors"])
+def test_an_unfinished_run_is_refused(tmp_path: Path, only: str | None) -> None:
+    folder = begin_run(tmp_path / "run")
+    for path in folder.iterdir():
+        if only is not None and path.is_file() and path.name != only:
+            path.unlink()
+    with pytest.raises(ModelError, match=rf"^{folder}: is an unfinished run without a model card; .*--resume"):
+        load_model(folder)
+
+
+def test_a_folder_with_several_models_is_refused_with_their_names(contact: Path, make_net) -> None:
+    save_network(contact.parent, "net", make_net(), {})
+    with pytest.raises(
+        ModelError, match=rf"^{contact.parent}: holds several models, net.json, toy.json: name the card"
+    ):
+        find_card(contact.parent)
+
+
+def test_members_of_an_ensemble_do_not_hide_another_model(contact: Path, make_net) -> None:
+    save_ensemble(contact.parent, "all", [save_network(contact.parent, "net", make_net(), {})])
+    with pytest.raises(ModelError, match=r"holds several models, all.json, toy.json"):
+        find_card(contact.parent)
+
+
+def test_a_damaged_card_in_a_folder_is_named_and_not_overlooked(contact: Path, tmp_path: Path) -> None:
+    contact.write_text("{")
+    with pytest.raises(ModelError, match=r"toy.json: not JSON"):
+        load_model(contact.parent)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_names_a_loader_that_exists(kind: str) -> None:
+    module, _, function = KINDS[kind].loader.partition(":")
+    assert callable(getattr(import_module(module), function))
+
+
+def test_another_kind_of_model_is_one_row_of_the_table(contact: Path, tmp_path: Path, monkeypatch) -> None:
+    """A made-up kind in a module of its own is loaded, and its fields are checked."""
+    (tmp_path / "made_up_model.py").write_text(
+        "from foretouch.models.contact.checkpoint import load_model as load_contact\n"
+        "def load(path, card):\n    return load_contact(path, card)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    kinds = {**KINDS, "made-up": ModelKind("made_up_model:load", {"weights": str, "grip": dict})}
+    monkeypatch.setattr("foretouch.models.card.KINDS", kinds)
+    monkeypatch.setattr("foretouch.models.registry.KINDS", kinds)
+    card = json.loads(contact.read_text()) | {"kind": "made-up"}
+    contact.write_text(json.dumps(card))
+    with pytest.raises(ModelError, match=r"toy.json: grip: is missing"):
+        load_model(contact)
+    contact.write_text(json.dumps(card | {"grip": {}}))
+    assert load_model(contact.parent).predict(SAMPLE.cloud, [SAMPLE.grasp])[0].status == "ok"
+
+
+def test_a_contact_model_loads_and_predicts_without_torch(contact: Path) -> None:
     code = f"""
 import sys, numpy as np
 from foretouch.models.registry import load_model

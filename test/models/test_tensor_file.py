@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tensor files: to the bit and back, and another file told from the right one."""
+"""Tensor files: exact round trip, and replaced or damaged files are detected."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_an_absent_file_is_named_with_the_card(tmp_path: Path) -> None:
         read_tensors(tmp_path / "gone.safetensors", "0" * 64, "a.json")
 
 
-def test_another_file_is_told_by_its_hash(tmp_path: Path) -> None:
+def test_another_file_is_detected_by_its_hash(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
     sha256 = write(path)
     content = bytearray(path.read_bytes())

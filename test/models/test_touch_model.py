@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction: features once, mates without influence, flags, ensembles, tare and touches."""
+"""Prediction: features computed once, grasps of one call independent of each other, flags, ensembles, tare and touches."""
 
 import subprocess
 import sys
@@ -7,18 +7,17 @@ import sys
 import numpy as np
 import pytest
 import torch
+from calibrated_models import REST, make_calibration
 from contact_model_builders import scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
-from trust_builders import REST, make_calibration
 
 from foretouch.errors import CloudError, ModelError, TactileError
-from foretouch.models.familiarity import Familiarity, describe
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.novelty import LengthRangeCheck, grasp_lengths
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import Cloud, Grasp, Touch
 
@@ -36,17 +35,17 @@ TARE = Touch.from_vector(REST + SHIFT)
 
 
 @pytest.fixture
-def leaning() -> TouchModel:
+def calibrated() -> TouchModel:
     """The contact model with a calibration."""
     return TouchModel(small_estimator(), CARD, make_calibration())
 
 
-def remember(model: TouchModel, count: int, tare: Touch | None = None) -> TouchMemory:
+def residuals_of(model: TouchModel, count: int, tare: Touch | None = None) -> ObjectResiduals:
     """So many touches of the first object."""
-    memory = TouchMemory(model, tare)
+    residuals = ObjectResiduals(model, tare)
     for sample in SAMPLES[:count]:
-        memory.add(sample.cloud, sample.grasp, sample.touch)
-    return memory
+        residuals.add(sample.cloud, sample.grasp, sample.touch)
+    return residuals
 
 
 def bounds(predictions) -> np.ndarray:
@@ -77,7 +76,7 @@ def test_features_are_computed_once(model, can, make_grasps, monkeypatch) -> Non
     assert len(calls) == 1
 
 
-def test_mates_have_no_influence(model, can, make_grasps) -> None:
+def test_grasps_of_one_call_are_independent(model, can, make_grasps) -> None:
     grasps = make_grasps(40)
     together = vectors(model.predict(can, grasps))
     alone = np.concatenate([vectors(model.predict(can, [grasp])) for grasp in grasps])
@@ -112,11 +111,11 @@ def test_values_beyond_the_ranges_are_flagged_and_kept(make_net, small, can, mak
     assert prediction.value.pdc_th > 4000
 
 
-def test_unfamiliar_clouds_and_grasps_are_flagged(make_net, small, can, make_grasps) -> None:
+def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can, make_grasps) -> None:
     grasps = make_grasps(20)
-    lengths = describe(prepare_cloud(can, small), grasps)
-    spans = Familiarity(lengths.min(axis=0) - 0.01, lengths.max(axis=0) + 0.01)
-    model = TouchModel(NetworkEstimator([Member(small, fold(make_net()), spans)]), CARD)
+    lengths = grasp_lengths(prepare_cloud(can, small), grasps)
+    lengths_check = LengthRangeCheck(lengths.min(axis=0) - 0.01, lengths.max(axis=0) + 0.01)
+    model = TouchModel(NetworkEstimator([Member(small, fold(make_net()), lengths_check)]), CARD)
     assert not any("unfamiliar" in p.flags for p in model.predict(can, grasps))
     back, aside = np.array([0.0, 0.0, 1.0]), np.array([0.5, 0.0, 0.0])
     far = Cloud((can.xyz + back).astype(np.float32))
@@ -147,7 +146,7 @@ def test_ensemble_equals_its_members(make_net, small, can, make_grasps) -> None:
         assert_allclose(together[:, columns([name])], net.counts(points, fed).detach().numpy(), atol=5e-3)
 
 
-def test_members_must_share_the_modalities_out(make_net, small) -> None:
+def test_each_modality_must_be_predicted_by_one_member(make_net, small) -> None:
     twice = [Member(small, fold(make_net())), Member(small.replace(outputs=("E_TH",)), fold(make_net()))]
     with pytest.raises(ModelError, match="E_TH is predicted by 2 networks"):
         TouchModel(NetworkEstimator(twice), CARD)
@@ -162,111 +161,113 @@ def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
         model.predict(Cloud(can.xyz[:5], can.rgb[:5]), make_grasps(1))
 
 
-def test_without_tare_and_touches_it_is_the_estimate_with_the_regime_s_interval(leaning) -> None:
+def test_without_tare_and_touches_it_is_the_estimate_with_the_interval_of_its_group(calibrated) -> None:
     sample = SAMPLES[3]
-    predictions = leaning.predict(sample.cloud, [sample.grasp])
+    predictions = calibrated.predict(sample.cloud, [sample.grasp])
     estimate = small_estimator().estimate(sample.cloud, [sample.grasp])
-    half = leaning.trust.regime(familiar=bool(estimate.familiar[0]), tare=False).half_width
+    half = calibrated.calibration.group(in_distribution=bool(estimate.in_distribution[0]), tare=False).half_width
     assert_array_equal(vectors(predictions), estimate.counts)
     assert_array_equal(bounds(predictions), [estimate.counts - half, estimate.counts + half])
     assert predictions[0].reference == "none"
 
 
-def test_a_tare_shifts_by_its_distance_from_rest(leaning) -> None:
+def test_a_tare_shifts_by_its_distance_from_rest(calibrated) -> None:
     sample = SAMPLES[3]
-    before, after = (leaning.predict(sample.cloud, [sample.grasp], tare=tare) for tare in (None, TARE))
+    before, after = (calibrated.predict(sample.cloud, [sample.grasp], tare=tare) for tare in (None, TARE))
     assert_array_equal(vectors(after), vectors(before) + (TARE.vector() - REST))
-    familiar = "unfamiliar" not in after[0].flags
-    half = leaning.trust.regime(familiar=familiar, tare=True).half_width
+    inside = "unfamiliar" not in after[0].flags
+    half = calibrated.calibration.group(in_distribution=inside, tare=True).half_width
     assert_allclose(bounds(after)[1] - vectors(after), half[None], atol=1e-9)
     assert after[0].reference == "tare"
 
 
 @pytest.mark.parametrize("tare", [None, TARE])
 @pytest.mark.parametrize("touches", [1, 3])
-def test_touches_shift_and_narrow_as_the_regime_says(leaning, tare, touches: int) -> None:
-    memory = remember(leaning, touches, tare)
+def test_touches_shift_and_narrow_as_the_group_predicts(calibrated, tare, touches: int) -> None:
+    residuals = residuals_of(calibrated, touches, tare)
     sample = SAMPLES[6]
-    (prediction,) = leaning.predict(sample.cloud, [sample.grasp], memory=memory)
-    (before,) = leaning.predict(sample.cloud, [sample.grasp], tare=tare)
-    regime = leaning.trust.regime(familiar="unfamiliar" not in before.flags, tare=tare is not None)
-    expected = np.mean([leaning.expect(s.cloud, [s.grasp], tare)[0] for s in SAMPLES[:touches]], axis=0)
+    (prediction,) = calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals)
+    (before,) = calibrated.predict(sample.cloud, [sample.grasp], tare=tare)
+    group = calibrated.calibration.group(in_distribution="unfamiliar" not in before.flags, tare=tare is not None)
+    expected = np.mean([calibrated.expect(s.cloud, [s.grasp], tare)[0] for s in SAMPLES[:touches]], axis=0)
     read = np.mean([s.touch.vector() for s in SAMPLES[:touches]], axis=0)
-    wanted = regime.after(before.value.vector()[None], expected, read, touches)
+    wanted = group.counts_after(before.value.vector()[None], expected, read, touches)
     assert_allclose(vectors([prediction]), wanted, rtol=1e-12)
-    assert_allclose(bounds([prediction])[1] - wanted, regime.half_width_after(touches)[None], atol=1e-9)
+    assert_allclose(bounds([prediction])[1] - wanted, group.half_width_after(touches)[None], atol=1e-9)
     assert prediction.reference == "touches"
 
 
-def test_a_memory_without_readings_is_its_tare(leaning) -> None:
+def test_residuals_without_readings_are_their_tare(calibrated) -> None:
     sample = SAMPLES[6]
     for tare, reference in ((None, "none"), (TARE, "tare")):
-        (empty,) = leaning.predict(sample.cloud, [sample.grasp], memory=TouchMemory(leaning, tare))
-        (wanted,) = leaning.predict(sample.cloud, [sample.grasp], tare=tare)
+        (empty,) = calibrated.predict(sample.cloud, [sample.grasp], residuals=ObjectResiduals(calibrated, tare))
+        (wanted,) = calibrated.predict(sample.cloud, [sample.grasp], tare=tare)
         assert_array_equal(empty.value.vector(), wanted.value.vector())
         assert_array_equal(bounds([empty]), bounds([wanted]))
         assert empty.reference == wanted.reference == reference
 
 
-def test_a_drift_that_tare_and_readings_share_changes_predictions_by_itself(leaning) -> None:
+def test_a_drift_that_tare_and_readings_share_changes_predictions_by_itself(calibrated) -> None:
     """As sensors read 25 counts more, all that changes is 25 counts."""
-    sample, memories = SAMPLES[6], []
+    sample, both = SAMPLES[6], []
     for drift in (0.0, 25.0):
-        memory = TouchMemory(leaning, Touch.from_vector(REST + SHIFT + drift))
+        residuals = ObjectResiduals(calibrated, Touch.from_vector(REST + SHIFT + drift))
         for one in SAMPLES[:3]:
-            memory.add(one.cloud, one.grasp, Touch.from_vector(one.touch.vector() + drift))
-        memories.append(memory)
-    before, after = (vectors(leaning.predict(sample.cloud, [sample.grasp], memory=memory)) for memory in memories)
+            residuals.add(one.cloud, one.grasp, Touch.from_vector(one.touch.vector() + drift))
+        both.append(residuals)
+    before, after = (
+        vectors(calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals)) for residuals in both
+    )
     assert_allclose(after, before + 25.0, atol=1e-9)
 
 
-def test_mates_have_no_influence_after_tare_and_touches(leaning) -> None:
+def test_grasps_of_one_call_are_independent_after_tare_and_touches(calibrated) -> None:
     cloud, grasps = SAMPLES[6].cloud, [sample.grasp for sample in SAMPLES]
-    for leant in ({"tare": TARE}, {"memory": remember(leaning, 3, TARE)}):
-        together = leaning.predict(cloud, grasps, **leant)
-        alone = [leaning.predict(cloud, [grasp], **leant)[0] for grasp in grasps]
+    for adapted in ({"tare": TARE}, {"residuals": residuals_of(calibrated, 3, TARE)}):
+        together = calibrated.predict(cloud, grasps, **adapted)
+        alone = [calibrated.predict(cloud, [grasp], **adapted)[0] for grasp in grasps]
         assert_array_equal(vectors(together), vectors(alone))
         assert_array_equal(bounds(together), bounds(alone))
-    assert leaning.predict(cloud, [], tare=TARE) == []
+    assert calibrated.predict(cloud, [], tare=TARE) == []
 
 
-def test_an_object_unlike_those_of_training_is_flagged_and_doubted_as_new(leaning) -> None:
+def test_an_object_unlike_those_of_training_is_flagged_and_has_the_interval_of_new_objects(calibrated) -> None:
     sample = SAMPLES[3]
     house = scaled(sample.cloud, 50.0)
-    (prediction,) = leaning.predict(house, [sample.grasp])
+    (prediction,) = calibrated.predict(house, [sample.grasp])
     assert "unfamiliar" in prediction.flags
-    half = leaning.trust.regimes["new"].half_width
+    half = calibrated.calibration.groups["new"].half_width
     assert_allclose(bounds([prediction])[1, 0] - prediction.value.vector(), half, atol=1e-9)
 
 
-def test_prediction_leaves_the_memory_as_it_was(leaning) -> None:
-    memory = remember(leaning, 3)
-    before = np.array(memory.means())
-    leaning.predict(SAMPLES[6].cloud, [SAMPLES[6].grasp], memory=memory)
-    assert memory.count == 3
-    assert_array_equal(memory.means(), before)
+def test_prediction_leaves_the_residuals_unchanged(calibrated) -> None:
+    residuals = residuals_of(calibrated, 3)
+    before = np.array(residuals.means())
+    calibrated.predict(SAMPLES[6].cloud, [SAMPLES[6].grasp], residuals=residuals)
+    assert residuals.count == 3
+    assert_array_equal(residuals.means(), before)
 
 
-def test_without_a_calibration_tare_and_memory_are_refused() -> None:
+def test_without_a_calibration_tare_and_residuals_are_refused() -> None:
     bare, sample = TouchModel(small_estimator(), CARD), SAMPLES[0]
-    with pytest.raises(ModelError, match="toy: tare: cannot be used: its card tells no rest level"):
+    with pytest.raises(ModelError, match="toy: tare: cannot be used: its card holds no rest level"):
         bare.predict(sample.cloud, [sample.grasp], tare=TARE)
-    with pytest.raises(ModelError, match="toy: cannot learn from touches: its card holds no calibration"):
-        bare.predict(sample.cloud, [sample.grasp], memory=TouchMemory(bare))
+    with pytest.raises(ModelError, match="toy: cannot adapt to touches: its card holds no calibration"):
+        bare.predict(sample.cloud, [sample.grasp], residuals=ObjectResiduals(bare))
     (prediction,) = bare.predict(sample.cloud, [sample.grasp])
     assert (prediction.lower, prediction.upper, prediction.reference) == (None, None, "none")
 
 
-def test_what_contradicts_itself_is_refused(leaning) -> None:
+def test_contradicting_arguments_are_refused(calibrated) -> None:
     sample = SAMPLES[0]
-    with pytest.raises(ModelError, match="tare: the memory has its own"):
-        leaning.predict(sample.cloud, [sample.grasp], tare=TARE, memory=TouchMemory(leaning))
+    with pytest.raises(ModelError, match="tare: the residuals have their own"):
+        calibrated.predict(sample.cloud, [sample.grasp], tare=TARE, residuals=ObjectResiduals(calibrated))
     other = TouchModel(small_estimator(), {"name": "other", "sha256": "1" * 64}, make_calibration())
-    with pytest.raises(ModelError, match="toy: memory: is of other"):
-        leaning.predict(sample.cloud, [sample.grasp], memory=remember(other, 1))
+    with pytest.raises(ModelError, match="toy: residuals: are of other"):
+        calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals_of(other, 1))
     for tare in (np.zeros(50), np.full(50, np.nan)):
         with pytest.raises(TactileError, match=r"tare: pdc_th: (0|nan) is not between"):
-            leaning.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
+            calibrated.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
 
 
 def test_importing_models_does_not_import_torch() -> None:

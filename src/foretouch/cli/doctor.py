@@ -161,7 +161,7 @@ def _models() -> Iterator[Finding]:
         except (ForetouchError, ImportError) as err:
             yield Finding(what, "broken", str(err), "pip install --force-reinstall foretouch")
             continue
-        intervals = "with intervals" if model.trust is not None else "without intervals, tare and touches"
+        intervals = "with intervals" if model.calibration is not None else "without intervals, tare and touches"
         yield Finding(what, "ok", f"{model.name} {model.sha256[:12]} {intervals}")
 
 

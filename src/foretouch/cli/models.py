@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch models`: the touch models at hand, each file verified against its card, and what each card promises."""
+"""`foretouch models`: list touch models with their skill, coverage and limits, and verify their files."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ _MEAN = "mean"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Names or paths; all shipped models by default."""
+    """Names or paths; by default all models of the package."""
     parser.add_argument(
-        "models", metavar="MODEL", nargs="*", help="names or paths of checkpoints (default: all shipped)"
+        "models",
+        metavar="MODEL",
+        nargs="*",
+        help="names, or paths of cards, weights or run folders (default: the models of the package)",
     )
     parser.add_argument(
-        "--json", action="store_true", help="one JSON object a model: files, skill, calibration and its whole card"
+        "--json", action="store_true", help="one JSON object for each model: files, skill, calibration and its card"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a model is damaged."""
+    """Exit status 1 if a model is missing or damaged."""
     from foretouch.models import available_models
 
     records = [_record(name) for name in arguments.models or available_models()]
@@ -41,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def model_files(card_path: Path) -> list[Path]:
-    """The files of a model besides its card: weights, calibration, and those of an ensemble's members with their cards.
+    """The files of a model besides its card: weights, calibration, and cards and files of an ensemble's members.
 
     Raises:
         ModelError: If a card cannot be read.
@@ -53,15 +56,14 @@ def model_files(card_path: Path) -> list[Path]:
     for member in card.get("members", []):
         path = card_path.with_name(Path(str(member)).name)
         files += [path, *model_files(path)]
-    named = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
-    return files + [card_path.with_name(Path(str(name)).name) for name in named if name]
+    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
+    return files + [card_path.with_name(Path(str(name)).name) for name in names if name]
 
 
 def _record(name: str) -> dict[str, Any]:
-    """What is told of one model; loading it compares every file with the hash that its card names."""
-    from foretouch.models import load_model
+    """The JSON object of one model; loading it compares every file with its hash in the card."""
     from foretouch.models.files import file_sha256
-    from foretouch.models.registry import find_card
+    from foretouch.models.registry import find_card, load_model
 
     try:
         model = load_model(name)
@@ -84,7 +86,7 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def _skills(card: Mapping[str, Any]) -> dict[str, float]:
-    """Mean skill over the modalities by split: 0 is the training mean, 1 is perfect."""
+    """Mean skill over the modalities by split: 0 equals the mean of the training labels, 1 is perfect."""
     found = {}
     for split, scores in card.get("skill", {}).items():
         values = [score["skill"] for score in scores.values() if "skill" in score]
@@ -94,23 +96,23 @@ def _skills(card: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What the intervals are calibrated to; None without intervals.
+    """The calibration of the intervals; None without intervals.
 
     Returns:
-        `level` that was asked for, number of `objects`, `promise`: the most that conformal intervals can promise for one
-        more object, whatever their distribution [Vovk et al. 2005], and by regime the `coverage` of objects left out, mean
-        over the modalities.
+        `level`: nominal coverage. `objects`: how many it was calibrated on. `promise`: the highest coverage that conformal
+        intervals guarantee for one more object, whatever the distribution [Vovk et al. 2005]. `regimes`: by group, the
+        `coverage` of held-out objects, mean over the modalities.
     """
     facts = card.get("calibration")
     if facts is None:
         return None
-    regimes = {}
-    for name, regime in facts.get("regimes", {}).items():
-        coverage = [shares[_MEAN] for shares in regime.get("coverage", {}).values() if _MEAN in shares]
+    groups = {}
+    for name, group in facts.get("regimes", {}).items():
+        coverage = [shares[_MEAN] for shares in group.get("coverage", {}).values() if _MEAN in shares]
         mean = sum(coverage) / len(coverage) if coverage else None
-        regimes[name] = {"objects": regime.get("objects"), "samples": regime.get("samples"), "coverage": mean}
-    objects = max((one["objects"] or 0 for one in regimes.values()), default=0)
-    return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": regimes}
+        groups[name] = {"objects": group.get("objects"), "samples": group.get("samples"), "coverage": mean}
+    objects = max((one["objects"] or 0 for one in groups.values()), default=0)
+    return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
 
 
 def _show(records: list[dict[str, Any]]) -> None:
@@ -122,31 +124,38 @@ def _show(records: list[dict[str, Any]]) -> None:
         skills = [f"{record['skill'][name]:+.2f}" if name in record["skill"] else "–" for name in _SPLITS]
         kilobytes = f"{record['bytes'] / 1000:.0f}"
         rows.append([record["name"], record["kind"], "ok", kilobytes, *skills, _coverages(record["calibration"])])
-    columns = ["name", "kind", "files", "kB", *_SPLITS, "coverage"]
-    title = "touch models; skill by split: 0 is the training mean, 1 is perfect; coverage of objects left out"
-    print_table(title, columns, rows)
+    title = (
+        "Touch models. Skill on the test samples of each split: 0 equals the mean of the training labels, 1 is perfect. "
+        "Coverage: share of readings inside the intervals, for held-out objects"
+    )
+    print_table(title, ["model", "kind", "files", "kB", *_SPLITS, "coverage"], rows)
     for record in records:
         if record["status"] != "ok":
             print(record["reason"])  # which names the file
-            continue
-        for line in _lines(record):
-            print(f"{record['name']}: {line}")
+    notes = [(record["name"], _notes(record)) for record in records if record["status"] == "ok"]
+    common = [line for line in notes[0][1] if all(line in lines for _, lines in notes)] if len(notes) > 1 else []
+    for name, lines in [("all models", common), *notes]:
+        for line in lines:
+            if line not in common or lines is common:
+                print(f"{name}: {line}")
 
 
 def _coverages(calibration: Mapping[str, Any] | None) -> str:
-    """Of objects left out of the calibration, a line a regime."""
+    """Of held-out objects, a line for each group."""
     if calibration is None:
         return "no intervals"
     known = {name: one["coverage"] for name, one in calibration["regimes"].items() if one["coverage"] is not None}
-    return "\n".join(f"{name} {share:.2f}" for name, share in known.items()) or "not told"
+    return "\n".join(f"{name} {share:.2f}" for name, share in known.items()) or "not measured"
 
 
-def _lines(record: Mapping[str, Any]) -> list[str]:
-    """What the table has no room for: summary, promise of the intervals and limits of a sound model."""
-    lines = [str(record["card"].get("summary", ""))]
+def _notes(record: Mapping[str, Any]) -> list[str]:
+    """Summary, guarantee of the intervals and limits of an undamaged model."""
+    notes = [str(record["card"].get("summary", ""))]
     calibration = record["calibration"]
     if calibration is not None:
-        told = f"intervals of {calibration['level']:.0%}, calibrated on {calibration['objects']} objects, "
-        told += f"which can promise {calibration['promise']:.0%} for one more"
-        lines.append(told if "known_tare" in calibration["regimes"] else f"{told}; not calibrated for a tare")
-    return [line for line in [*lines, *map(str, record["card"].get("limits", []))] if line]
+        note = f"{calibration['level']:.0%} intervals, calibrated on {calibration['objects']} objects: "
+        note += f"the guaranteed coverage of one more object is at most {calibration['promise']:.0%}"
+        notes.append(
+            note if "known_tare" in calibration["regimes"] else f"{note}; not calibrated for predictions with a tare"
+        )
+    return [note for note in [*notes, *map(str, record["card"].get("limits", []))] if note]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch predict`: what the fingertips would read for each grasp on each object."""
+"""`foretouch predict`: predict the tactile readings of each grasp on each object."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation
 from foretouch.cli.inputs import (
     Record,
     add_input_arguments,
@@ -18,7 +19,6 @@ from foretouch.cli.inputs import (
     pipeline_config,
     six_numbers,
 )
-from foretouch.cli.leaning import add_leaning_arguments, take_in
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError, GraspError
 
@@ -41,10 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=six_numbers,
         action="append",
         metavar="x1,y1,z1,x2,y2,z2",
-        help="contacts [m] (default: GeoGrasp's, or the sample's own)",
+        help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
     )
-    parser.add_argument("--model", help="name of a shipped model, or path of a checkpoint")
-    add_leaning_arguments(parser)
+    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
+    add_adaptation_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -54,19 +54,19 @@ def run(arguments: argparse.Namespace) -> int:
     changes = {"model": arguments.model} if arguments.model else {}
     pipeline = Pipeline(pipeline_config(arguments, changes))
     model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
-    leaning = take_in(arguments, pipeline.model)
+    adaptation = read_adaptation(arguments, pipeline.model)
 
     def answer(item: SourceItem) -> Iterator[Record]:
         targets = found_objects(item, arguments, pipeline)
-        if leaning.touched and len(targets) > 1:
+        if adaptation.touched and len(targets) > 1:
             raise ConfigError(
-                f"--touched: the cloud holds {len(targets)} objects, and the touches are of one: see --target"
+                f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
             )
         for target in targets:
             began = time.perf_counter()
             grasps, reason = _grasps(item, target, arguments, pipeline)
             planned = time.perf_counter()
-            predictions = leaning.predict(pipeline, target, grasps, item.sample)
+            predictions = adaptation.predict(pipeline, target, grasps, item.sample)
             ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
             refused = [one.reason for one in predictions if one.status != "ok"]
             yield {
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "reason": "; ".join(refused) or reason,
                 "predictions": [prediction_record(one) for one in predictions],
                 "model": model,
-                "touched": len(leaning.taken_in(item.sample)),
+                "touched": len(adaptation.touches_for(item.sample)),
                 "ms": {**ms, "total": sum(ms.values())},
                 "failed": not predictions or bool(refused),
             }
@@ -85,12 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def prediction_record(prediction: TouchPrediction) -> Record:
-    """One prediction as JSON holds it; values and bounds in counts, bounds null where there is no calibration."""
-    columns = {
-        "value": prediction.value,
-        "lower": prediction.lower,
-        "upper": prediction.upper,
-    }
+    """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
+    columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
     record: Record = {"grasp": grasp_record(prediction.grasp)}
     for name in _MODALITIES:
         record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
@@ -105,7 +101,7 @@ def prediction_record(prediction: TouchPrediction) -> Record:
 def _grasps(
     item: SourceItem, target: FoundObject, arguments: argparse.Namespace, pipeline: Pipeline
 ) -> tuple[list[Grasp], str]:
-    """The grasps to predict for, with a remark: those given, the sample's own, or GeoGrasp's."""
+    """The grasps to predict, and a remark: from --grasp, else the sample's own, else planned by GeoGrasp."""
     import numpy as np
 
     if arguments.grasp:
@@ -124,20 +120,18 @@ def _show(record: dict[str, Any]) -> None:
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
             *(_text(one[name]) for name in _MODALITIES),
-            "\n".join([_reference(one["reference"], record["touched"]), *one["flags"]]),
+            "\n".join(
+                [f"touches {record['touched']}" if (one["reference"] == "touches") else one["reference"], *one["flags"]]
+            ),
         ]
         for one in record["predictions"]
     ]
     title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']} ({record['model']['name']})"
-    print_table(title, ["g1, g2 [m]", *_MODALITIES, "leans on"], rows)
-
-
-def _reference(reference: str, touched: int) -> str:
-    return {"none": "sight", "touches": f"touches {touched}"}.get(reference, reference)
+    print_table(title, ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows)
 
 
 def _text(modality: Record) -> str:
-    """Value and half width; of 24 electrodes, the least and the greatest value and the mean half width."""
+    """Value and half width; for 24 electrodes, the smallest and the largest value and the mean half width."""
     import numpy as np
 
     if modality["value"] is None:

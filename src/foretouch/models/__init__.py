@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks that predict touch, their checkpoints, and prediction; importing this does not import torch."""
+"""Touch models: networks and contact models, their files, calibration and prediction; importing this imports no torch."""
 
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model

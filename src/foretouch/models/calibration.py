@@ -1,46 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to make of a model's raw predictions: what a tare and a few touches change, and how wide to doubt.
+"""Adaptation of predictions to tactile readings, and calibrated prediction intervals; and their file beside a model.
 
-Residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that is new
-with each grasp, of variance W. After n readings with mean residual r the best linear guess of the lasting part is
+The residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that is
+new with each grasp, of variance W. After n readings with mean residual r, the best linear estimate of the lasting part is
 B (B + W/n)⁻¹ r (the multivariate empirical Bayes estimator [Efron and Morris 1973]): closed form, a 50 x 50 system, no
-training. Once an object was touched, what the model says of the difference between two grasps on it counts for its worth
-alone: on a new object such differences hold less often than the model believes.
+training. Once an object was touched, predicted differences between two grasps on it are multiplied by a shrinkage factor
+(`worth`), because on a new object the actual differences are smaller than predicted.
 
-Intervals are conformal with objects as the unit of exchange: half widths hold the share of residuals that they were asked
-to, with each calibration object weighing the same (`learning.calibration`).
+Intervals are conformal with objects as the exchangeable unit: half widths cover the requested share of residuals,
+with equal weight for each calibration object (`learning.training.calibration`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
+from foretouch.models.card import card_text, read_card
+from foretouch.models.files import TensorRecord, packed, read_part, read_tensors, replace_files
+from foretouch.models.novelty import Fallback
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = ["REGIMES", "Calibration", "CalibrationGroup"]
+__all__ = ["GROUPS", "Calibration", "CalibrationGroup", "add_calibration", "calibration_file", "load_calibration"]
 
-REGIMES: Final = ("known", "new", "known_tare", "new_tare")
-"""Objects like those of training or unlike them; with a tare at hand or without."""
+GROUPS: Final = ("known", "new", "known_tare", "new_tare")
+"""Objects in or out of the training distribution, each predicted without a tare or with one."""
 
-_FIELDS: Final = ("between", "within", "worth", "spread", "half_width")
 _POSITIVE: Final = ("within", "spread", "half_width")
+_FALLBACK: Final = "fallback/"
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationGroup:
-    """How residuals behave under one condition.
+class CalibrationGroup(TensorRecord):
+    """Statistics of the residuals under one condition.
 
     Attributes:
         between: (50, 50) float64 [counts²], B: covariance of the part that stays with an object and its day.
-        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp, once predicted differences
-            count for their worth.
-        worth: (50,) float64 in [0, 1], how much of a predicted difference between two grasps on an object holds.
+        within: (50,) float64 [counts²], W: variance of the part that is new with each grasp, after shrinkage of the
+            predicted differences.
+        worth: (50,) float64 in [0, 1], shrinkage factor of predicted differences between two grasps on an object.
         spread: (50,) float64 [counts²], variance of the residuals before any touch.
         half_width: (50,) float64 [counts], of the interval before any touch.
     """
@@ -51,22 +55,24 @@ class CalibrationGroup:
     spread: Float64
     half_width: Float64
 
-    def after(self, expected: Float64, mean_expected: Float64, mean_reading: Float64, count: int) -> Float64:
-        """Predictions after some touches.
+    def counts_after(self, expected: Float64, mean_expected: Float64, mean_reading: Float64, count: int) -> Float64:
+        """Predictions adapted to some touches.
 
         Args:
             expected: (K, 50) predictions before any touch [counts].
-            mean_expected: (50,) mean of what was predicted, before any touch, at the touched grasps [counts].
-            mean_reading: (50,) mean of what was read there [counts].
-            count: Touches; with none the predictions come back as they are.
+            mean_expected: (50,) mean of the predictions, before any touch, at the touched grasps [counts].
+            mean_reading: (50,) mean of the readings there [counts].
+            count: Number of touches; with none the predictions are returned unchanged.
         """
         if count == 0:
             return expected
         gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_reading - mean_expected)
         return np.asarray(mean_expected + self.between @ gain + self.worth * (expected - mean_expected), np.float64)
 
+    after = counts_after  # alias until merge
+
     def half_width_after(self, count: int) -> Float64:
-        """(50,) half width after `count` readings [counts]: narrowed as the deviation that remains is, never widened."""
+        """(50,) half width after `count` touches [counts]: scaled with the remaining deviation, never widened."""
         if count == 0:
             return self.half_width
         solved = np.linalg.solve(self.between + np.diag(self.within / count), self.between)
@@ -74,59 +80,77 @@ class CalibrationGroup:
         left = (np.maximum(lasting, 0.0) + self.within) / self.spread
         return np.asarray(self.half_width * np.sqrt(np.minimum(left, 1.0)), np.float64)
 
+    def _check(self) -> None:
+        for name, array in self.to_tensors().items():
+            _check_array(name, array)
+        tolerance = 1e-6 * np.abs(self.between).max()
+        if np.abs(self.between - self.between.T).max() > tolerance:
+            raise ModelError("between: is not symmetric")
+        if np.linalg.eigvalsh(self.between)[0] < -tolerance:
+            raise ModelError("between: is no covariance: it has a negative eigenvalue")
+        if self.worth.min() < 0.0 or self.worth.max() > 1.0:
+            raise ModelError("worth: leaves [0, 1]")
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Of one model.
+    """Rest level, adaptation and intervals of one model.
 
     Attributes:
-        rest: (50,) float64 [counts]: what the training sensors read without contact. A tare shifts predictions by its
+        rest: (50,) float64 [counts]: readings of the training sensors without contact. A tare shifts predictions by its
             difference from it.
-        regimes: By name out of `REGIMES`; "known" and "new" are always there, the others where tares were recorded.
+        groups: By name from `GROUPS`; "known" and "new" always exist, the others where tares were recorded.
     """
 
     rest: Float64
-    regimes: Mapping[str, CalibrationGroup]
+    groups: Mapping[str, CalibrationGroup]
 
-    def regime(self, *, familiar: bool, tare: bool) -> CalibrationGroup:
-        """That of a prediction; without recorded tares in training, that without a tare serves for both."""
-        name = "known" if familiar else "new"
-        return self.regimes.get(f"{name}_tare" if tare else name, self.regimes[name])
+    def group(self, *, in_distribution: bool, tare: bool) -> CalibrationGroup:
+        """The group of a prediction; if training had no recorded tares, the one without a tare serves for both."""
+        name = "known" if in_distribution else "new"
+        return self.groups.get(f"{name}_tare" if tare else name, self.groups[name])
 
-    def lean(
+    def adapt(
         self,
         expected: Float64,
-        familiar: npt.NDArray[np.bool_],
+        in_distribution: npt.NDArray[np.bool_],
         *,
         tare: bool,
         touched: tuple[Float64, Float64] | None = None,
         count: int = 0,
     ) -> tuple[Float64, Float64]:
-        """Predictions and half widths from what a model expects.
+        """Adapt predictions to touches, and compute the half widths of their intervals.
 
         Args:
             expected: (K, 50) before any touch, shifted by the tare if there is one [counts].
-            familiar: (K,) whether each is of a familiar object.
+            in_distribution: (K,) whether each resembles the training data.
             tare: Whether there is one.
-            touched: (50,) means of what was expected and of what was read at the touched grasps [counts].
-            count: Of the touches.
+            touched: (50,) means of the predictions and of the readings at the touched grasps [counts].
+            count: Number of touches.
 
         Returns:
-            (K, 50) and (K, 50) [counts].
+            (K, 50) predictions and (K, 50) half widths [counts].
         """
         counts, half = expected.copy(), np.empty_like(expected)
-        for known in np.unique(familiar):
-            regime, mine = self.regime(familiar=bool(known), tare=tare), familiar == known
+        for inside in np.unique(in_distribution):
+            group, rows = self.group(in_distribution=bool(inside), tare=tare), in_distribution == inside
             if touched is not None:
-                counts[mine] = regime.after(expected[mine], *touched, count)
-            half[mine] = regime.half_width_after(count)
+                counts[rows] = group.counts_after(expected[rows], *touched, count)
+            half[rows] = group.half_width_after(count)
         return counts, half
+
+    lean = adapt  # alias until merge
+
+    @property
+    def regimes(self) -> Mapping[str, CalibrationGroup]:  # alias until merge
+        """The groups."""
+        return self.groups
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
         tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
-        for name, regime in self.regimes.items():
-            tensors |= {f"{name}/{field}": getattr(regime, field) for field in _FIELDS}
+        for name, group in self.groups.items():
+            tensors |= {f"{name}/{field}": array for field, array in group.to_tensors().items()}
         return tensors
 
     @classmethod
@@ -134,34 +158,79 @@ class Calibration:
         """From `to_tensors`.
 
         Raises:
-            ModelError: If an array is missing, of another shape or not finite, a variance or width is not above 0, a worth
-                leaves [0, 1], or a covariance is none.
+            ModelError: Names the array that is missing, of another shape or not finite, or no variance, width, shrinkage
+                factor or covariance.
         """
-        regimes = {
-            name: CalibrationGroup(**{field: _checked(tensors, f"{name}/{field}") for field in _FIELDS})
-            for name in REGIMES
-            if name in ("known", "new") or f"{name}/between" in tensors
-        }
-        for name, regime in regimes.items():
-            tolerance = 1e-6 * np.abs(regime.between).max()
-            if np.abs(regime.between - regime.between.T).max() > tolerance:
-                raise ModelError(f"{name}/between: is not symmetric")
-            if np.linalg.eigvalsh(regime.between)[0] < -tolerance:
-                raise ModelError(f"{name}/between: is no covariance, for it has a negative eigenvalue")
-            if regime.worth.min() < 0.0 or regime.worth.max() > 1.0:
-                raise ModelError(f"{name}/worth: leaves [0, 1]")
-        return cls(_checked(tensors, "rest"), regimes)
+        if "rest" not in tensors:
+            raise ModelError("rest: is missing")
+        tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
+        _check_array("rest", tensors["rest"])
+        names = [name for name in GROUPS if name in ("known", "new") or f"{name}/between" in tensors]
+        return cls(tensors["rest"], {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in names})
 
 
-def _checked(tensors: Mapping[str, npt.NDArray[Any]], name: str) -> Float64:
-    if name not in tensors:
-        raise ModelError(f"{name}: is missing")
-    found = np.asarray(tensors[name], np.float64)
-    field = name.rpartition("/")[2]
-    shape = (TOUCH_SIZE, TOUCH_SIZE) if field == "between" else (TOUCH_SIZE,)
-    if found.shape != shape:
-        raise ModelError(f"{name}: shape {found.shape} is not {shape}")
-    positive = field in _POSITIVE
-    if not np.isfinite(found).all() or (positive and not (found > 0.0).all()):
+def _check_array(name: str, array: npt.NDArray[Any]) -> None:
+    shape = (TOUCH_SIZE, TOUCH_SIZE) if name == "between" else (TOUCH_SIZE,)
+    if array.shape != shape:
+        raise ModelError(f"{name}: shape {array.shape} is not {shape}")
+    positive = name in _POSITIVE
+    if not np.isfinite(array).all() or (positive and not (array > 0.0).all()):
         raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
-    return found
+
+
+def add_calibration(
+    card_path: Path, calibration: Calibration, facts: Mapping[str, Any], fallback: Fallback | None = None
+) -> None:
+    """Write a calibration beside a model and name it in the model's card.
+
+    Args:
+        card_path: The card of a network or a contact model.
+        calibration: Stored in `<name>.trust.safetensors`.
+        facts: `level`, `regimes` (objects and coverage by group) and `rest`, for the card.
+        fallback: Of a network, stored in the same file.
+
+    Raises:
+        ModelError: If the card cannot be read.
+        FileError: If a file cannot be written; the files before are kept.
+    """
+    card = read_card(card_path)
+    files = calibration_file(card_path, card, calibration, facts, fallback)
+    replace_files({**files, card_path: card_text(card).encode()})
+
+
+def calibration_file(
+    card_path: Path,
+    card: dict[str, Any],
+    calibration: Calibration,
+    facts: Mapping[str, Any],
+    fallback: Fallback | None = None,
+) -> dict[Path, bytes]:
+    """`<name>.trust.safetensors` with its content; adds its name and hash to the card. Arguments as of `add_calibration`."""
+    tensors = calibration.to_tensors()
+    if fallback is not None:
+        tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}
+    path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
+    content, sha256 = packed(tensors)
+    card["calibration"] = {"weights": path.name, "sha256": sha256, **facts}
+    return {path: content}
+
+
+def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibration | None, Fallback | None]:
+    """The calibration that a card names, and the fallback in the same file; None where there is none.
+
+    Raises:
+        ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
+    """
+    facts = card.get("calibration")
+    if facts is None:
+        return None, None
+    for field in ("weights", "sha256"):
+        if not isinstance(facts.get(field), str):
+            raise ModelError(f"{card_path}: calibration.{field}: is missing")
+    path = card_path.with_name(Path(facts["weights"]).name)
+    tensors = read_tensors(path, facts["sha256"], card_path.name)
+    fallback = {key.removeprefix(_FALLBACK): value for key, value in tensors.items() if key.startswith(_FALLBACK)}
+    try:
+        return Calibration.from_tensors(tensors), Fallback.from_tensors(fallback) if fallback else None
+    except ModelError as err:
+        raise ModelError(f"{path}: {err}") from err

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The card beside a model's weights: what it is, what it was trained on, how well it does.
+"""The card beside a model's weights: what the model is, what it was trained on, how well it performs.
 
-A card is plain JSON. Three kinds exist: a `network` and a `contact` model name their weights, and an `ensemble` names
-the cards of other networks that together predict all modalities.
+A card is plain JSON. `KINDS` lists the kinds of models: the fields that their cards hold, and the function that loads
+them. A `network` and a `contact` model name their weights; an `ensemble` names the cards of networks that together
+predict all modalities. A new kind of touch model is one row here beside its own modules.
 """
 
 from __future__ import annotations
@@ -10,27 +11,21 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from foretouch.errors import ModelError
 from foretouch.models.files import replace_files
 
-__all__ = [
-    "CARD_FORMAT",
-    "CARD_VERSION",
-    "card_text",
-    "combined_sha256",
-    "new_card",
-    "read_card",
-    "write_text",
-]
+__all__ = ["CARD_FORMAT", "KINDS", "ModelKind", "card_text", "combined_sha256", "new_card", "read_card", "write_text"]
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 1
 
-_COMMON: Final[dict[str, type | tuple[type, ...]]] = {"name": str, "kind": str, "sha256": str}
-_TRAINED: Final[dict[str, type | tuple[type, ...]]] = {
+_Fields = Mapping[str, type | tuple[type, ...]]
+_COMMON: Final[_Fields] = {"name": str, "kind": str, "sha256": str}
+_TRAINED: Final[_Fields] = {
     "weights": str,
     "config": dict,
     "data": dict,
@@ -40,15 +35,33 @@ _TRAINED: Final[dict[str, type | tuple[type, ...]]] = {
     "limits": list,
     "calibration": (dict, type(None)),
 }
-_OF_KIND: Final[dict[str, dict[str, type | tuple[type, ...]]]] = {
-    "network": {**_TRAINED, "familiar": (dict, type(None))},
-    "contact": _TRAINED,
-    "ensemble": {"members": list},
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """One kind of touch model.
+
+    Attributes:
+        loader: `module:function`, imported when the first such model is loaded. The function takes the path of a card
+            and its content, and returns a `TouchModel`.
+        fields: What the card holds besides name, kind and hash, with the types.
+    """
+
+    loader: str
+    fields: _Fields
+
+
+KINDS: Final[Mapping[str, ModelKind]] = {
+    "network": ModelKind(
+        "foretouch.models.network.checkpoint:load_model", {**_TRAINED, "familiar": (dict, type(None))}
+    ),
+    "contact": ModelKind("foretouch.models.contact.checkpoint:load_model", _TRAINED),
+    "ensemble": ModelKind("foretouch.models.network.checkpoint:load_ensemble", {"members": list}),
 }
 
 
 def new_card(name: str, kind: str, **fields: Any) -> dict[str, Any]:
-    """A card with the head that every card has; checked when it is read back."""
+    """A card that begins with the fields that every card has; it is checked when it is read."""
     return {"format": CARD_FORMAT, "format_version": CARD_VERSION, "kind": kind, "name": name, **fields}
 
 
@@ -73,9 +86,13 @@ def read_card(path: str | Path) -> dict[str, Any]:
     if card.get("format_version") != CARD_VERSION:
         raise ModelError(f"{path}: format_version: {card.get('format_version')!r} is not {CARD_VERSION}")
     kind = card.get("kind")
-    if kind not in _OF_KIND:
-        raise ModelError(f"{path}: kind: {kind!r} is none of {', '.join(_OF_KIND)}")
-    _check_fields(path, card, {**_COMMON, **_OF_KIND[kind]})
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ModelError(f"{path}: kind: {kind!r} is none of {', '.join(KINDS)}")
+    for field, types in {**_COMMON, **KINDS[kind].fields}.items():
+        if field not in card:
+            raise ModelError(f"{path}: {field}: is missing")
+        if not isinstance(card[field], types):
+            raise ModelError(f"{path}: {field}: {card[field]!r} is of type {type(card[field]).__name__}")
     return card
 
 
@@ -85,22 +102,14 @@ def combined_sha256(hashes: Sequence[str]) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that a reader sees the old or the new one, never a part.
+    """Write a text file atomically.
 
     Raises:
-        FileError: If it cannot be written, such as on a full disk; the one before is kept.
+        FileError: If it cannot be written, such as on a full disk; the file before is kept.
     """
     replace_files({path: text.encode()})
 
 
 def card_text(card: Mapping[str, Any]) -> str:
-    """A card as it stands in its file."""
+    """The content of a card's file."""
     return json.dumps(card, indent=1) + "\n"
-
-
-def _check_fields(path: Path, card: Mapping[str, Any], wanted: Mapping[str, type | tuple[type, ...]]) -> None:
-    for field, kind in wanted.items():
-        if field not in card:
-            raise ModelError(f"{path}: {field}: is missing")
-        if not isinstance(card[field], kind):
-            raise ModelError(f"{path}: {field}: {card[field]!r} is of type {type(card[field]).__name__}")

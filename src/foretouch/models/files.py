@@ -1,34 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files replaced as a whole or not at all: whoever reads sees the old or the new one, never a part.
+"""Atomic replacement of files, and arrays in safetensors files that are verified against a SHA-256.
 
-Arrays in a safetensors file, checked against the hash that a card names. Such a file holds numbers and no code.
+A reader sees the old or the new file, never a part. Safetensors files hold numbers and no code.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
 
 from foretouch.errors import FileError, ModelError
 
-__all__ = ["file_sha256", "packed", "read_tensors", "replace_files"]
+__all__ = ["TensorRecord", "file_sha256", "packed", "read_part", "read_tensors", "replace_files"]
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
-    """Write files that belong together, such as weights and the card that holds their hash.
+    """Write files that belong together, such as weights and the card with their hash.
 
-    All are on the disk under other names before the first is moved to its place, so that a full disk leaves every one of the
-    old ones. Only a crash between two moves leaves new beside old; the hash in the card tells that.
+    All are written under temporary names before the first is renamed, so that a full disk leaves all of the old files.
+    Only a crash between two renames leaves a new file beside an old one, which the hash in the card reveals.
 
     Args:
-        contents: By file, in the order in which they are moved; their folders are made if absent.
+        contents: By file, in the order in which they are renamed; missing folders are made.
 
     Raises:
         FileError: Names the file that cannot be written, such as on a full disk.
@@ -38,12 +41,15 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
     try:
         for path, content in contents.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            _write_through(parts[path], content)
+            with parts[path].open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
         for path, part in parts.items():
             part.replace(path)
     except OSError as err:
         for part in parts.values():
-            with suppress(OSError):  # that it could not be written is what to tell
+            with suppress(OSError):  # the error to report is the first one
                 part.unlink()
         raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
 
@@ -54,41 +60,70 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
     """Arrays as the content of a safetensors file, and its SHA-256; the same arrays make the same bytes."""
-    from safetensors.numpy import save
-
     content: bytes = save({name: np.asarray(value, order="C") for name, value in tensors.items()})
     return content, hashlib.sha256(content).hexdigest()
 
 
-def read_tensors(path: Path, sha256: str, named_by: str) -> dict[str, npt.NDArray[Any]]:
+def read_tensors(
+    path: Path, sha256: str, named_by: str, load: Callable[[Path], dict[str, Any]] = load_file
+) -> dict[str, Any]:
     """Arrays by name.
 
     Args:
         path: The file.
-        sha256: That it must have.
-        named_by: The card's name, for the message.
+        sha256: Its expected hash.
+        named_by: Name of the card that holds the hash, for the message.
+        load: Reads the file: `load_file` of `safetensors.numpy`, or of `safetensors.torch` for torch tensors.
 
     Raises:
-        ModelError: Names the file: absent, damaged, or another than the hash tells.
+        ModelError: Names the file: absent, damaged, or with another hash.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
     if not path.is_file():
         raise ModelError(f"{path}: no such weights; {named_by} names them")
     if (found := file_sha256(path)) != sha256:
         raise ModelError(f"{path}: sha256: {found} is not {sha256} of {named_by}; damaged or replaced")
     try:
-        tensors: dict[str, npt.NDArray[Any]] = load_file(path)
+        return load(path)
     except (SafetensorError, OSError, ValueError) as err:
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
-    return tensors
+
+
+class TensorRecord:
+    """Base of a dataclass whose fields are arrays, stored in a file under the names of the fields."""
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: Names the array that is missing, or breaks a rule of `_check`.
+        """
+        names = [field.name for field in fields(cls)]  # type: ignore[arg-type]
+        for name in names:
+            if name not in tensors:
+                raise ModelError(f"{name}: is missing")
+        record = cls(**{name: tensors[name] for name in names})
+        record._check()
+        return record
+
+    def _check(self) -> None:
+        """Raise ModelError, which names the array, if the arrays cannot be used."""
+        raise NotImplementedError
+
+
+Record = TypeVar("Record", bound=TensorRecord)
+
+
+def read_part(record: type[Record], tensors: Mapping[str, npt.NDArray[Any]], prefix: str) -> Record:
+    """The record whose arrays are stored under names that begin with a prefix, which errors name too."""
+    part = {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
+    try:
+        return record.from_tensors(part)
+    except ModelError as err:
+        raise ModelError(f"{prefix}{err}") from err

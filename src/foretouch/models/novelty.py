@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How unlike the training objects an object is, by its sizes alone.
+"""Novelty detection: whether a cloud and a grasp resemble those that a model was trained on.
 
-The distance of a cloud's sizes from the nearest clouds of training, against what is usual within the
-training objects. On the public recordings it tells nine in ten grasps on an object that was left out, at one false alarm in
-twenty; objects that look alike in size and shape pass, and no camera can tell them. (`familiarity` asks of a network
-whether cloud and grasp are absurd.)
+Two tests are combined. `SizeNoveltyDetector` looks at the object alone: the distance of a cloud's sizes from the nearest
+training clouds, relative to the usual distances within the training objects. On the public recordings it detects nine in
+ten grasps on an object that was left out, at one false alarm in twenty; it cannot detect an object of the same size and
+shape as one of the training objects. `LengthRangeCheck` compares five lengths of a cloud and a grasp with their ranges in
+training. It finds gross errors (a house instead of a can, metres mistaken for millimetres, a grasp beside the object) and
+passes objects of another make and of usual size. Networks use both; a contact model uses the first alone.
+
+`Fallback` applies the detector to networks. A network does not detect objects unlike those of training: on the public
+recordings it is far worse than the mean of the training labels on an object that was left out. The contact model
+needs no fallback, because its kernel fades to that mean by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -20,27 +26,34 @@ from scipy.spatial.distance import cdist
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import OBJECT_FEATURES, SHAPE_FEATURES
 from foretouch.models.contact.kernel_regression import standardisation
-from foretouch.types import Float32, Float64
+from foretouch.models.files import TensorRecord
+from foretouch.models.network.preparation import PreparedCloud
+from foretouch.types import TOUCH_SIZE, Float32, Float64, Grasp
 
-__all__ = ["FAMILIAR", "Novelty"]
+__all__ = ["IN_DISTRIBUTION", "LENGTHS", "Fallback", "LengthRangeCheck", "SizeNoveltyDetector", "grasp_lengths"]
+__all__ += ["FAMILIAR", "Familiarity", "Novelty", "describe"]  # aliases until merge
 
-FAMILIAR: Final = 0.5
-"""The least familiarity of an object that counts as familiar."""
+IN_DISTRIBUTION: Final = 0.5
+"""The lowest score of an object that counts as in distribution."""
+
+LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
+"""Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
+other, of their midpoint from the centroid, and of the farther contact from the nearest point that the model uses."""
 
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
 _NEAREST: Final = 3
-_USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which trust goes from 1 to 0
-_FIELDS: Final = ("centre", "scale", "known", "span")
+_USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
+_MARGIN: Final = 0.1  # of a length's range, by which a grasp may leave it
 
 
 @dataclass(frozen=True, eq=False)
-class Novelty:
+class SizeNoveltyDetector(TensorRecord):
     """Sizes of S training clouds.
 
     Attributes:
         centre, scale: (8,) float64, which standardise `SHAPE_FEATURES`.
         known: (S, 8) float32, standardised.
-        span: (2,) float64: the distance up to which an object is fully familiar, and from which it is not at all.
+        span: (2,) float64: the distances up to which the score is 1, and from which it is 0.
     """
 
     centre: Float64
@@ -49,7 +62,7 @@ class Novelty:
     span: Float64
 
     @classmethod
-    def fit(cls, objects: Float64) -> Novelty:
+    def fit(cls, objects: Float64) -> SizeNoveltyDetector:
         """From (S, len(OBJECT_FEATURES)) descriptions of the training clouds; S of at least 5."""
         sizes = objects[:, _COLUMNS]
         centre, scale = standardisation(sizes)
@@ -58,36 +71,144 @@ class Novelty:
         low, high = np.quantile(distance, _USUAL)
         return cls(centre, scale, known, np.array([low, max(high, low + 1e-9)]))
 
-    def familiarity(self, object_features: Float64) -> float:
-        """1 for a cloud like those of training, 0 for one that is not; see `FAMILIAR`."""
+    def in_distribution_score(self, object_features: Float64) -> float:
+        """1 for a cloud like those of training, 0 for one unlike them; compare with `IN_DISTRIBUTION`."""
         sizes = (object_features[_COLUMNS] - self.centre) / self.scale
         distance = np.partition(np.abs(self.known - sizes).sum(axis=1), _NEAREST - 1)[:_NEAREST].mean()
         low, high = self.span
         return float(np.clip((high - distance) / (high - low), 0.0, 1.0))
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
-        """Arrays by name, for a file."""
-        return {name: getattr(self, name) for name in _FIELDS}
+    familiarity = in_distribution_score  # alias until merge
 
-    @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Novelty:
-        """From `to_tensors`.
-
-        Raises:
-            ModelError: If an array is missing, of another shape, or holds a value that is not finite; if a scale is not
-                above 0, or the span is empty.
-        """
+    def _check(self) -> None:
         size = len(_COLUMNS)
         for name, shape in (("centre", (size,)), ("scale", (size,)), ("known", (-1, size)), ("span", (2,))):
-            if name not in tensors:
-                raise ModelError(f"{name}: is missing")
-            found = tensors[name]
+            found = getattr(self, name)
             fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
             if not fits or not np.isfinite(found).all():
                 raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
-        novelty = cls(**{name: tensors[name] for name in _FIELDS})
-        if not (novelty.scale > 0.0).all():
+        if not (self.scale > 0.0).all():
             raise ModelError("scale: a value is not above 0")
-        if len(novelty.known) < _NEAREST or not novelty.span[0] < novelty.span[1]:
+        if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")
-        return novelty
+
+
+@dataclass(frozen=True, eq=False)
+class LengthRangeCheck:
+    """Ranges of the five lengths over the training samples, widened by a tenth on both sides.
+
+    Attributes:
+        low, high: (5,) float64 [m], in the order of `LENGTHS`.
+    """
+
+    low: Float64
+    high: Float64
+
+    @classmethod
+    def fit(cls, lengths: Float64) -> LengthRangeCheck:
+        """From (S, 5) lengths of the training samples."""
+        return cls(lengths.min(axis=0), lengths.max(axis=0))
+
+    @classmethod
+    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> LengthRangeCheck:
+        """From `to_card`.
+
+        Raises:
+            ModelError: If a length is missing or its range is not [low, high].
+        """
+        try:
+            table = np.array([ranges[name] for name in LENGTHS], np.float64)
+        except (KeyError, TypeError, ValueError) as err:
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
+        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
+        return cls(table[:, 0], table[:, 1])
+
+    def to_card(self) -> dict[str, list[float]]:
+        """Plain data for the card's field `familiar`."""
+        return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
+
+    def within(self, lengths: Float64) -> npt.NDArray[np.bool_]:
+        """(K,) whether all five of each of (K, 5) lengths are in their ranges."""
+        margin = _MARGIN * (self.high - self.low)
+        inside = (lengths >= self.low - margin) & (lengths <= self.high + margin)
+        return np.asarray(inside.all(axis=1), np.bool_)
+
+
+def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
+    """(K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
+    if not grasps:
+        return np.empty((0, len(LENGTHS)))
+    frame = prepared.frame
+    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
+    offset = np.linalg.norm(contacts.mean(axis=1) - frame.centre, axis=1)
+    width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+    cloud = [float(np.linalg.norm(frame.centre)), frame.scale]
+    gap = _nearest(prepared, contacts.reshape(-1, 3)).reshape(-1, 2).max(axis=1)
+    return np.column_stack([np.tile(cloud, (len(grasps), 1)), width, offset, gap])
+
+
+def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
+    """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
+    frame = prepared.frame
+    moved = frame.apply_points(targets).astype(np.float32)
+    points = prepared.points[:, :3]
+    # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
+    squared = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
+    return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)) * frame.scale, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Fallback:
+    """The mean of the training labels, to which a network's predictions fade as an object leaves the distribution.
+
+    Attributes:
+        novelty: Fitted to the training objects.
+        mean: (50,) float64 of the training labels [counts].
+    """
+
+    novelty: SizeNoveltyDetector
+    mean: Float64
+
+    @classmethod
+    def fit(cls, objects: Float64, labels: Float64) -> Fallback:
+        """From (S, len(OBJECT_FEATURES)) descriptions of the training clouds and their (S, 50) labels [counts]."""
+        return cls(SizeNoveltyDetector.fit(objects), labels.mean(axis=0))
+
+    def fade(self, counts: Float64, objects: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+        """Predictions, the closer to the mean the less an object resembles the training objects.
+
+        Args:
+            counts: (K, 50) of the network [counts].
+            objects: (K, len(OBJECT_FEATURES)) of their clouds, or (1, …) if all were made from one cloud.
+
+        Returns:
+            (K, 50) [counts], and (K,) whether the object is in distribution.
+        """
+        scores = np.array([self.novelty.in_distribution_score(row) for row in objects])
+        weight = scores[:, None]
+        inside = np.broadcast_to(scores >= IN_DISTRIBUTION, len(counts))
+        return weight * counts + (1.0 - weight) * self.mean, inside
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays by name, for a file."""
+        return {**self.novelty.to_tensors(), "mean": self.mean}
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Fallback:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: If an array is missing or damaged.
+        """
+        mean = tensors.get("mean")
+        if mean is None or mean.shape != (TOUCH_SIZE,) or not np.isfinite(mean).all():
+            raise ModelError("mean: is missing, of another shape, or not finite")
+        return cls(SizeNoveltyDetector.from_tensors(tensors), np.asarray(mean, np.float64))
+
+
+# aliases until merge
+FAMILIAR = IN_DISTRIBUTION
+Novelty = SizeNoveltyDetector
+Familiarity = LengthRangeCheck
+describe = grasp_lengths

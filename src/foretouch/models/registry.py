@@ -1,100 +1,99 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find a model by name or path and load it; torch is imported when the first one is."""
+"""Find a model by name, path or run folder, and load it; torch is imported when the first network is loaded."""
 
 from __future__ import annotations
 
-from importlib import resources
+import json
+from importlib import import_module, resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from foretouch.errors import ModelError
-from foretouch.models.card import combined_sha256, read_card
-from foretouch.models.contact.checkpoint import load_calibration, load_contact
-from foretouch.models.familiarity import Familiarity
-from foretouch.models.network.estimator import Fallback, Member, NetworkEstimator
+from foretouch.models.card import CARD_FORMAT, KINDS, read_card
 from foretouch.models.touch_model import TouchModel
 
 __all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
 
 DEFAULT_MODEL: Final = "contact-v1"
+_RUN_FILES: Final = ("config.yaml", "log.jsonl", "state.safetensors")  # of a training, before its model is written
 
 
 def available_models() -> list[str]:
     """Names of the models that come with the package, the default first."""
-    names = sorted(path.stem for path in _shipped().glob("*.json"))
+    names = sorted(path.stem for path in _released().glob("*.json"))
     return sorted(names, key=lambda name: name != DEFAULT_MODEL)
 
 
 def load_model(name_or_path: str | Path = "default") -> TouchModel:
-    """Load a shipped model or a checkpoint.
+    """Load a model that comes with the package, or one from a file or a run folder.
 
     Args:
-        name_or_path: `default`, a name out of `available_models`, or the path of a card or of its weights.
+        name_or_path: `default`, a name from `available_models`, the path of a card or of its weights, or the folder of
+            a finished run of `foretouch train`.
 
     Raises:
-        ModelError: If there is no such model, or it is damaged (see `checkpoint.load_network`), or its
-            networks do not predict each modality once.
+        ModelError: If there is no such model, or it is damaged, or its networks do not predict each modality once.
     """
     path = find_card(name_or_path)
     card = read_card(path)
-    if card["kind"] == "ensemble":
-        return _load_ensemble(path, card)
-    trust, fallback = load_calibration(path, card)
-    if card["kind"] == "contact":
-        return TouchModel(load_contact(path, card), card, trust)
-    return TouchModel(_networks(card["name"], [_member(path)[0]], fallback), card, trust)
-
-
-def _load_ensemble(path: Path, card: dict[str, Any]) -> TouchModel:
-    loaded = [_member(path.with_name(Path(str(member)).name)) for member in card["members"]]
-    found = combined_sha256([sha256 for _, sha256 in loaded])
-    if found != card["sha256"]:
-        raise ModelError(f"{path}: sha256: {card['sha256']} is not {found} of its members; one was replaced")
-    return TouchModel(_networks(card["name"], [member for member, _ in loaded]), card)
-
-
-def _networks(name: str, members: list[Member], fallback: Fallback | None = None) -> NetworkEstimator:
-    try:
-        return NetworkEstimator(members, fallback)
-    except ModelError as err:
-        raise ModelError(f"{name}: {err}") from err
-
-
-def _member(path: Path) -> tuple[Member, str]:
-    from foretouch.models.network.checkpoint import load_network
-    from foretouch.models.network.folding import fold
-
-    net, card = load_network(path)
-    try:
-        familiar = None if card["familiar"] is None else Familiarity.from_card(card["familiar"])
-    except ModelError as err:
-        raise ModelError(f"{path}: {err}") from err
-    return Member(net.config, fold(net), familiar), card["sha256"]
+    module, _, function = KINDS[card["kind"]].loader.partition(":")
+    model: TouchModel = getattr(import_module(module), function)(path, card)
+    return model
 
 
 def find_card(name_or_path: str | Path) -> Path:
-    """Path of a model's card; whether it is there is not asked, except for shipped ones.
+    """Path of a model's card. Whether a path exists is checked for names and folders only.
 
     Args:
         name_or_path: As of `load_model`.
 
     Raises:
-        ModelError: If it is neither a shipped name nor the path of a card or of weights.
+        ModelError: If it is none of a name, the path of a card or of weights, and a folder with one model.
     """
     name = DEFAULT_MODEL if str(name_or_path) == "default" else str(name_or_path)
     if name in available_models():
-        return _shipped() / f"{name}.json"
+        return _released() / f"{name}.json"
     path = Path(name)
+    if path.is_dir():
+        return _card_in(path)
     if path.suffix == ".safetensors":
         path = path.with_suffix(".json")
     if path.suffix != ".json":
-        raise ModelError(f"{name}: is no card (.json), no weights (.safetensors) and none of {_known()}")
+        known = ", ".join(available_models()) or "the models of the package (there are none)"
+        raise ModelError(f"{name}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}")
     return path
 
 
-def _known() -> str:
-    return ", ".join(available_models()) or "the shipped models (there are none)"
+def _card_in(folder: Path) -> Path:
+    """The card of the only model in a folder; the networks of an ensemble belong to the ensemble."""
+    cards = {path.name: _members(path) for path in sorted(folder.glob("*.json"))}
+    models = {name for name, members in cards.items() if members is not None}
+    models -= {member for members in cards.values() for member in members or ()}
+    if len(models) == 1:
+        return folder / models.pop()
+    if models:
+        raise ModelError(f"{folder}: holds several models, {', '.join(sorted(models))}: name the card of one")
+    if any((folder / name).exists() for name in _RUN_FILES):
+        raise ModelError(
+            f"{folder}: is an unfinished run without a model card; `foretouch train --resume` completes it"
+        )
+    raise ModelError(f"{folder}: holds no model card (<name>.json), so it is no run of `foretouch train`")
 
 
-def _shipped() -> Path:
+def _members(path: Path) -> list[str] | None:
+    """File names of an ensemble's members, empty for other models; None for JSON files that are no model cards.
+
+    A damaged file counts as a card, so that it is reported and not overlooked.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return []
+    if not isinstance(document, dict) or document.get("format") != CARD_FORMAT:
+        return None
+    members = document.get("members")
+    return [Path(str(member)).name for member in members] if isinstance(members, list) else []
+
+
+def _released() -> Path:
     return Path(str(resources.files("foretouch.models"))) / "weights"

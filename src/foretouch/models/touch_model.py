@@ -1,49 +1,85 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction of touch: one cloud and K grasps in, K predictions out, with an interval, a reference and flags.
 
-cloud, K grasps ─ estimator ─► counts ─ + tare - rest ─ + what touches taught ─► value ± half width, flags
+cloud, K grasps ─ estimator ─► counts ─ + tare - rest ─ adapted to earlier touches ─► value ± half width, flags
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.errors import ModelError, TactileError
 from foretouch.models.calibration import Calibration
-from foretouch.models.estimator import Estimate, Estimator
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.tactile.validity import check_touch
-from foretouch.types import Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
+from foretouch.tactile import TactileRanges, check_touch
+from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
-__all__ = ["TouchModel"]
+__all__ = ["Estimate", "Estimator", "ObjectResiduals", "TouchModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Predictions for K grasps on one cloud, before tare, touches and intervals are applied.
+
+    Attributes:
+        counts: (K, 50) float64 [counts].
+        in_distribution: (K,) bool: whether cloud and grasp resemble those of training.
+    """
+
+    counts: Float64
+    in_distribution: npt.NDArray[np.bool_]
+
+
+class Estimator(Protocol):
+    """Predicts touch from the cloud and the grasp alone; what the kinds of touch models implement."""
+
+    @property
+    def ranges(self) -> TactileRanges:
+        """Ranges outside which a predicted value is flagged."""
+        ...
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+        """Predict K grasps; the cloud's features are computed once.
+
+        Raises:
+            CloudError: If the cloud holds too few points or all at one position.
+            ModelError: If it lacks a channel that the model needs.
+        """
+        ...
 
 
 class TouchModel:
-    """An estimator and what to make of its estimates; immutable, so threads may share it.
+    """An estimator with its card and its calibration; immutable, so threads may share it.
 
     Args:
-        estimator: What predicts from sight alone.
+        estimator: Predicts from the cloud and the grasp alone.
         card: The card of the model.
-        trust: Rest level, adaptation and intervals; None if its card holds no calibration.
+        calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
 
     Attributes:
         name: From the card.
         sha256: From the card: of the weights, or over those of all members.
         card: As read.
-        trust: As given.
-        ranges: Beyond which a value is told to be out of range.
+        calibration: As given.
+        ranges: Ranges outside which a predicted value is flagged.
     """
 
-    def __init__(self, estimator: Estimator, card: Mapping[str, Any], trust: Calibration | None = None) -> None:
+    def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
-        self.trust = trust
+        self.calibration = calibration
         self.ranges = estimator.ranges
         self._estimator = estimator
+
+    @property
+    def trust(self) -> Calibration | None:  # alias until merge
+        """The calibration."""
+        return self.calibration
 
     def predict(
         self,
@@ -51,74 +87,71 @@ class TouchModel:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        memory: TouchMemory | None = None,
+        residuals: ObjectResiduals | None = None,
+        memory: ObjectResiduals | None = None,  # alias until merge
     ) -> list[TouchPrediction]:
-        """What both fingertips would read at each grasp.
+        """Predict the readings of both fingertips at each grasp.
 
-        The cloud's features are computed once. A prediction does not depend on the grasps beside it,
+        The cloud's features are computed once. A prediction does not depend on the other grasps of the call,
         to the last bit, and one cloud always gives the same.
 
         Args:
-            cloud: The object's points [m]; those without depth are left out.
+            cloud: The object's points [m]; points without depth are ignored.
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before.
-            memory: What was read on this object in this session. Its own tare is used, and `tare` must be left out.
+            residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
+            memory: Alias until merge.
 
         Returns:
-            One prediction a grasp, in order. `reference` tells what it leans on, the strongest named: touches,
+            One prediction a grasp, in order. `reference` names the strongest reading that it was adapted to: touches,
             tare or none. Flags: `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar`
-            where cloud or grasp is unlike the training data.
+            where cloud or grasp is out of the training distribution.
 
         Raises:
-            CloudError: If the cloud holds too few points or all in one place.
-            ModelError: If it lacks a colour that the model needs; if tare or memory is given to a model without `trust`, or
-                both are; if the memory is of another model.
-            TactileError: If the tare is not that of working sensors.
+            CloudError: If the cloud holds too few points or all at one position.
+            ModelError: If it lacks a colour that the model needs; if tare or residuals are given to a model without
+                calibration, or both are; if the residuals are of another model.
+            TactileError: If the tare is not a reading of working sensors.
         """
-        if memory is not None:
+        residuals = residuals or memory
+        if residuals is not None:
             if tare is not None:
-                raise ModelError("tare: the memory has its own")
-            if memory.model.sha256 != self.sha256:
-                raise ModelError(f"{self.name}: memory: is of {memory.model.name}, which expected other readings")
-            self._require_trust()
-            tare = memory.tare
+                raise ModelError("tare: the residuals have their own")
+            if residuals.model.sha256 != self.sha256:
+                raise ModelError(f"{self.name}: residuals: are of {residuals.model.name}, which predicts otherwise")
+            self._require_calibration()
+            tare = residuals.tare
         estimate = self._estimator.estimate(cloud, grasps)
         counts = self._shifted(estimate.counts, tare)
-        touches = memory.count if memory is not None else 0
+        touches = residuals.count if residuals is not None else 0
         half = np.full_like(counts, np.nan)
-        if self.trust is not None:
-            touched = memory.means() if memory is not None else None
-            counts, half = self.trust.lean(
-                counts, estimate.familiar, tare=tare is not None, touched=touched, count=touches
+        if self.calibration is not None:
+            touched = residuals.means() if residuals is not None else None
+            counts, half = self.calibration.adapt(
+                counts, estimate.in_distribution, tare=tare is not None, touched=touched, count=touches
             )
         reference: Reference = "touches" if touches else "none" if tare is None else "tare"
-        return self._predictions(grasps, Estimate(counts, estimate.familiar), half, reference)
+        return self._predictions(grasps, Estimate(counts, estimate.in_distribution), half, reference)
 
     def expect(self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None) -> Float64:
-        """(K, 50) predicted counts before any touch: what readings are compared with.
-
-        Raises:
-            CloudError: As of `predict`.
-            ModelError: As of `predict`.
-            TactileError: As of `predict`.
-        """
-        self._require_trust()
+        """(K, 50) predictions before any touch, which readings are compared with [counts]; raises as `predict`."""
+        self._require_calibration()
         return self._shifted(self._estimator.estimate(cloud, grasps).counts, tare)
 
-    def _require_trust(self) -> None:
-        if self.trust is None:
-            raise ModelError(f"{self.name}: cannot learn from touches: its card holds no calibration")
+    def _require_calibration(self) -> None:
+        if self.calibration is None:
+            raise ModelError(f"{self.name}: cannot adapt to touches: its card holds no calibration")
 
     def _shifted(self, counts: Float64, tare: Touch | None) -> Float64:
-        """Counts of sensors at rest as in training, moved to those of the tare."""
+        """Counts at the rest level of training, shifted to that of the tare."""
         if tare is None:
             return counts
-        if self.trust is None:
-            raise ModelError(f"{self.name}: tare: cannot be used: its card tells no rest level")
+        if self.calibration is None:
+            raise ModelError(f"{self.name}: tare: cannot be used: its card holds no rest level")
         faults = check_touch(tare).faults
         if faults:
             raise TactileError(f"tare: {faults[0]}")
-        return counts + (tare.vector() - self.trust.rest)
+        return counts + (tare.vector() - self.calibration.rest)
 
     def _predictions(
         self, grasps: Sequence[Grasp], estimate: Estimate, half: Float64, reference: Reference
@@ -126,14 +159,14 @@ class TouchModel:
         outside = np.any(self.ranges.outside(estimate.counts), axis=1)
         predictions = []
         for grasp, counts, width, out, known in zip(
-            grasps, estimate.counts, half, outside, estimate.familiar, strict=True
+            grasps, estimate.counts, half, outside, estimate.in_distribution, strict=True
         ):
             if not np.isfinite(counts).all():
                 reason = "the model gives a value that is not finite"
                 predictions.append(TouchPrediction(grasp, None, status="refused", reason=reason))
                 continue
-            named = {"out_of_range": bool(out), "unfamiliar": not known}
-            bounded = self.trust is not None
+            flags = {"out_of_range": bool(out), "unfamiliar": not known}
+            bounded = self.calibration is not None
             predictions.append(
                 TouchPrediction(
                     grasp,
@@ -141,7 +174,59 @@ class TouchModel:
                     lower=Touch.from_vector(counts - width) if bounded else None,
                     upper=Touch.from_vector(counts + width) if bounded else None,
                     reference=reference,
-                    flags=tuple(name for name, set_ in named.items() if set_),
+                    flags=tuple(name for name, is_set in flags.items() if is_set),
                 )
             )
         return predictions
+
+
+class ObjectResiduals:
+    """Readings of earlier touches on one object, and a model's predictions for the same grasps.
+
+    Only their sums are kept, so the cost of a later prediction does not depend on the number of touches.
+
+    Args:
+        model: Makes the predictions that readings are compared with.
+        tare: A reading without contact, if there is one; predictions that use these residuals are shifted to it.
+
+    Attributes:
+        model: As given.
+        tare: As given.
+        count: Number of touches.
+    """
+
+    def __init__(self, model: TouchModel, tare: Touch | None = None) -> None:
+        self.model = model
+        self.tare = tare
+        self.count = 0
+        self._read = np.zeros(TOUCH_SIZE)
+        self._expected = np.zeros(TOUCH_SIZE)
+
+    def add(self, cloud: Cloud, grasp: Grasp, reading: Touch) -> None:
+        """Add the reading of an executed grasp.
+
+        Args:
+            cloud: The cloud that the grasp was planned on.
+            grasp: As executed.
+            reading: Both fingers in contact [counts].
+
+        Raises:
+            TactileError: If the reading, or the tare, is not that of working sensors.
+            CloudError: If the cloud cannot be used.
+            ModelError: If the model has no calibration, or refuses the cloud.
+        """
+        faults = check_touch(reading).faults
+        if faults:
+            raise TactileError(f"touched: {faults[0]}")
+        self._expected += self.model.expect(cloud, [grasp], self.tare)[0]
+        self._read += reading.vector()
+        self.count += 1
+
+    def means(self) -> tuple[Float64, Float64]:
+        """(50,) mean of the predictions and of the readings [counts]; zeros before the first touch."""
+        count = max(self.count, 1)
+        return self._expected / count, self._read / count
+
+
+TouchMemory = ObjectResiduals  # alias until merge
+__all__ += ["TouchMemory"]

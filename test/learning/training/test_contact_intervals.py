@@ -10,8 +10,7 @@ from foretouch.errors import DatasetError
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.comparison import mean_over_objects
 from foretouch.learning.training.contact import ContactPredictor
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, 
     counts, half = fitted.intervals_after(held[:touches], held[touches:], tare=tare)
     for sample, row, width in zip(held[touches:], counts, half, strict=True):
         # A tare is of its own sample here, a memory has one: so what was touched is told as changes from that one.
-        memory = TouchMemory(model, sample.tare if tare else None)
+        memory = ObjectResiduals(model, sample.tare if tare else None)
         for felt in held[:touches]:
             shift = sample.tare.vector() - felt.tare.vector() if tare else 0.0
             memory.add(felt.cloud, felt.grasp, type(felt.touch).from_vector(felt.touch.vector() + shift))

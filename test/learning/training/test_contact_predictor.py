@@ -13,12 +13,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
-from foretouch.learning.training.contact import describe_samples, fit_contact
-from foretouch.learning.training.contact import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 from foretouch.models.contact.checkpoint import add_calibration, save_contact
 from foretouch.models.registry import load_model
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
 from foretouch.types import GraspSample
 
@@ -43,7 +41,7 @@ def as_shipped(
     model: TouchModel, touched: list[GraspSample], sample: GraspSample, *, tare: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """(50,) value and half width by the model with a memory, whose readings are moved to the sample's tare."""
-    memory = TouchMemory(model, sample.tare if tare else None)
+    memory = ObjectResiduals(model, sample.tare if tare else None)
     for one in touched:
         reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
         memory.add(one.cloud, one.grasp, reading)

@@ -15,13 +15,23 @@ import yaml
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
+from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset
 from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
+from foretouch.learning.training.contact import ContactConfig
 from foretouch.learning.training.learners import load_run_config, read_run_config
 from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_folder import LOG_FILE, STATE_FILE, TENSORBOARD_FOLDER, read_state, write_state
+from foretouch.learning.training.run_folder import (
+    CONFIG_FILE,
+    LOG_FILE,
+    STATE_FILE,
+    TENSORBOARD_FOLDER,
+    read_state,
+    write_state,
+)
+from foretouch.learning.training.supervised import TrainConfig
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
@@ -38,6 +48,27 @@ def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) 
     logs = [(tmp_path / name / LOG_FILE).read_text() for name in ("whole", "cut")]
     assert logs[0] == logs[1]
     assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_a_run_of_an_older_version_resumes(data, tmp_path, method: str) -> None:
+    """Its settings lack the newer fields, and hold the groups of all methods."""
+    chosen = run_config(method=method, **({"contact": {"trees": 3}} if method == "contact" else {}))
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    if method == "contact":
+        train_run(chosen, data, tmp_path / "old", quiet)
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            train_run(chosen, data, tmp_path / "old", stop_after(1))
+    file = tmp_path / "old" / CONFIG_FILE
+    resolved = {key: value for key, value in load_yaml(file).items() if key not in {"calibrate", "release"}}
+    groups = {"train": TrainConfig().to_mapping(), "contact": ContactConfig().to_mapping()}
+    file.write_text(yaml.safe_dump({**groups, **resolved}))
+    resumed = train_run(chosen, data, tmp_path / "old", quiet, resume=True)
+    assert resumed.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
+    changed = chosen.replace(tensorboard=True)
+    with pytest.raises(ConfigError, match="tensorboard: False is not True; a run resumes as it began"):
+        train_run(changed, data, tmp_path / "old", quiet, resume=True)
 
 
 @pytest.mark.slow

@@ -154,7 +154,7 @@ def test_a_full_disk_leaves_the_contact_model_before(data, tmp_path, full: str) 
     with pytest.raises(FileError, match=rf"{full}: cannot be written, the one before is kept: No space left"):
         train_run(run, data, tmp_path / "run", quiet, resume=True)
     assert contents(card.parent) == before
-    assert load_model(card).trust is not None
+    assert load_model(card).calibration is not None
 
 
 def test_a_state_of_another_architecture_is_named_by_file_and_tensor(data, tmp_path) -> None:

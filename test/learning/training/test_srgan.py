@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError, DatasetError, ModelError
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import TrainingSet
 from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.generator import GeneratorConfig
-from foretouch.models.network.normalisation import freeze
 
 GENERATOR = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)  # 24 points
 QUICK = SrganConfig(

@@ -16,9 +16,9 @@ from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set, train_network
-from foretouch.models.familiarity import Familiarity
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
+from foretouch.models.novelty import LengthRangeCheck
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.modalities import MODALITIES, modality_size
 from foretouch.types import Touch
@@ -86,7 +86,7 @@ def test_what_was_trained_on_is_familiar(samples, small) -> None:
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=1))
     model = TouchModel(
-        NetworkEstimator([Member(small, fold(net), Familiarity.fit(data.lengths))]), {"name": "toy", "sha256": ""}
+        NetworkEstimator([Member(small, fold(net), LengthRangeCheck.fit(data.lengths))]), {"name": "toy", "sha256": ""}
     )
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
     assert not any("unfamiliar" in prediction.flags for prediction in predictions)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a contact model and of calibrations: exact round trip, every damage told by file and field."""
+"""Files of a contact model and of calibrations: exact round trip, every damage reported by file and field."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrated_models import FACTS, make_calibration, save_calibrated_network
 from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
-from trust_builders import FACTS, make_calibration, save_network_with_trust
 
 from foretouch.errors import FileError, ModelError
-from foretouch.models.calibration import Calibration
+from foretouch.models.calibration import Calibration, add_calibration, load_calibration
 from foretouch.models.card import read_card
-from foretouch.models.contact.checkpoint import add_calibration, load_calibration, load_contact, save_contact
-from foretouch.models.files import packed, read_tensors
-from foretouch.models.network.estimator import Fallback
+from foretouch.models.contact.checkpoint import save_contact
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.files import file_sha256, packed, read_tensors
+from foretouch.models.novelty import Fallback
 from foretouch.models.registry import load_model
-from foretouch.models.touch_memory import TouchMemory
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
+from foretouch.tactile.ranges import P2_RANGES
 from foretouch.types import Touch
 
 SAMPLES = make_samples(5, 10)
@@ -46,10 +47,10 @@ def edit(card: Path, **changes: Any) -> None:
     card.write_text(json.dumps(document))
 
 
-def rewrite(card: Path, name: str, value: Any, *, trust: bool = False) -> None:
+def rewrite(card: Path, name: str, value: Any, *, calibration: bool = False) -> None:
     """Change a tensor and make the card's hash fit, so that only the deeper check can find it."""
     facts = json.loads(card.read_text())
-    mine = facts["calibration"] if trust else facts
+    mine = facts["calibration"] if calibration else facts
     path = card.with_name(mine["weights"])
     tensors = read_tensors(path, mine["sha256"], card.name)
     if value is None:
@@ -62,14 +63,14 @@ def rewrite(card: Path, name: str, value: Any, *, trust: bool = False) -> None:
 
 
 def everything(model: TouchModel) -> np.ndarray:
-    """Values and bounds with nothing, a tare, and touches to lean on."""
-    memory = TouchMemory(model, TARE)
+    """Values and bounds without adaptation, with a tare, and with touches."""
+    residuals = ObjectResiduals(model, TARE)
     for sample in SAMPLES[:3]:
-        memory.add(sample.cloud, sample.grasp, sample.touch)
+        residuals.add(sample.cloud, sample.grasp, sample.touch)
     found = []
-    for leant in ({}, {"tare": TARE}, {"memory": memory}):
+    for adapted in ({}, {"tare": TARE}, {"residuals": residuals}):
         for sample in SAMPLES[5::8]:
-            (one,) = model.predict(sample.cloud, [sample.grasp], **leant)
+            (one,) = model.predict(sample.cloud, [sample.grasp], **adapted)
             found += [one.value.vector(), one.lower.vector(), one.upper.vector()]
     return np.array(found)
 
@@ -91,7 +92,9 @@ def test_the_card_holds_what_was_given_and_the_hashes(card: Path) -> None:
 
 
 def test_saving_again_gives_the_same_files(card: Path, tmp_path: Path) -> None:
-    again = save_contact(tmp_path / "again", "toy", load_contact(card, read_card(card)), {"summary": "a toy"})
+    weights = card.with_suffix(".safetensors")
+    estimator = ContactEstimator.from_tensors(read_tensors(weights, file_sha256(weights), card.name), P2_RANGES)
+    again = save_contact(tmp_path / "again", "toy", estimator, {"summary": "a toy"})
     assert read_card(again)["sha256"] == read_card(card)["sha256"]
 
 
@@ -120,17 +123,17 @@ def test_a_model_without_calibration_loads_and_has_no_bounds(tmp_path: Path) -> 
 
 
 def test_a_calibration_of_a_network_brings_its_fallback(tmp_path: Path) -> None:
-    card = Path(save_network_with_trust(tmp_path))
+    card = Path(save_calibrated_network(tmp_path))
     fallback = Fallback(small_estimator().novelty, np.linspace(1000.0, 3000.0, 50))
     add_calibration(card, make_calibration(), FACTS, fallback)
-    trust, found = load_calibration(card, read_card(card))
-    assert isinstance(trust, Calibration)
+    calibration, found = load_calibration(card, read_card(card))
+    assert isinstance(calibration, Calibration)
     for name, array in fallback.to_tensors().items():
         assert_array_equal(found.to_tensors()[name], array)
     sample = SAMPLES[0]
     (prediction,) = load_model(card).predict(sample.cloud, [sample.grasp])
-    known = fallback.novelty.familiarity(np.asarray(_sizes(sample))) >= 0.5
-    assert ("unfamiliar" in prediction.flags) is not known
+    inside = fallback.novelty.in_distribution_score(np.asarray(_sizes(sample))) >= 0.5
+    assert ("unfamiliar" in prediction.flags) is not inside
 
 
 def _sizes(sample) -> np.ndarray:
@@ -153,7 +156,7 @@ def test_absent_or_replaced_files_are_named(card: Path, which: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "trust", "rule"),
+    ("name", "value", "calibration", "rule"),
     [
         ("mean", None, False, "toy.safetensors: mean: is missing"),
         ("kernel/scale", np.zeros(88), False, "toy.safetensors: kernel/scale, decay: a value is not above 0"),
@@ -164,8 +167,10 @@ def test_absent_or_replaced_files_are_named(card: Path, which: str) -> None:
         ("known/between", np.ones((50, 49)), True, "toy.trust.safetensors: known/between: shape"),
     ],
 )
-def test_what_does_not_fit_is_named_with_file_and_field(card: Path, name: str, value, trust: bool, rule: str) -> None:
-    rewrite(card, name, value, trust=trust)
+def test_what_does_not_fit_is_named_with_file_and_field(
+    card: Path, name: str, value, calibration: bool, rule: str
+) -> None:
+    rewrite(card, name, value, calibration=calibration)
     with pytest.raises(ModelError, match=rule):
         load_model(card)
 

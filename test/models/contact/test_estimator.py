@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact model: forests for what is known, the kernel for what is not, neighbours without influence."""
+"""The contact model: forests in distribution, the kernel out of it, and grasps of one call independent of each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import SHAPE_FEATURES, ContactScene
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import SizeNoveltyDetector
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
 from foretouch.types import Cloud, Grasp
@@ -29,62 +29,64 @@ def estimator() -> ContactEstimator:
 
 
 def span(estimator: ContactEstimator, low: float, high: float) -> ContactEstimator:
-    """The same with a span that makes an object familiar up to `low`, and not at all from `high`."""
+    """The same with scores of 1 up to the distance `low`, and of 0 from `high`."""
     novelty = estimator.novelty
-    return replace(estimator, novelty=Novelty(novelty.centre, novelty.scale, novelty.known, np.array([low, high])))
+    return replace(
+        estimator, novelty=SizeNoveltyDetector(novelty.centre, novelty.scale, novelty.known, np.array([low, high]))
+    )
 
 
-def forests_say(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
-    """The mean of what all values together and each modality alone say, in counts."""
+def by_forests(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
+    """The mean of the forest of all values and those of each modality, in counts."""
     found = np.empty((len(rows), 50))
     together = estimator.forests["together"].predict(rows)
     for name in MODALITIES:
-        place = columns([name])
-        found[:, place] = 0.5 * together[:, place] + 0.5 * estimator.forests[name].predict(rows)
+        index = columns([name])
+        found[:, index] = 0.5 * together[:, index] + 0.5 * estimator.forests[name].predict(rows)
     return found * estimator.deviation + estimator.mean
 
 
-def kernel_says(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
+def by_kernel(estimator: ContactEstimator, rows: np.ndarray) -> np.ndarray:
     return estimator.kernel.predict(rows) * estimator.deviation + estimator.mean
 
 
-def test_a_familiar_object_is_the_forests_business_a_new_one_the_kernel_s(estimator) -> None:
+def test_forests_predict_in_distribution_and_the_kernel_out_of_it(estimator) -> None:
     sample = SAMPLES[3]
     rows = ContactScene(sample.cloud.xyz).describe([sample.grasp])
     far = float(np.abs(estimator.novelty.known).max()) * 100.0
     known = span(estimator, far, 2 * far).estimate(sample.cloud, [sample.grasp])
     new = span(estimator, -2.0, -1.0).estimate(sample.cloud, [sample.grasp])
-    assert_allclose(known.counts, forests_say(estimator, rows))
-    assert_allclose(new.counts, kernel_says(estimator, rows))
-    assert (known.familiar.tolist(), new.familiar.tolist()) == ([True], [False])
+    assert_allclose(known.counts, by_forests(estimator, rows))
+    assert_allclose(new.counts, by_kernel(estimator, rows))
+    assert (known.in_distribution.tolist(), new.in_distribution.tolist()) == ([True], [False])
 
 
-@pytest.mark.parametrize(("share", "familiar"), [(0.25, False), (0.5, True), (0.75, True)])
-def test_between_the_two_it_blends_and_the_flag_turns_at_a_half(estimator, share: float, familiar: bool) -> None:
+@pytest.mark.parametrize(("share", "inside"), [(0.25, False), (0.5, True), (0.75, True)])
+def test_between_the_two_it_blends_and_the_flag_turns_at_a_half(estimator, share: float, inside: bool) -> None:
     sample = SAMPLES[3]
     scene = ContactScene(sample.cloud.xyz)
     novelty = estimator.novelty
     sizes = (named(scene.object_features, *SHAPE_FEATURES) - novelty.centre) / novelty.scale
     distance = np.sort(np.abs(novelty.known - sizes).sum(axis=1))[:3].mean()
-    one = span(estimator, 0.0, distance / (1.0 - share) * (1.0 + 1e-9))  # as far as gives it this share of trust
+    one = span(estimator, 0.0, distance / (1.0 - share) * (1.0 + 1e-9))  # so that the score is this share
     found = one.estimate(sample.cloud, [sample.grasp])
     rows = scene.describe([sample.grasp])
-    wanted = share * forests_say(estimator, rows) + (1.0 - share) * kernel_says(estimator, rows)
+    wanted = share * by_forests(estimator, rows) + (1.0 - share) * by_kernel(estimator, rows)
     assert_allclose(found.counts, wanted, atol=1e-4)
-    assert found.familiar.tolist() == [familiar]
+    assert found.in_distribution.tolist() == [inside]
 
 
-def test_it_knows_what_it_was_fitted_to(estimator) -> None:
+def test_it_predicts_its_training_samples(estimator) -> None:
     found = np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in SAMPLES])
     actual = labels_of(SAMPLES)
     skill = 1.0 - ((found - actual) ** 2).mean(axis=0) / actual.var(axis=0)
     assert all(skill[columns([name])].mean() > 0.2 for name in MODALITIES)
 
 
-def test_a_house_is_unfamiliar_and_gets_about_the_mean(estimator) -> None:
+def test_a_house_is_out_of_distribution_and_gets_about_the_mean(estimator) -> None:
     house = scaled(SAMPLES[0].cloud, 100.0)
     found = estimator.estimate(house, [Grasp(np.array([2.5, 0, 1.2]), np.array([-2.5, 0, 1.2]), np.eye(3))])
-    assert not found.familiar.any()
+    assert not found.in_distribution.any()
     assert (np.abs(found.counts[0] - estimator.mean) < 0.05 * estimator.deviation).all()
 
 
@@ -99,7 +101,7 @@ def test_a_grasp_does_not_depend_on_those_beside_it(estimator) -> None:
 
 def test_no_grasp_gives_nothing_and_no_cloud_is_refused(estimator) -> None:
     none = estimator.estimate(SAMPLES[0].cloud, [])
-    assert (none.counts.shape, none.familiar.shape) == ((0, 50), (0,))
+    assert (none.counts.shape, none.in_distribution.shape) == ((0, 50), (0,))
     with pytest.raises(CloudError, match="0 finite points are fewer than 8"):
         estimator.estimate(Cloud(np.full((20, 3), np.nan, np.float32)), [SAMPLES[0].grasp])
 

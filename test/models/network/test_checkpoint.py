@@ -80,7 +80,7 @@ def test_truncated_weights_are_refused(card: Path) -> None:
     [
         (lambda t: t.update({"output.bias": torch.zeros(24)}), r"output.bias: .* \(24,\) is not .* \(50,\)"),
         (lambda t: t.update({"output.bias": torch.zeros(50).half()}), r"output.bias: torch.float16"),
-        (lambda t: t.pop("output.bias"), r"output.bias: is missing; the card tells of another architecture"),
+        (lambda t: t.pop("output.bias"), r"output.bias: is missing; the card describes another architecture"),
         (lambda t: t.update({"extra": torch.zeros(1)}), r"extra: is not part of the card's architecture"),
         (lambda t: t["output.bias"].fill_(float("nan")), r"output.bias: holds a value that is not finite"),
     ],
@@ -126,7 +126,7 @@ def test_not_json_and_absent(tmp_path: Path) -> None:
         load_model(tmp_path / "x.json")
     with pytest.raises(ModelError, match=r"y\.json: no such model card"):
         load_model(tmp_path / "y.json")
-    with pytest.raises(ModelError, match="nonsense: is no card"):
+    with pytest.raises(ModelError, match="nonsense: is no run folder, no card"):
         load_model("nonsense")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks and what they fall back to (predictions themselves: `test_touch_model.py`)."""
+"""Networks with their fallback (predictions themselves: `test_touch_model.py`)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from contact_model_builders import scaled
 from numpy.testing import assert_array_equal
 
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.network.estimator import Fallback, Member, NetworkEstimator
+from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
+from foretouch.models.novelty import Fallback
 from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
 from foretouch.types import Cloud
 
@@ -25,40 +26,42 @@ def cans(can: Cloud, rng: np.random.Generator) -> Fallback:
     return Fallback.fit(objects, np.arange(1000.0, 2000.0).reshape(20, 50))
 
 
-def test_an_object_of_another_size_is_unfamiliar_whatever_the_grasp(make_net, small, can, cans, make_grasps) -> None:
+def test_an_object_of_another_size_is_out_of_distribution_for_every_grasp(
+    make_net, small, can, cans, make_grasps
+) -> None:
     estimator = NetworkEstimator([Member(small, fold(make_net()))], cans)
     view = can.take(np.arange(600))
-    assert estimator.estimate(view, make_grasps(4)).familiar.tolist() == [True] * 4
-    assert estimator.estimate(scaled(view, 3.0), make_grasps(4)).familiar.tolist() == [False] * 4
-    assert estimator.estimate(view, []).familiar.shape == (0,)
+    assert estimator.estimate(view, make_grasps(4)).in_distribution.tolist() == [True] * 4
+    assert estimator.estimate(scaled(view, 3.0), make_grasps(4)).in_distribution.tolist() == [False] * 4
+    assert estimator.estimate(view, []).in_distribution.shape == (0,)
 
 
-def test_on_a_new_object_the_mean_of_the_labels_is_all_that_is_left(make_net, small, can, cans, make_grasps) -> None:
+def test_on_a_novel_object_the_mean_of_the_labels_is_predicted(make_net, small, can, cans, make_grasps) -> None:
     grasps = make_grasps(3)
-    plain, doubting = (NetworkEstimator([Member(small, fold(make_net()))], one) for one in (None, cans))
+    plain, fading = (NetworkEstimator([Member(small, fold(make_net()))], one) for one in (None, cans))
     house = scaled(can, 30.0)
-    assert plain.estimate(house, grasps).familiar.all()
-    assert_array_equal(doubting.estimate(house, grasps).counts, np.tile(np.arange(1475.0, 1525.0), (3, 1)))
+    assert plain.estimate(house, grasps).in_distribution.all()
+    assert_array_equal(fading.estimate(house, grasps).counts, np.tile(np.arange(1475.0, 1525.0), (3, 1)))
 
 
-def test_on_the_way_to_a_new_object_predictions_fade(make_net, small, can, cans, make_grasps) -> None:
+def test_predictions_fade_as_an_object_leaves_the_distribution(make_net, small, can, cans, make_grasps) -> None:
     grasps = make_grasps(3)
     slow = replace(cans, novelty=replace(cans.novelty, span=np.array([50.0, 2000.0])))
-    plain, doubting = (NetworkEstimator([Member(small, fold(make_net()))], one) for one in (None, slow))
+    plain, fading = (NetworkEstimator([Member(small, fold(make_net()))], one) for one in (None, slow))
     view = can.take(np.arange(600))
     weights = []
     for factor in np.linspace(1.0, 1.2, 41):
         larger = scaled(view, factor)
-        said, faded = (one.estimate(larger, grasps) for one in (plain, doubting))
-        weight = (faded.counts - cans.mean) / (said.counts - cans.mean)
+        direct, faded = (one.estimate(larger, grasps) for one in (plain, fading))
+        weight = (faded.counts - cans.mean) / (direct.counts - cans.mean)
         assert np.ptp(weight) < 1e-9
-        assert faded.familiar.tolist() == [bool(weight[0, 0] >= 0.5)] * 3
+        assert faded.in_distribution.tolist() == [bool(weight[0, 0] >= 0.5)] * 3
         weights.append(float(weight[0, 0]))
     assert (weights[0], weights[-1]) == (1.0, 0.0)
     assert any(0.0 < weight < 1.0 for weight in weights)
 
 
-def test_ranges_are_those_of_whoever_predicts_the_modality(make_net, small) -> None:
+def test_ranges_are_those_of_the_network_that_predicts_the_modality(make_net, small) -> None:
     thumb = small.replace(outputs=("PDC_TH", "E_TH"), ranges=P1_RANGES)
     finger = small.replace(outputs=("PDC_MF", "E_MF"))
     ranges = NetworkEstimator([Member(config, fold(make_net(config))) for config in (thumb, finger)]).ranges

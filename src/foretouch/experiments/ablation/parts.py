@@ -155,8 +155,8 @@ def assemble(
     whole = result[FULL]
     if whole.trust is not None:
         for variant, edit in REGIME_EDITS.items():
-            regimes = {name: edit(regime) for name, regime in whole.trust.regimes.items()}
-            result[variant] = replace(whole, trust=replace(whole.trust, regimes=regimes))
+            regimes = {name: edit(regime) for name, regime in whole.trust.groups.items()}
+            result[variant] = replace(whole, trust=replace(whole.trust, groups=regimes))
     return result
 
 

@@ -122,7 +122,7 @@ def _fallen_back(
 ) -> Float64:
     """As the shipped network's predictions fade on objects unlike those of training."""
     from foretouch.learning.training.contact import describe_objects
-    from foretouch.models.network.estimator import Fallback
+    from foretouch.models.novelty import Fallback
 
     return Fallback.fit(describe_objects(train), labels).fade(predicted, describe_objects(test))[0]
 

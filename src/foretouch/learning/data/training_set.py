@@ -12,9 +12,9 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.sampling import sample_indices
 from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
 from foretouch.errors import CloudError, DatasetError, ModelError
-from foretouch.models.familiarity import describe
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
+from foretouch.models.novelty import grasp_lengths
 from foretouch.tactile.validity import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
@@ -29,7 +29,7 @@ class TrainingSet:
         clouds: (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled.
         grasps: (S, G) float32, as fed to the head.
         labels: (S, 50) float64 [counts]; NaN for an unlabelled sample.
-        lengths: (S, 5) float64 [m], for the in-distribution spans of the card.
+        lengths: (S, 5) float64 [m], for the range check of the card.
         config: The network configuration.
         ids: (S,) ids of the samples.
     """
@@ -107,7 +107,7 @@ def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float3
     frame = UnitSphereFrame.fit(usable.xyz)
     points = sample_channels(usable, np.arange(usable.size), frame, config)
     # On the points that prediction will choose: the gap to the nearest point depends on their number.
-    lengths = describe(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
+    lengths = grasp_lengths(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
     return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
 
 

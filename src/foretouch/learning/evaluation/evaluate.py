@@ -154,7 +154,7 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
     counts, half = np.full((2, len(samples), TOUCH_SIZE), np.nan)
     unfamiliar = 0
     for k, sample in enumerate(samples):
-        tare = sample.tare if model.trust is not None else None
+        tare = sample.tare if model.calibration is not None else None
         (one,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
         if one.value is None:
             raise ModelError(f"{sample.id}: {one.reason}")

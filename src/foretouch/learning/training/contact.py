@@ -20,7 +20,7 @@ from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import OBJECT_FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression, laplacian, standardisation
-from foretouch.models.novelty import Novelty
+from foretouch.models.novelty import SizeNoveltyDetector
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import P2_RANGES, TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
@@ -108,7 +108,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
     return ContactEstimator(
         forests={name: _forest(rows, scaled[:, column], config) for name, column in _targets()},
         kernel=_kernel(rows, scaled, objects, config),
-        novelty=Novelty.fit(rows[:, : len(OBJECT_FEATURES)]),
+        novelty=SizeNoveltyDetector.fit(rows[:, : len(OBJECT_FEATURES)]),
         mean=mean,
         deviation=deviation,
         ranges=config.ranges,
@@ -241,7 +241,7 @@ class ContactPredictor:
         if touched:  # at the rest level of training, since each sample has its own tare
             readings = labels_of(touched) - self._shifts(touched, tare=tare)
             means = self._estimate(touched)[0].mean(axis=0), readings.mean(axis=0)
-        counts, half = self.calibration[0].lean(expected, familiar, tare=tare, touched=means, count=len(touched))
+        counts, half = self.calibration[0].adapt(expected, familiar, tare=tare, touched=means, count=len(touched))
         return counts + self._shifts(samples, tare=tare), half
 
     @cached_property

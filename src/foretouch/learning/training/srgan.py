@@ -53,8 +53,8 @@ from foretouch.learning.training.trainer import (
     Trainer,
     shuffled_batches,
 )
+from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
-from foretouch.models.network.normalisation import Inputs, calibrate, freeze, statistics_kept
 from foretouch.tactile.modalities import columns, modality_size
 
 __all__ = ["SrganConfig", "SrganTrainer"]

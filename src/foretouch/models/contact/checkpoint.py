@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a contact model and of the calibration that any model may have: `<name>.json` names them and their hashes.
+"""Files of a contact model: its card `<name>.json`, which names the others with their hashes.
 
-<name>.json               the card
-<name>.safetensors        forests, kernel, novelty
-<name>.trust.safetensors  rest level, adaptation, half widths: `calibration` in the card
+`<name>.safetensors` holds forests, kernel and novelty detector; `<name>.trust.safetensors` the calibration.
 """
 
 from __future__ import annotations
@@ -12,19 +10,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy.typing as npt
-
 from foretouch.errors import ConfigError, ModelError
-from foretouch.models.calibration import Calibration
-from foretouch.models.card import card_text, new_card, read_card
+from foretouch.models.calibration import Calibration, add_calibration, calibration_file, load_calibration
+from foretouch.models.card import card_text, new_card
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.files import packed, read_tensors, replace_files
-from foretouch.models.network.estimator import Fallback
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile.ranges import TactileRanges
 
-__all__ = ["add_calibration", "load_calibration", "load_contact", "save_contact"]
-
-_FALLBACK = "fallback/"
+__all__ = ["load_model", "save_contact"]
+__all__ += ["add_calibration"]  # alias until merge
 
 
 def save_contact(
@@ -40,15 +35,14 @@ def save_contact(
         folder: Made if absent.
         name: Of the model and of its files.
         estimator: The fitted model.
-        facts: The rest of the card: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits`; what is left
-            out is empty.
-        calibration: And what the card tells of it, as of `add_calibration`.
+        facts: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits` of the card; empty if omitted.
+        calibration: With its facts for the card, as of `add_calibration`.
 
     Returns:
         Path of the card.
 
     Raises:
-        FileError: If a file cannot be written, such as on a full disk; those before are kept.
+        FileError: If a file cannot be written; the files before are kept.
     """
     path = Path(folder) / f"{name}.json"
     weights = path.with_suffix(".safetensors")
@@ -58,82 +52,28 @@ def save_contact(
     card = new_card(name, "contact", weights=weights.name, sha256=sha256, **{**empty, **rest, **facts})
     files = {weights: content}
     if calibration is not None:
-        trust, told = calibration
-        files |= _trust_file(path, card, trust.to_tensors(), told)
+        files |= calibration_file(path, card, *calibration)
     replace_files({**files, path: card_text(card).encode()})
     return path
 
 
-def add_calibration(
-    card_path: Path, trust: Calibration, facts: Mapping[str, Any], fallback: Fallback | None = None
-) -> None:
-    """Write a calibration beside a model and name it in the card.
-
-    Args:
-        card_path: The card of a network or a contact model.
-        trust: The calibration.
-        facts: What the card tells of it: level, objects, coverage, promise.
-        fallback: For a network.
+def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
+    """The contact model of a card, with its calibration.
 
     Raises:
-        ModelError: If the card cannot be read.
-        FileError: If a file cannot be written, such as on a full disk; those before are kept.
+        ModelError: Names the file and the field: absent, damaged, with another hash than the card's, or not fitting.
     """
-    card = read_card(card_path)
-    tensors = trust.to_tensors()
-    if fallback is not None:
-        tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}
-    files = _trust_file(card_path, card, tensors, facts)
-    replace_files({**files, card_path: card_text(card).encode()})
-
-
-def _trust_file(
-    card_path: Path, card: dict[str, Any], tensors: Mapping[str, npt.NDArray[Any]], facts: Mapping[str, Any]
-) -> dict[Path, bytes]:
-    """The file of a calibration with its content; enters it in the card."""
-    path = card_path.with_name(f"{card_path.stem}.trust.safetensors")
-    content, sha256 = packed(tensors)
-    card["calibration"] = {"weights": path.name, "sha256": sha256, **facts}
-    return {path: content}
-
-
-def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibration | None, Fallback | None]:
-    """The calibration that a card names, and the fallback in it; None where there is none.
-
-    Raises:
-        ModelError: Names the file and the field: absent, damaged, another than the card's hash, or not fitting.
-    """
-    facts = card.get("calibration")
-    if facts is None:
-        return None, None
-    for field in ("weights", "sha256"):
-        if not isinstance(facts.get(field), str):
-            raise ModelError(f"{card_path}: calibration.{field}: is missing")
-    path = card_path.with_name(Path(facts["weights"]).name)
-    tensors = read_tensors(path, facts["sha256"], card_path.name)
-    held = {key.removeprefix(_FALLBACK): value for key, value in tensors.items() if key.startswith(_FALLBACK)}
+    stored = card.get("ranges", {})
+    if not isinstance(stored, dict):
+        raise ModelError(f"{card_path}: ranges: {stored!r} is of type {type(stored).__name__}")
     try:
-        return Calibration.from_tensors(tensors), Fallback.from_tensors(held) if held else None
-    except ModelError as err:
-        raise ModelError(f"{path}: {err}") from err
-
-
-def load_contact(card_path: Path, card: Mapping[str, Any]) -> ContactEstimator:
-    """The weights that a card of kind `contact` names.
-
-    Raises:
-        ModelError: Names the file and the field: absent, damaged, another than the card's hash, or not fitting.
-    """
-    told = card.get("ranges", {})
-    if not isinstance(told, dict):
-        raise ModelError(f"{card_path}: ranges: {told!r} is of type {type(told).__name__}")
-    try:
-        ranges = TactileRanges.from_mapping(told, f"{card_path}: ranges")
+        ranges = TactileRanges.from_mapping(stored, f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
+    calibration, _ = load_calibration(card_path, card)
     path = card_path.with_name(Path(card["weights"]).name)
     tensors = read_tensors(path, card["sha256"], card_path.name)
     try:
-        return ContactEstimator.from_tensors(tensors, ranges)
+        return TouchModel(ContactEstimator.from_tensors(tensors, ranges), card, calibration)
     except ModelError as err:
         raise ModelError(f"{path}: {err}") from err

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers that describe an object and a grasp: what the contact model sees instead of a cloud.
+"""Features of an object and a grasp, the inputs of the contact model.
 
-    cloud ─► object: where, how large, how slender ─────────────┐
-    grasp ─► where, how wide, how the hand stands ──────────────┼─► one row a grasp
-    cloud round each contact ─► the skin's slope, how much ─────┘
+    cloud ─► object: position, size, slenderness ───────────────┐
+    grasp ─► position, width, orientation of the hand ──────────┼─► one row for each grasp
+    points around each contact ─► slope, size of the pad ───────┘
 
-The slope of the surface at a contact is told in the frame of the finger: z the way the finger closes, x along the finger,
-taken as that sign of the hand's X that points away from the camera, y = z x x. On simulated objects never
-seen in training these slopes carry over; sizes and places tell which of the known objects it is.
+The slope of the surface at a contact is given in the frame of the finger: z in closing direction, x along the finger
+(the hand's X with the sign that points away from the camera), y = z x x. On simulated objects that are not in the
+training data the slopes generalise; sizes and positions identify the training object.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["FEATURES", "OBJECT_FEATURES", "SHAPE_FEATURES", "SLOPE_FEATURES", "C
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]
-_FEWEST: Final = 4  # points that tell a slope
+_FEWEST: Final = 4  # points that determine a slope
 _MINIMUM_POINTS: Final = 8
 _LOW_HIGH: Final = (0.01, 0.99)
 
@@ -39,7 +39,7 @@ OBJECT_FEATURES: Final = (
     *("radius_q25", "radius_q50", "radius_q75"),
 )
 SHAPE_FEATURES: Final = OBJECT_FEATURES[3:11]
-"""Sizes alone: what tells objects apart however they lie and wherever."""
+"""Sizes alone, which distinguish objects independently of pose and position."""
 
 _GRASP_FEATURES: Final = (
     *(f"{point}_{axis}" for point in ("g1", "g2", "mid") for axis in "xyz"),
@@ -67,13 +67,13 @@ class ContactScene:
     """One object's points, prepared to describe grasps on it.
 
     Args:
-        xyz: (N, 3) points [m], camera frame; those that are not finite are left out.
+        xyz: (N, 3) points [m], camera frame; points that are not finite are ignored.
 
     Attributes:
         object_features: (len(OBJECT_FEATURES),) float64, lengths in metres.
 
     Raises:
-        CloudError: If fewer than eight points are finite, or all are in one place.
+        CloudError: If fewer than eight points are finite, or all are at one position.
     """
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
@@ -102,11 +102,11 @@ class ContactScene:
 
     @cached_property
     def _tree(self) -> cKDTree:
-        """Of all points; who asks for the object's features alone needs none."""
+        """Of all points; built only when a grasp is described."""
         return cKDTree(self._points)
 
     def describe(self, grasps: Sequence[Grasp]) -> Float64:
-        """(K, len(FEATURES)) float64: one row a grasp; finite for any grasp."""
+        """(K, len(FEATURES)) float64: one row for each grasp; finite for any grasp."""
         rows = [np.concatenate([self.object_features, self._grasp(grasp), *self._contacts(grasp)]) for grasp in grasps]
         return np.array(rows).reshape(len(grasps), len(FEATURES))
 
@@ -149,7 +149,7 @@ class ContactScene:
 
 
 def _slope(near: Float64) -> Float64:
-    """(3,) unit normal of points in the finger's frame, against the way the finger closes; 0 where too few tell one."""
+    """(3,) unit normal of points in the finger's frame, against the closing direction; 0 for too few points."""
     if len(near) < _FEWEST:
         return np.zeros(3)
     _, axes = _principal(near - near.mean(axis=0))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extremely randomised trees as plain arrays: fitted by scikit-learn, stored as tensors, walked by numpy.
+"""Extremely randomised trees as plain arrays: fitted by scikit-learn, stored as tensors, evaluated by numpy.
 
-scikit-learn can save a forest by pickle alone, which no file of ours may hold.
+scikit-learn can save a forest only as a pickle, which the files of this package must not contain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
+from foretouch.models.files import TensorRecord
 from foretouch.types import Float64
 
 __all__ = ["Forest"]
 
-_FIELDS: Final = {
+_DTYPES: Final = {
     "roots": np.int32,
     "feature": np.int16,
     "threshold": np.float64,
@@ -29,16 +30,16 @@ _FIELDS: Final = {
 
 
 @dataclass(frozen=True, eq=False)
-class Forest:
+class Forest(TensorRecord):
     """T trees with N nodes in all, L of them leaves; M outputs in units of their deviation.
 
     Attributes:
-        roots: (T,) int32, nodes where the trees begin.
-        feature: (N,) int16, the column that a node asks for; -1 at a leaf.
+        roots: (T,) int32, root nodes of the trees.
+        feature: (N,) int16, the column that a node compares; -1 at a leaf.
         threshold: (N,) float64; a row goes left where its column is not above.
-        children: (N, 2) int32, left and right; a leaf's are itself.
+        children: (N, 2) int32, left and right; those of a leaf are the leaf.
         leaf: (N,) int32, row of `value` at a leaf, else 0.
-        value: (L, M) float16. Its rounding, 1e-3 of a deviation, is far below what trees can tell.
+        value: (L, M) float16. The rounding, 1e-3 of a deviation, is far below the error of the trees.
     """
 
     roots: npt.NDArray[np.int32]
@@ -66,7 +67,7 @@ class Forest:
             nodes += tree.node_count
             rows += int(is_leaf.sum())
         parts = (np.array(roots), *map(np.concatenate, (features, thresholds, children, leaves, values)))
-        return cls(*(part.astype(kind) for part, kind in zip(parts, _FIELDS.values(), strict=True)))
+        return cls(*(part.astype(kind) for part, kind in zip(parts, _DTYPES.values(), strict=True)))
 
     @property
     def output_size(self) -> int:
@@ -75,42 +76,25 @@ class Forest:
 
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
-        seen = rows.astype(np.float32)
-        who = np.arange(len(rows))[:, None]
+        rounded = rows.astype(np.float32)
+        index = np.arange(len(rows))[:, None]
         node = np.tile(self.roots, (len(rows), 1))
         while True:
             feature = self.feature[node]
             if (feature < 0).all():
                 break
-            right = seen[who, np.maximum(feature, 0)] > self.threshold[node]
+            right = rounded[index, np.maximum(feature, 0)] > self.threshold[node]
             node = self.children[node, right.astype(np.intp)]
         leaf = self.leaf[node]
         return np.array([self.value[one].astype(np.float64).mean(axis=0) for one in leaf]).reshape(
             len(rows), self.output_size
         )
 
-    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
-        """Arrays by name, for a file."""
-        return {name: getattr(self, name) for name in _FIELDS}
-
-    @classmethod
-    def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]]) -> Forest:
-        """From `to_tensors`.
-
-        Raises:
-            ModelError: If an array is missing or of another dtype, or a node leads nowhere or round in a circle.
-        """
-        for name, kind in _FIELDS.items():
-            if name not in tensors:
-                raise ModelError(f"{name}: is missing")
-            if tensors[name].dtype != kind:
-                raise ModelError(f"{name}: dtype {tensors[name].dtype} is not {np.dtype(kind)}")
-        forest = cls(**{name: tensors[name] for name in _FIELDS})
-        forest._check()
-        return forest
-
     def _check(self) -> None:
-        """What is walked without a look must be right: each node leads to later ones, each leaf to a value."""
+        """Dtypes, and that each node leads to later ones and each leaf to a value, since `predict` relies on it."""
+        for name, kind in _DTYPES.items():
+            if getattr(self, name).dtype != kind:
+                raise ModelError(f"{name}: dtype {getattr(self, name).dtype} is not {np.dtype(kind)}")
         count = self.feature.size
         flat = all(one.shape == (count,) for one in (self.feature, self.threshold, self.leaf))
         if not flat or self.children.shape != (count, 2) or self.value.ndim != 2 or self.roots.ndim != 1:
@@ -121,8 +105,8 @@ class Forest:
         inner = self.feature >= 0
         ahead = (self.children[inner] > index[inner]).all() and (self.children < count).all()
         if not ahead or not (self.children[~inner] == index[~inner]).all():
-            raise ModelError("children: a node leads nowhere, or back")
+            raise ModelError("children: a node leads outside the tree, or back")
         if self.leaf.min() < 0 or self.leaf.max() >= len(self.value):
             raise ModelError("leaf: names no value")
         if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
-            raise ModelError("roots, value: a tree begins nowhere, or a value is not finite")
+            raise ModelError("roots, value: a root is no node, or a value is not finite")

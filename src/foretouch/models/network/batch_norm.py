@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A linear map and the batch norm after it as one affine map, found without computing what it maps to.
+"""Batch norm by moments: a linear map and the batch norm after it as one affine map, without computing its outputs.
 
 With z = W x + b over n rows x of mean m and covariance C (of K columns, K small), batch norm in training is::
 
     E[z] = W m + b        Var[z] = diag(W C Wᵀ)        s = γ / sqrt(Var[z] + ε)
     y = s (z - E[z]) + β = W' x + b'       with       W' = diag(s) W,    b' = β - s (W m)
 
-(Ioffe and Szegedy 2015, algorithm 1, with its statistics pushed through the linear map.) So the n rows are read once,
-for m and C, and everything else is matrices of K columns. b cancels: its gradient is zero, not merely small.
+(Ioffe and Szegedy 2015, algorithm 1, with the statistics propagated through the linear map.) The n rows are read once,
+for m and C, and everything else is matrices of K columns. b cancels, so its gradient is exactly zero.
 
 The gradient, for upstream g_W' and g_b'::
 
@@ -18,37 +18,50 @@ The gradient, for upstream g_W' and g_b'::
     g_x = (2/n) (x - m) g_C + g_m / n
 
 The dense part of batch norm's gradient, -mean(g) - x̂ mean(g x̂) in each of the n x F outputs, is the last line: one
-product with a K x K matrix.
+product with a K x K matrix. Functions that control the running statistics of a network follow at the end.
 
 Shapes: B clouds, N points, n = B N rows, K inputs, F outputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-__all__ = ["Total", "batch_affine", "synced_norm", "update_statistics"]
+__all__ = [
+    "Inputs",
+    "Total",
+    "batch_affine",
+    "calibrate",
+    "freeze",
+    "statistics_kept",
+    "synced_norm",
+    "update_statistics",
+]
+
+Inputs: TypeAlias = tuple[Tensor, Tensor | None]
+"""Points (B, N, C) and grasps (B, G) of one batch."""
 
 Total: TypeAlias = Callable[[Tensor], Tensor]
-"""The sum of a tensor over all processes that share the batch out, without a gradient."""
+"""The sum of a tensor over all processes that split the batch, without a gradient."""
 
 
 def batch_affine(
     x: Tensor, linear: nn.Linear, norm: nn.BatchNorm1d, total: Total | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a linear map with batch norm in training; the running statistics move as torch moves them.
+    """Weight and bias of a linear map with batch norm in training; updates the running statistics as torch does.
 
-    Small matrices are computed in float64, sums over rows in the dtype of `x`, about their mean and cloud by cloud.
+    Small matrices are computed in float64; sums over rows in the dtype of `x`, centred, cloud by cloud.
 
     Args:
-        x: (B, N, K) floating. It is not differentiable twice.
+        x: (B, N, K) floating. Second derivatives are not supported.
         linear: K to F.
-        norm: Of F channels, with an affine map of its own.
+        norm: Of F channels, with weight and bias.
         total: Sums over the other processes; none by default.
 
     Returns:
@@ -62,7 +75,7 @@ def batch_affine(
 
 
 def synced_norm(z: Tensor, norm: nn.BatchNorm1d, total: Total) -> Tensor:
-    """Batch norm in training of (B, F) rows, B of them in each process, by the statistics of all processes' rows."""
+    """Batch norm in training of (B, F) rows, B of them in each process, with the statistics of all processes."""
     count = float(total(torch.tensor(float(len(z)), dtype=torch.float64, device=z.device)))
     mean = _all_sum(z.sum(dim=0), total) / count
     centred = z - mean
@@ -73,7 +86,7 @@ def synced_norm(z: Tensor, norm: nn.BatchNorm1d, total: Total) -> Tensor:
 
 @torch.no_grad()
 def update_statistics(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor, count: float) -> None:
-    """Move the running statistics as `torch.nn.BatchNorm1d` does, towards the unbiased variance of `count` rows."""
+    """Update the running statistics as `torch.nn.BatchNorm1d` does, with the unbiased variance of `count` rows."""
     if norm.running_mean is None or norm.running_var is None or norm.num_batches_tracked is None:
         return
     norm.num_batches_tracked.add_(1)
@@ -86,7 +99,7 @@ def _moments(x: Tensor, total: Total | None) -> tuple[Tensor, Tensor, float]:
     """Mean (K,) and covariance (K, K), divided by n, in float64, and n."""
     count = float(x.shape[0] * x.shape[1])
     shift = x.mean(dim=(0, 1))
-    centred = x - shift  # else the covariance would be the small difference of large numbers
+    centred = x - shift  # otherwise the covariance would be the small difference of large numbers
     rest = centred.sum(dim=(0, 1)).double() / count
     spread = torch.bmm(centred.transpose(1, 2), centred).sum(dim=0, dtype=torch.float64) / count
     spread = spread - torch.outer(rest, rest)
@@ -102,7 +115,7 @@ def _moments(x: Tensor, total: Total | None) -> tuple[Tensor, Tensor, float]:
 
 
 class _BatchAffine(torch.autograd.Function):
-    """The two maps of the module's docstring, in its letters."""
+    """The two maps of the module's docstring, with its symbols."""
 
     @staticmethod
     def forward(
@@ -146,7 +159,7 @@ class _BatchAffine(torch.autograd.Function):
         if ctx.needs_input_grad[0]:
             g_covariance = w.T @ (g_variance[:, None] * w)
             g_mean = -(scale * g_b) @ w
-            if ctx.total is not None:  # other processes' rows move these rows' statistics
+            if ctx.total is not None:  # the statistics depend on the rows of other processes too
                 both = ctx.total(torch.cat([g_covariance, g_mean[None]]))
                 g_covariance, g_mean = both[:-1], both[-1]
             turn = g_covariance * (2.0 / ctx.count)
@@ -174,3 +187,49 @@ class _AllSum(torch.autograd.Function):
 def _all_sum(value: Tensor, total: Total) -> Tensor:
     summed: Tensor = _AllSum.apply(value, total)  # type: ignore[no-untyped-call]
     return summed
+
+
+def freeze(net: nn.Module) -> None:
+    """Training mode for all but batch norm, which keeps its statistics: samples of a batch do not influence each other."""
+    net.train()
+    for norm in _norms(net):
+        norm.eval()
+
+
+@torch.no_grad()
+def calibrate(net: nn.Module, batches: Iterable[Inputs]) -> None:
+    """Set the statistics to their plain mean over some batches of clouds and grasps.
+
+    Args:
+        net: Its weights and mode are unchanged.
+        batches: Points (B, N, C) and grasps (B, G) or None, with B of at least 2.
+    """
+    was_training = {module: module.training for module in net.modules()}
+    momenta = {norm: norm.momentum for norm in _norms(net)}
+    for norm in momenta:
+        norm.reset_running_stats()
+        norm.momentum = None  # makes the running statistics a plain mean
+    net.train()
+    for points, grasps in batches:
+        net(points, grasps)
+    for norm, momentum in momenta.items():
+        norm.momentum = momentum
+    for module, mode in was_training.items():
+        module.training = mode
+
+
+@contextmanager
+def statistics_kept(net: nn.Module) -> Iterator[None]:
+    """Context in which batch norm in training mode normalises by the batch but keeps its running statistics."""
+    momenta = {norm: norm.momentum for norm in _norms(net)}
+    for norm in momenta:
+        norm.momentum = 0.0
+    try:
+        yield
+    finally:
+        for norm, momentum in momenta.items():
+            norm.momentum = momentum
+
+
+def _norms(net: nn.Module) -> list[nn.BatchNorm1d]:
+    return [module for module in net.modules() if isinstance(module, nn.BatchNorm1d)]

@@ -1,28 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoints: `<name>.safetensors` and `<name>.json` beside it, checked against each other.
-
-Weights are read with safetensors alone, which holds numbers and no code.
-"""
+"""Files of networks: `<name>.safetensors` and its card `<name>.json`, checked against each other."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save
+from safetensors.torch import load_file
 from torch import Tensor
 
 from foretouch.errors import ConfigError, ModelError
+from foretouch.models.calibration import load_calibration
 from foretouch.models.card import card_text, combined_sha256, new_card, read_card, write_text
-from foretouch.models.files import file_sha256, replace_files
+from foretouch.models.files import packed, read_tensors, replace_files
 from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.folding import fold
 from foretouch.models.network.regressor import TouchNet
+from foretouch.models.novelty import Fallback, LengthRangeCheck
+from foretouch.models.touch_model import TouchModel
 
-__all__ = ["load_network", "save_ensemble", "save_network"]
+__all__ = ["load_ensemble", "load_model", "load_network", "save_ensemble", "save_network"]
 
 
 def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[str, Any]) -> Path:
@@ -32,33 +32,24 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
         folder: Made if absent.
         name: Of the model and of both files.
         net: The network.
-        facts: The rest of the card: `summary`, `data`, `split`, `skill`, `baselines`, `limits`, `familiar`.
-            What is left out is empty; `calibration` is null.
+        facts: `summary`, `data`, `split`, `skill`, `baselines`, `limits`, `familiar` of the card; empty if omitted.
 
     Returns:
         Path of the card.
 
     Raises:
-        FileError: If a file cannot be written, such as on a full disk; those before are kept.
+        FileError: If a file cannot be written; the files before are kept.
     """
     card_path = Path(folder) / f"{name}.json"
     weights = card_path.with_suffix(".safetensors")
-    content: bytes = save({key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()})
-    empty: dict[str, Any] = {
-        "summary": "",
-        "data": {},
-        "split": {},
-        "skill": {},
-        "baselines": {},
-        "limits": [],
-        "familiar": None,
-        "calibration": None,
-    }
+    content, sha256 = packed({key: value.detach().cpu().numpy() for key, value in net.state_dict().items()})
+    empty: dict[str, Any] = {"summary": "", "data": {}, "split": {}, "skill": {}, "baselines": {}, "limits": []}
+    empty |= {"familiar": None, "calibration": None}
     card = new_card(
         name,
         "network",
         weights=weights.name,
-        sha256=hashlib.sha256(content).hexdigest(),
+        sha256=sha256,
         config=net.config.to_mapping(),
         **{**empty, **facts},
     )
@@ -67,83 +58,95 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
 
 
 def save_ensemble(folder: str | Path, name: str, members: Sequence[str | Path], summary: str = "") -> Path:
-    """Write the card of an ensemble of networks, such as one a modality as in the papers.
+    """Write the card of an ensemble of networks, such as one network for each modality as in the papers.
 
     Args:
-        folder: Where the card goes.
+        folder: Of the card, and of the cards of its members.
         name: Of the ensemble.
-        members: Cards of its networks, in the same folder.
+        members: Cards of its networks.
         summary: One line.
 
     Raises:
         ModelError: If a member's card cannot be read.
         FileError: If the card cannot be written.
     """
-    folder = Path(folder)
-    hashes = [read_card(member)["sha256"] for member in members]
-    card = new_card(
-        name,
-        "ensemble",
-        summary=summary,
-        members=[Path(member).name for member in members],
-        sha256=combined_sha256(hashes),
-    )
-    path = folder / f"{name}.json"
+    names, hashes = [Path(member).name for member in members], [read_card(member)["sha256"] for member in members]
+    card = new_card(name, "ensemble", summary=summary, members=names, sha256=combined_sha256(hashes))
+    path = Path(folder) / f"{name}.json"
     write_text(path, card_text(card))
     return path
 
 
-def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
-    """Read a network and its card; every weight is checked before it is used.
-
-    Args:
-        card_path: The card, of kind `network`.
-
-    Returns:
-        The network in evaluation mode, and the card.
+def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
+    """The model of one network, with its calibration.
 
     Raises:
-        ModelError: Names the file and the field: a card of another kind, weights that are absent, damaged,
-            other than the card's hash, of another architecture, or not finite.
+        ModelError: As of `load_network`; if a file of the calibration is damaged, or a modality is not predicted.
+    """
+    calibration, fallback = load_calibration(card_path, card)
+    member, _ = _load_member(card_path)
+    return TouchModel(_estimator(card, [member], fallback), card, calibration)
+
+
+def load_ensemble(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
+    """The model of several networks; it has no calibration.
+
+    Raises:
+        ModelError: As of `load_network`; if a member was replaced, or a modality is not predicted exactly once.
+    """
+    loaded = [_load_member(card_path.with_name(Path(str(member)).name)) for member in card["members"]]
+    found = combined_sha256([sha256 for _, sha256 in loaded])
+    if found != card["sha256"]:
+        raise ModelError(f"{card_path}: sha256: {card['sha256']} is not {found} of its members; one was replaced")
+    return TouchModel(_estimator(card, [member for member, _ in loaded]), card)
+
+
+def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
+    """The network of a card, in evaluation mode with all weights checked, and the card.
+
+    Raises:
+        ModelError: Names the file and the field: a card of another kind, or weights that are absent, damaged, with
+            another hash than the card's, of another architecture, or not finite.
     """
     card_path = Path(card_path)
     card = read_card(card_path)
     if card["kind"] != "network":
         raise ModelError(f"{card_path}: kind: {card['kind']!r} is not network")
-    config = _config(card_path, card)
+    try:
+        config = ModelConfig.from_mapping(card["config"], f"{card_path}: config")
+    except ConfigError as err:
+        raise ModelError(str(err)) from err
     weights = card_path.with_name(Path(card["weights"]).name)
-    if not weights.is_file():
-        raise ModelError(f"{weights}: no such weights; {card_path.name} names them")
-    if (found := file_sha256(weights)) != card["sha256"]:
-        raise ModelError(f"{weights}: sha256: {found} is not {card['sha256']} of {card_path.name}; damaged or replaced")
+    tensors = read_tensors(weights, card["sha256"], card_path.name, load_file)
     with torch.device("meta"):  # shapes alone: no random numbers are drawn for weights that are replaced at once
         net = TouchNet(config)
-    tensors = _read_tensors(weights)
     _check_tensors(weights, net.state_dict(), tensors)
     net.load_state_dict(tensors, assign=True)
     return net.eval(), card
 
 
-def _config(path: Path, card: Mapping[str, Any]) -> ModelConfig:
+def _load_member(card_path: Path) -> tuple[Member, str]:
+    """A folded network and the hash of its weights."""
+    net, card = load_network(card_path)
     try:
-        return ModelConfig.from_mapping(card["config"], f"{path}: config")
-    except ConfigError as err:
-        raise ModelError(str(err)) from err
+        lengths = None if card["familiar"] is None else LengthRangeCheck.from_card(card["familiar"])
+    except ModelError as err:
+        raise ModelError(f"{card_path}: {err}") from err
+    return Member(net.config, fold(net), lengths), card["sha256"]
 
 
-def _read_tensors(path: Path) -> dict[str, Tensor]:
+def _estimator(card: Mapping[str, Any], members: list[Member], fallback: Fallback | None = None) -> NetworkEstimator:
     try:
-        tensors: dict[str, Tensor] = load_file(path)
-    except (SafetensorError, OSError, ValueError) as err:
-        raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
-    return tensors
+        return NetworkEstimator(members, fallback)
+    except ModelError as err:
+        raise ModelError(f"{card['name']}: {err}") from err
 
 
 def _check_tensors(path: Path, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
-    """Names, shapes, dtypes and finiteness, so that the fault is told by field."""
+    """Check names, shapes, dtypes and finiteness, so that an error names the field."""
     for key in sorted(wanted.keys() | found.keys()):
         if key not in found:
-            raise ModelError(f"{path}: {key}: is missing; the card tells of another architecture")
+            raise ModelError(f"{path}: {key}: is missing; the card describes another architecture")
         if key not in wanted:
             raise ModelError(f"{path}: {key}: is not part of the card's architecture")
         if found[key].shape != wanted[key].shape or found[key].dtype != wanted[key].dtype:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One frozen configuration for every network of this package: P1's, P2's and the shared one."""
+"""The architecture and inputs of every network of this package: P1's, P2's and the shared one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.tactile.modalities import MODALITIES, modality_size
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges, modality_size
 
 __all__ = ["GRASP_SIZE", "METRIC_SIZE", "ModelConfig"]
 
@@ -17,35 +16,34 @@ GRASP_SIZE: Final = 15
 """g1, g2 (3 + 3) and R (9), as in P2."""
 
 METRIC_SIZE: Final = 2
-"""Radius of the cloud and width of the grasp [dm], which the unit sphere takes away."""
+"""Radius of the cloud and width of the grasp [dm], which are lost in the unit sphere."""
 
 _CHANNELS: Final = {"xyz": 3, "xyz+rgb": 6, "xyz+normals": 6}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelConfig(Settings):
-    """What a network looks like and what it is fed; the defaults are P2's, with all four modalities at once.
+    """Architecture, inputs and outputs of a network; the defaults are P2's, with all four modalities at once.
 
-    P2 does not say what its six channels are: the public clouds hold x, y, z and colour, so three
-    choices exist. P2 trains one network a modality (`outputs: [PDC_TH]`); with several outputs they
-    share the features and the head.
+    P2 does not specify its six channels; the public clouds hold x, y, z and colour, so three choices exist. P2 trains
+    one network for each modality (`outputs: [PDC_TH]`); several outputs share the features and the head.
 
     Raises:
-        ConfigError: If a setting is out of its bounds, or outputs repeat or are none.
+        ConfigError: If a setting is out of its bounds, or outputs are repeated or empty.
     """
 
-    n_points: int = setting(750, "Points that the network sees: 750 in P2, 500 in P1", minimum=8, maximum=8192)
-    channels: str = setting("xyz", "What each point carries", choices=tuple(_CHANNELS))
-    sampler: str = setting("random", "How the points are chosen", choices=("random", "voxel", "farthest"))
+    n_points: int = setting(750, "Points of a cloud as input: 750 in P2, 500 in P1", minimum=8, maximum=8192)
+    channels: str = setting("xyz", "Values of each point", choices=tuple(_CHANNELS))
+    sampler: str = setting("random", "Method of choosing the points", choices=("random", "voxel", "farthest"))
     sampler_seed: int = setting(0, "Seed of the sampler in prediction", minimum=0)
-    outputs: tuple[str, ...] = setting(MODALITIES, "Modalities that it predicts", choices=MODALITIES)
-    use_grasp: bool = setting(True, "Feed g1, g2 and R to the head, as P2 does and P1 does not")
+    outputs: tuple[str, ...] = setting(MODALITIES, "Modalities to predict", choices=MODALITIES)
+    use_grasp: bool = setting(True, "Use g1, g2 and R as inputs of the head, as in P2 but not in P1")
     metric_inputs: bool = setting(
         False,
-        "Feed the head the radius of the cloud and the width of the grasp as well [dm]: "
-        "a departure from both papers, whose unit sphere hides how large the object is",
+        "Use the radius of the cloud and the width of the grasp as inputs of the head as well [dm]: "
+        "not in the papers, whose unit sphere loses the size of the object",
     )
-    tnet: bool = setting(True, "Turn the points by a learned 3 x 3 matrix first (the T-Net of PointNet)")
+    tnet: bool = setting(True, "Transform the points by a learned 3 x 3 matrix first (the T-Net of PointNet)")
     trunk_widths: tuple[int, ...] = setting((64, 128, 1024), "Shared layers over the points", minimum=1, maximum=8192)
     tnet_widths: tuple[int, ...] = setting(
         (64, 128, 1024, 512, 256), "Layers of the T-Net: three over the points, then two", minimum=1, maximum=8192
@@ -65,7 +63,7 @@ class ModelConfig(Settings):
                 "must hold at least one and exactly five layers"
             )
         if self.metric_inputs and not self.use_grasp:
-            raise ConfigError("ModelConfig.metric_inputs: true needs use_grasp, for the width is the grasp's")
+            raise ConfigError("ModelConfig.metric_inputs: true needs use_grasp, because the width is the grasp's")
 
     @property
     def channel_count(self) -> int:
@@ -79,7 +77,7 @@ class ModelConfig(Settings):
 
     @property
     def grasp_size(self) -> int:
-        """Numbers of a grasp that the head is fed: 0, 15 or 17."""
+        """Grasp inputs of the head: 0, 15 or 17."""
         if not self.use_grasp:
             return 0
         return GRASP_SIZE + (METRIC_SIZE if self.metric_inputs else 0)

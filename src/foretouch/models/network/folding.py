@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trained network as plain matrices: batch norm folded in, features computed once a cloud.
+"""A trained network as plain matrices: batch norm folded in, features computed once for each cloud.
 
 Three rewrites, none of which changes the function:
 
 - Batch norm in evaluation is y = a x + b per channel, so it merges into the linear map before it.
-- The last shared layer takes the maximum over the points before it adds the bias and cuts at zero:
-  both keep order, so the result is the same and 750 x 1024 additions fall away.
-- The first layer of the head splits into the columns for the features, applied once a cloud, and
-  those for the grasp, applied once a grasp.
+- The last shared layer takes the maximum over the points before it adds the bias and applies ReLU:
+  both are monotonic, so the result is the same without 750 x 1024 additions.
+- The first layer of the head splits into the columns for the features, applied once for each cloud, and
+  those for the grasp, applied once for each grasp.
 
-The head runs in blocks of `BLOCK` rows, the last one padded: every matrix product has one size, so a
-prediction is equal to the last bit however many grasps are asked for beside it.
+The head runs in blocks of `BLOCK` rows, the last one padded: all matrix products have the same size, so a
+prediction is equal to the last bit however many grasps are predicted in the same call.
 
 Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 """
@@ -51,13 +51,13 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class FoldedNetwork:
-    """A network ready to predict, of immutable matrices: safe to share between threads.
+    """A network for prediction, of immutable matrices: threads may share it.
 
     Attributes:
         transform: Shared layers, cloud layers and matrix of the T-Net, or None.
         trunk: Shared layers over the points.
-        first: First map of the head, the columns of the features.
-        first_grasp: (width, G) its columns of the grasp; G may be 0.
+        first: First map of the head, columns of the features.
+        first_grasp: (width, G), its columns of the grasp; G may be 0.
         head: The remaining maps; all but the last are followed by a ReLU.
     """
 
@@ -97,7 +97,7 @@ class FoldedNetwork:
 
 
 def fold(net: TouchNet) -> FoldedNetwork:
-    """Fold a trained network; it must not be trained on afterwards, for the copy does not follow.
+    """Fold a trained network; later training of the network does not change the copy.
 
     Args:
         net: In any mode; batch norm is folded with its running statistics, as in evaluation.

@@ -5,8 +5,8 @@
 
 Kernel and stride are equal, so windows do not overlap: each column of the noise becomes 125 points of its own.
 
-What P2 leaves open, and what is chosen here: the channels between the layers (6, as at both ends) and the
-activation between them (ReLU, as usual; without one the three layers would be one linear map).
+P2 does not specify the channels between the layers (here 6, as at both ends) and the activation between them
+(here ReLU; without one the three layers would be one linear map).
 
 Shapes: B clouds, L length of the noise, N points, C channels of the noise and of the cloud.
 """
@@ -35,7 +35,7 @@ _NAMES: Final = {
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratorConfig(Settings):
-    """What a generator looks like; the defaults are P2's.
+    """Architecture of a generator; the defaults are P2's.
 
     Raises:
         ConfigError: If a setting is out of its bounds.
@@ -46,7 +46,7 @@ class GeneratorConfig(Settings):
     widths: tuple[int, ...] = setting(
         (6, 6), "Channels between the layers, one layer more than these; not in P2", minimum=1, maximum=8192
     )
-    stride: int = setting(5, "Kernel and stride of every layer: points made of one", minimum=1, maximum=64)
+    stride: int = setting(5, "Kernel and stride of every layer: points made from one", minimum=1, maximum=64)
     channels: int = setting(6, "Channels of the fake cloud", minimum=3, maximum=6)
 
     @property
@@ -58,19 +58,19 @@ class GeneratorConfig(Settings):
 class CloudGenerator(nn.Module):
     """Noise to fake clouds.
 
-    The fake cloud has six channels in P2, whatever the network looks at. A network of three channels sees the first
-    three; `unused_channels` names the others, which no loss ever moves.
+    The fake cloud has six channels in P2, whatever the inputs of the network. A network of three channels uses the first
+    three; `unused_channels` names the others, which receive no gradient.
 
     Args:
-        config: What it looks like.
-        model: Of the network that is to see the clouds.
+        config: Its architecture.
+        model: Of the network that uses the clouds.
 
     Attributes:
         channel_names: Meaning of each channel of the fake cloud, in order.
-        unused_channels: Those that the network does not see.
+        unused_channels: Those that the network does not use.
 
     Raises:
-        ConfigError: If the network sees more channels than the generator makes.
+        ConfigError: If the network needs more channels than the generator makes.
     """
 
     def __init__(self, config: GeneratorConfig, model: ModelConfig) -> None:
@@ -96,7 +96,7 @@ class CloudGenerator(nn.Module):
 
         Returns:
             (B, N, channels) float32 in [-1, 1], points in rows. Points may lie outside the unit sphere, in
-            the corners of its box, and "normals" are of any length: nothing in P2 forbids either.
+            the corners of its box, and "normals" have any length: P2 excludes neither.
         """
         x = noise
         for k, layer in enumerate(self.layers):
@@ -104,7 +104,7 @@ class CloudGenerator(nn.Module):
         return torch.tanh(x).transpose(1, 2)
 
     def clouds(self, noise: Tensor) -> Tensor:
-        """(B, N, C) fake clouds as the network sees them: without the unused channels."""
+        """(B, N, C) fake clouds as inputs of the network: without the unused channels."""
         fake: Tensor = self(noise)
         return fake[..., : self._seen].contiguous()
 

@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The maximum over the points after an affine map, whose gradient touches the winning points alone.
-
-The last shared layer of a PointNet takes most of its time, 128 to 1024 values at each of 750 points, and all but one
-value a feature is thrown away. So the winners are searched without a graph, in blocks that stay in the cache, and each
-feature is computed once more at its winner, with a graph. Value and gradient are those of the plain way, but for
-rounding; the gradient costs F products a cloud instead of F N.
-
-Shapes: B clouds, N points, K inputs, F features.
-
-PointNet features: one vector for a cloud, whatever the order of its points.
+"""PointNet features: one vector for a cloud, independent of the order of its points.
 
     points (B, N, C) ─ T-Net ─► (B, N, C) ─ shared layers 64, 128, 1024 ─► (B, N, F) ─ max over N ─► (B, F)
 
-After Qi et al. 2017, the network that P1 and P2 build on. Points stand in rows and the shared layers are
+After Qi et al. 2017, the network that P1 and P2 build on. Points are rows and the shared layers are
 plain linear maps, which is the same function as the usual 1-D convolutions of kernel 1 and faster on CPUs.
 In evaluation each batch norm is an affine map that `foretouch.models.network.folding` merges into its layer.
 
-Shapes: B clouds, N points, C channels, F features.
+The last shared layer takes most of the time, 128 to 1024 values at each of 750 points, and the maximum discards all but
+one value of each feature. In training `pooled_affine` therefore searches the winning points without a graph, in blocks
+that fit the cache, and computes each feature once more at its winner, with a graph. Value and gradient equal those of the
+plain computation except for rounding; the gradient costs F products a cloud instead of F N.
+
+Shapes: B clouds, N points, C channels of the cloud, K inputs of a layer, F features.
 """
 
 from __future__ import annotations
@@ -35,12 +31,11 @@ from foretouch.models.network.config import ModelConfig
 
 __all__ = ["InputTransform", "Layer", "PointNetFeatures", "make_layers", "pool", "pooled_affine", "winners"]
 
-
 _BLOCK: Final = 25
-"""Points that are looked at together: the winning block is found first, for a maximum is much faster than its place."""
+"""Points searched together: the winning block is found first, because a maximum is much faster than its index."""
 
 _ENTRIES: Final = {"cpu": 2**20, "cuda": 2**27}
-"""Values held at a time: what a cache holds, or what a GPU's memory may be asked for."""
+"""Values computed at a time: as many as a CPU's cache holds, or as a GPU's memory allows."""
 
 
 def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
@@ -50,14 +45,14 @@ def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtyp
         x: (B, N, K) floating.
         weight: (F, K).
         bias: (F,).
-        precision: Of the search, if lower than that of `x`. What wins by less than its rounding may then lose to a
-            near equal; values and gradients stay those of the point that was taken, in the dtype of `x`.
+        precision: Of the search, if lower than that of `x`. A point that wins by less than the rounding may then lose to
+            a near equal one; values and gradients are those of the selected point, in the dtype of `x`.
     """
     winner = winners(x, weight, precision)
     clouds, size = x.shape[:2]
     rows = (winner + size * torch.arange(clouds, device=x.device)[:, None]).flatten()
     chosen = x.flatten(0, 1).index_select(0, rows).view(clouds, -1, x.shape[2])
-    return torch.relu((chosen * weight).sum(dim=-1) + bias)  # ReLU keeps order, so it may follow the maximum
+    return torch.relu((chosen * weight).sum(dim=-1) + bias)  # ReLU is monotonic, so it may follow the maximum
 
 
 @torch.no_grad()
@@ -84,15 +79,15 @@ def _winners(x: Tensor, across: Tensor) -> Tensor:
     winner = block * _BLOCK + inside.argmax(dim=1)
     if whole == size:
         return winner
-    rest, place = values[:, whole:].max(dim=1)
-    return torch.where(rest > most, whole + place, winner)
+    rest, index = values[:, whole:].max(dim=1)
+    return torch.where(rest > most, whole + index, winner)
 
 
 _ENOUGH_VALUES: Final = 2**19
-"""Values of a layer, rows x outputs, from which moments are quicker than batch norm itself."""
+"""Values of a layer, rows x outputs, from which batch norm by moments is faster than torch's."""
 
 _ENOUGH_ROWS: Final = 32
-"""Rows for each input that a layer must have for the same: the moments' own matrices take inputs² each."""
+"""Rows for each input from which the same holds: the matrices of the moments hold inputs² values each."""
 
 
 class Layer(nn.Module):
@@ -101,9 +96,9 @@ class Layer(nn.Module):
     Shapes: (..., in_width) to (..., out_width).
 
     Attributes:
-        total: Sums over the processes that share a batch out, for the statistics of batch norm; None where there is
-            one process. It is no part of the weights.
-        moments: Whether batch norm in training may be computed by moments; `torch.vmap` cannot follow there.
+        total: Sums over the processes that split a batch, for the statistics of batch norm; None for a single
+            process. It is no part of the weights.
+        moments: Whether batch norm in training may be computed by moments, which `torch.vmap` does not support.
     """
 
     total: Total | None = None
@@ -120,7 +115,7 @@ class Layer(nn.Module):
         return self.norm is None or not self.norm.training
 
     def folded(self) -> tuple[Tensor, Tensor]:
-        """Weight and bias of that map, through which gradients reach all parameters; only where it is `affine`."""
+        """Weight and bias of that map, with gradients to all parameters; only where the layer is `affine`."""
         if self.norm is None:
             return self.linear.weight, self.linear.bias
         mean, variance = self.norm.running_mean, self.norm.running_var
@@ -130,10 +125,10 @@ class Layer(nn.Module):
         return self.linear.weight * scale[:, None], (self.linear.bias - mean) * scale + self.norm.bias
 
     def map_of(self, x: Tensor) -> tuple[Tensor, Tensor] | None:
-        """Weight and bias of the affine map that the layer is for this batch, where finding them is the quick way.
+        """Weight and bias of the layer's affine map for this batch, if computing them is faster than the plain layer.
 
-        With batch norm in training that is `batch_affine`. The plain way is taken where there are few rows, as in the
-        head, or fewer outputs than inputs, or nothing but a prediction is wanted, for which `folding` exists.
+        With batch norm in training that is `batch_affine`. None where there are few rows, as in the head, or fewer
+        outputs than inputs, or for prediction without gradients, for which `folding` exists.
         """
         if self.norm is None or not self.norm.training:
             return self.folded() if self.training or torch.is_grad_enabled() else None
@@ -144,7 +139,7 @@ class Layer(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Apply the layer."""
         found = self.map_of(x)
-        if found is not None:  # spares two passes over the points, and their gradients
+        if found is not None:  # saves two passes over the points, and their gradients
             return torch.relu(functional.linear(x, *found))
         y: Tensor = self.linear(x)
         if self.norm is None:
@@ -162,7 +157,7 @@ def _worth_moments(rows: int, linear: nn.Linear) -> bool:
 
 
 def make_layers(widths: Sequence[int], *, norm: bool = True) -> nn.Sequential:
-    """Layers between consecutive widths; none for a single width."""
+    """Layers between consecutive widths; no layer for a single width."""
     return nn.Sequential(*[Layer(a, b, norm=norm) for a, b in pairwise(widths)])
 
 
@@ -186,9 +181,9 @@ def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.f
 
 
 class InputTransform(nn.Module):
-    """T-Net: a learned 3 x 3 matrix that turns the coordinates of a cloud.
+    """T-Net: a learned 3 x 3 matrix that is applied to the coordinates of a cloud.
 
-    Only x, y, z are turned; colours and normals pass unchanged. It starts as the identity.
+    Only x, y, z are transformed; colours and normals are unchanged. It is initialised to the identity.
 
     Shapes: (B, N, C) to (B, N, C), C at least 3.
 
@@ -208,7 +203,7 @@ class InputTransform(nn.Module):
             self.matrix.bias.copy_(torch.eye(3).flatten())
 
     def forward(self, points: Tensor) -> Tensor:
-        """Turn the points."""
+        """Transform the points."""
         matrix = self.matrix(self.cloud(pool(self.points, points, self.precision))).view(-1, 3, 3)
         return torch.cat([points[..., :3] @ matrix, points[..., 3:]], dim=-1)
 

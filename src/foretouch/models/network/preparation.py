@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a cloud and grasps to what a network is fed: the same code in training and in prediction.
+"""Preparation of clouds and grasps as inputs of a network: the same code in training and in prediction.
 
-The cloud is sampled to a fixed number of points and moved to the unit sphere at its centroid; contacts
-move with it. The rotation of the hand is the same in both frames.
+The cloud is sampled to a fixed number of points and mapped to the unit sphere at its centroid, and the contacts with it.
+The rotation of the hand is the same in both frames.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from foretouch.types import Cloud, Float32, Float64, Grasp
 __all__ = ["MINIMUM_POINTS", "PreparedCloud", "finite_points", "prepare_cloud", "prepare_grasps", "sample_channels"]
 
 MINIMUM_POINTS = 32
-"""Fewer points than this do not show a shape; the sparsest of the public clouds holds 814."""
+"""Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
 
 _DM_PER_M = 10.0
 
@@ -45,7 +45,7 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
     """The points that have a depth, unorganised.
 
     Raises:
-        CloudError: If fewer than `MINIMUM_POINTS` are left, or all are in one place.
+        CloudError: If fewer than `MINIMUM_POINTS` remain, or all are at one position.
         ModelError: If the network needs a colour that the cloud lacks.
     """
     if config.channels == "xyz+rgb" and cloud.rgb is None:
@@ -59,13 +59,13 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
 
 
 def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | None = None) -> PreparedCloud:
-    """Sample a cloud and move it to the unit sphere.
+    """Sample a cloud and map it to the unit sphere.
 
     Args:
-        cloud: In metres, any frame. Points without depth are left out.
+        cloud: In metres, any frame. Points without depth are ignored.
         config: Of the network.
-        rng: Chooses the points; by default a fresh one of `config.sampler_seed`, so that one cloud always
-            gives the same input. Training passes its own and sees other points each time.
+        rng: Chooses the points; by default a new one with `config.sampler_seed`, so that one cloud always
+            gives the same input. Training passes its own, so that other points are chosen each time.
 
     Raises:
         CloudError: As of `finite_points`.
@@ -81,9 +81,9 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | 
 def sample_channels(
     cloud: Cloud, index: npt.NDArray[np.integer], frame: UnitSphereFrame, config: ModelConfig
 ) -> Float32:
-    """(n, C) float32: the chosen points as the network sees them.
+    """(n, C) float32: the chosen points as inputs of the network.
 
-    Colour is scaled to [-1, 1], the span of P2's generator. Normals are of unit length.
+    Colour is scaled to [-1, 1], the range of P2's generator. Normals are of unit length.
 
     Args:
         cloud: (N, 3), finite.
@@ -104,12 +104,12 @@ def sample_channels(
 
 
 def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: ModelConfig) -> Float32:
-    """(K, G) float32: g1, g2 in the unit sphere, R row by row, then radius and width [dm] if asked for.
+    """(K, G) float32: g1, g2 in the unit sphere, R row by row, then radius and width [dm] if configured.
 
     Args:
         grasps: In the cloud's frame.
         frame: Of the cloud.
-        config: Of the network; G is 0 where it feeds no grasp.
+        config: Of the network; G is 0 without grasp inputs.
     """
     count = len(grasps)
     if not config.use_grasp or count == 0:
@@ -126,6 +126,6 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
 
 
 def _normals(xyz: Float32, index: npt.NDArray[np.integer]) -> Float64:
-    """(n, 3) unit normals towards the camera; zero where fewer than three points are near to tell one."""
+    """(n, 3) unit normals towards the camera; zero where fewer than three points are near."""
     normals, _ = normals_and_curvature(xyz, index)
     return np.nan_to_num(normals, nan=0.0)

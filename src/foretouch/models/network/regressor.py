@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network that predicts touch: PointNet features and a head, by configuration.
+"""The network that predicts touch: PointNet features and a head.
 
     cloud ─ PointNet ─► X (1024) ─┐
     g1, g2, R (15) ───────────────┴─► 1039 ─► 1024 ─► 512 ─► 256 ─► 1, 24 or 50
@@ -23,12 +23,12 @@ __all__ = ["TouchNet"]
 class TouchNet(nn.Module):
     """Cloud and grasp to scaled tactile values; `counts` undoes the scaling.
 
-    The scaling is an affine map per output, kept with the weights: value = scaled * target_scale +
+    The scaling is an affine map per output, stored with the weights: value = scaled * target_scale +
     target_mean [counts]. Training sets it, either to the ranges of the papers or to mean and deviation
     of its labels.
 
     Args:
-        config: What it looks like.
+        config: Its architecture.
     """
 
     target_mean: Tensor
@@ -49,7 +49,7 @@ class TouchNet(nn.Module):
 
         Args:
             points: (B, N, C) float32, in the unit sphere.
-            grasp: (B, G) float32, in the frame of the points; None where the configuration feeds no grasp.
+            grasp: (B, G) float32, in the frame of the points; None without grasp inputs.
 
         Returns:
             (B, M) float32, scaled.
@@ -71,7 +71,7 @@ class TouchNet(nn.Module):
         return scaled * self.target_scale + self.target_mean
 
     def to_scaled(self, counts: Tensor) -> Tensor:
-        """Counts (B, M) to scaled: what training compares with."""
+        """Counts (B, M) to scaled, the targets of training."""
         return (counts - self.target_mean) / self.target_scale
 
     def set_scaling(self, mean: Tensor, scale: Tensor) -> None:

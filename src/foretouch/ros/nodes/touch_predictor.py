@@ -188,7 +188,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _feel(self, predictor: Predictor) -> None:
         """Listen to the hand, where the model can make something of it."""
         adapter = make_adapter(self.config.tactile)  # a mistake in its settings is told in any case
-        if predictor.model is None or predictor.model.trust is None:
+        if predictor.model is None or predictor.model.calibration is None:
             return
         self._feeling = predictor.feeling = OnlineAdapter(
             predictor.model,

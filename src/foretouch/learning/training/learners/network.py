@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -21,11 +21,10 @@ from foretouch.learning.training.run_folder import TENSORBOARD_FOLDER, RunFolder
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.contact.checkpoint import add_calibration
-from foretouch.models.familiarity import Familiarity
+from foretouch.models.calibration import add_calibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.estimator import Fallback
+from foretouch.models.novelty import Fallback, LengthRangeCheck
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.tactile.ranges import TactileRanges
 from foretouch.types import TOUCH_SIZE, Float64
@@ -127,6 +126,10 @@ class NetworkLearner(Learner[_N]):
         self._best = _Best(-1, float("inf"), {})
         self._objects = describe_objects(self.samples) if config.calibrates else np.empty((0, 0))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the trained weights, which the processes that fit folds do not use."""
+        return {**self.__dict__, "_net": None, "_best": replace(self._best, weights={})}
+
     @property
     def ranges(self) -> TactileRanges:
         """Ranges of the hand that it learns from."""
@@ -166,7 +169,7 @@ class NetworkLearner(Learner[_N]):
         learned = np.concatenate([self.split.train, self.split.unlabelled])
         best = self._best.epoch if self._best.weights else None
         own = {
-            "familiar": Familiarity.fit(self._prepared.lengths[learned]).to_card(),
+            "familiar": LengthRangeCheck.fit(self._prepared.lengths[learned]).to_card(),
             "training": {**self.config.replace(data=None).to_mapping(), "best_epoch": best},
         }
         card = save_network(folder, name, self._net, {**facts, **own})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`predict` with a tare and with touches: equal to the core's, and mistakes told by name."""
+"""`predict` with a tare and with touches: equal to the model's predictions, and mistakes reported by name."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrated_models import REST, save_calibrated_contact, save_calibrated_network
 from recording_builders import IDENTITY, QUICK, record, write_dataset
-from trust_builders import REST, save_contact_with_trust, save_network_with_trust
 
-from foretouch.cli.leaning import read_tare
+from foretouch.cli.adaptation import read_tare
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.models import load_model
-from foretouch.models.touch_memory import TouchMemory
+from foretouch.models.touch_model import ObjectResiduals
 from foretouch.types import Touch, TouchPrediction
 
 Call = Callable[..., Any]
@@ -29,7 +29,7 @@ Call = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return save_network_with_trust(tmp_path_factory.mktemp("model"))
+    return save_calibrated_network(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="module")
@@ -53,35 +53,35 @@ def flat(one: dict[str, Any], key: str) -> list[float]:
     return [one["PDC_TH"][key], one["PDC_MF"][key], *one["E_TH"][key], *one["E_MF"][key]]
 
 
-def assert_told(one: dict[str, Any], wanted: TouchPrediction) -> None:
+def assert_reported(one: dict[str, Any], wanted: TouchPrediction) -> None:
     for key in ("value", "lower", "upper"):
         np.testing.assert_array_equal(flat(one, key), getattr(wanted, key).vector())
     assert one["reference"] == wanted.reference
 
 
-def test_a_tare_moves_the_prediction_as_the_core_says(call: Call, model: str, session: Path, tmp_path: Path) -> None:
+def test_a_tare_shifts_the_prediction_as_the_model_does(call: Call, model: str, session: Path, tmp_path: Path) -> None:
     (tmp_path / "t.json").write_text(json.dumps([reading(k) for k in (30, 10, 20)]))
     answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
     core, tare = load_model(model), Touch.from_vector(REST + 20)
     with open_samples(session) as samples:
         for told, found in zip(answer.records, samples.records(), strict=True):
             (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
-            assert_told(told["predictions"][0], wanted)
+            assert_reported(told["predictions"][0], wanted)
             assert (wanted.reference, told["touched"]) == ("tare", 0)
 
 
-def test_touches_and_own_tares_move_it_as_the_memory_says(call: Call, model: str, session: Path) -> None:
+def test_touches_and_own_tares_adapt_it_as_residuals_do(call: Call, model: str, session: Path) -> None:
     answer = call("predict", session, "--model", model, "--tare", "sample", "--touched", session, "--json")
     core = load_model(model)
     with open_samples(session) as found:
         samples = [one.sample for one in found.records()]
     for told, sample in zip(answer.records, samples, strict=True):
-        memory = TouchMemory(core, sample.tare)
-        for one in (one for one in samples if one.id != sample.id):  # none leans on its own reading
+        residuals = ObjectResiduals(core, sample.tare)
+        for one in (one for one in samples if one.id != sample.id):  # its own reading is not used
             moved = Touch.from_vector(one.touch.vector() - one.tare.vector() + sample.tare.vector())
-            memory.add(one.cloud, one.grasp, moved)
-        (wanted,) = core.predict(sample.cloud, [sample.grasp], memory=memory)
-        assert_told(told["predictions"][0], wanted)
+            residuals.add(one.cloud, one.grasp, moved)
+        (wanted,) = core.predict(sample.cloud, [sample.grasp], residuals=residuals)
+        assert_reported(told["predictions"][0], wanted)
         assert (wanted.reference, told["touched"]) == ("touches", 4)
 
 
@@ -91,9 +91,9 @@ def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: P
     with RecordingWriter(tmp_path / "one", IDENTITY, QUICK) as writer:
         writer.append(first)
     words = ("predict", tmp_path / "one", "--model", model, "--json")
-    (alone,), (leaning,) = (call(*words, *more).records for more in ((), ("--touched", tmp_path / "one")))
-    assert leaning["predictions"] == alone["predictions"]
-    assert (leaning["touched"], leaning["predictions"][0]["reference"]) == (0, "none")
+    (alone,), (adapted,) = (call(*words, *more).records for more in ((), ("--touched", tmp_path / "one")))
+    assert adapted["predictions"] == alone["predictions"]
+    assert (adapted["touched"], adapted["predictions"][0]["reference"]) == (0, "none")
 
 
 def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str, session: Path) -> None:
@@ -115,7 +115,7 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
     [
         ("{", "is no JSON"),
         ("[]", "no reading"),
-        (json.dumps({"pdc_th": 1}), "it has to hold pdc_th, pdc_mf, e_th, e_mf"),
+        (json.dumps({"pdc_th": 1}), "it must hold pdc_th, pdc_mf, e_th, e_mf"),
         (json.dumps(reading(0) | {"e_mf": [1.0] * 23}), "e_mf: is not 24 numbers"),
         (json.dumps(reading(0) | {"pdc_th": "high"}), "pdc_th: is not numbers"),
         (json.dumps(reading(0) | {"pdc_th": True}), "pdc_th: is not numbers"),
@@ -147,7 +147,7 @@ def test_touches_of_several_objects_or_of_another_are_refused(
     other = write_dataset(tmp_path / "cup", 2, name="cup", points=300)
     both = call("predict", session, "--model", model, "--touched", session, "--touched", other)
     assert (both.status, both.err.count("\n")) == (1, 1)
-    assert "ball, cup: touches of one object are wanted" in both.err
+    assert "ball, cup: touches must be of one object" in both.err
     answer = call("predict", other, "--model", model, "--touched", session, "--json")
     assert answer.status == 1
     assert all("is of cup, the touches are of ball" in told["reason"] for told in answer.records)
@@ -156,12 +156,12 @@ def test_touches_of_several_objects_or_of_another_are_refused(
 def test_a_cloud_has_no_tare_of_its_own(call: Call, model: str, files: Path) -> None:
     answer = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--json")
     assert answer.status == 1
-    assert "holds no tare of its own" in answer.records[0]["reason"]
+    assert "has no recorded tare" in answer.records[0]["reason"]
     mixed = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--tare", "x.json")
-    assert "stands alone" in mixed.err
+    assert "cannot be combined with files" in mixed.err
 
 
-def test_touches_of_one_object_say_nothing_of_two(call: Call, model: str, files: Path, session: Path) -> None:
+def test_touches_of_one_object_are_refused_for_two(call: Call, model: str, files: Path, session: Path) -> None:
     words = ("predict", files / "scene.npz", "--model", model, "--touched", session, "--json")
     assert "the cloud holds 2 objects" in call(*words, "--target", "all").records[0]["reason"]
     (told,) = call(*words, "--target", "nearest").records
@@ -169,7 +169,7 @@ def test_touches_of_one_object_say_nothing_of_two(call: Call, model: str, files:
 
 
 def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: Path) -> None:
-    card = save_contact_with_trust(tmp_path)
+    card = save_calibrated_contact(tmp_path)
     words = ["predict", str(files / "object.pcd"), "--model", card, "--touched", str(session), "--json"]
     code = f"import sys\nfrom foretouch.cli.main import main\nstatus = main({words!r})\nsys.exit(status + 2 * ('torch' in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -178,7 +178,7 @@ def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: 
 
 
 @pytest.mark.real_data
-def test_a_tactile_file_is_a_tare_and_real_touches_are_taken_in(call: Call, model: str, real_data: Path) -> None:
+def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call: Call, model: str, real_data: Path) -> None:
     folder = real_data / "vision2tactile" / "coffee"
     first, second, *_ = sorted(folder.iterdir())
     words = ("predict", first, "--model", model, "--tare", first / "tactile.tac", "--touched", second, "--json")

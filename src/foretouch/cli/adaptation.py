@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `predict` may lean on besides the cloud: a reading without contact, and touches of the same object."""
+"""`predict --tare --touched`: adapt predictions to a reading without contact and to touches of the same object."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from typing import TYPE_CHECKING, Any
 from foretouch.errors import ConfigError, DatasetError, FileError, TactileError
 
 if TYPE_CHECKING:
-    from foretouch.models.touch_memory import TouchMemory
-    from foretouch.models.touch_model import TouchModel
+    from foretouch.models.touch_model import ObjectResiduals, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
-__all__ = ["Leaning", "add_leaning_arguments", "read_tare", "take_in"]
+__all__ = ["Adaptation", "add_adaptation_arguments", "read_adaptation", "read_tare"]
 
 _OWN = "sample"
-_UNKNOWN = "unknown"  # what the recorder calls an object that nobody named
+_UNKNOWN = "unknown"  # the recorder's label of an object without a name
 _FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
 
 
-def add_leaning_arguments(parser: argparse.ArgumentParser) -> None:
+def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
     """--tare and --touched."""
     parser.add_argument(
         "--tare",
@@ -32,30 +31,30 @@ def add_leaning_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="F|sample",
         help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24], a list of such, "
-        "or a vision2tactile tactile.tac; of several the median. `sample`: each sample's own, where the input is a dataset",
+        "or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
     )
     parser.add_argument(
         "--touched",
         action="append",
         default=[],
         metavar="PATH",
-        help="grasps of the same object that were executed and read (a dataset, a training store, vision2tactile folders): "
-        "each labelled one is taken in first, but for the very grasp that is asked about",
+        help="executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
+        "adapt the predictions to all labelled ones, except the sample that is predicted",
     )
 
 
-class Leaning:
-    """What was given, and the predictions that lean on it.
+class Adaptation:
+    """Tare and touches from the command line, and the predictions adapted to them.
 
     Args:
-        model: Whose memory takes the touches in.
+        model: The model to adapt.
         tare: For every prediction; None without.
         own: Whether each sample's own tare is used instead.
         touched: Labelled samples of one object.
 
     Attributes:
         touched: As given.
-        object: Its label; "" if nobody named it.
+        object: Their label; "" if the object has no name.
     """
 
     def __init__(
@@ -66,10 +65,10 @@ class Leaning:
         self._model = model
         self._tare = tare
         self._own = own
-        self._memory = None if own or not touched else self._remember(self.touched, tare)
+        self._residuals = None if own or not touched else self._residuals_of(self.touched, tare)
 
-    def taken_in(self, sample: GraspSample | None) -> Sequence[GraspSample]:
-        """The touches that a prediction for this sample leans on: never its own reading, which it would only repeat."""
+    def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
+        """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
         if sample is None or sample.touch is None:
             return self.touched
         return tuple(one for one in self.touched if not _same(one, sample))
@@ -80,50 +79,50 @@ class Leaning:
         """Predict K grasps on one object.
 
         Raises:
-            DatasetError: If a sample lacks the tare that is asked for, or is of another object than the touches.
-            ModelError: If the model cannot lean on what was given.
+            DatasetError: If a sample lacks the requested tare, or is of another object than the touches.
+            ModelError: If the model cannot use tare or touches.
         """
         if sample is not None and self.object and sample.object not in (self.object, _UNKNOWN):
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
         tare = _own_tare(sample) if self._own else self._tare
-        touched = self.taken_in(sample)
+        touched = self.touches_for(sample)
         if not touched:
             return pipeline.predict(target, grasps, tare=tare)
-        whole = self._memory if len(touched) == len(self.touched) else None
-        return pipeline.predict(target, grasps, memory=whole or self._remember(touched, tare))
+        residuals = self._residuals if len(touched) == len(self.touched) else None
+        return pipeline.predict(target, grasps, residuals=residuals or self._residuals_of(touched, tare))
 
-    def _remember(self, touched: Sequence[GraspSample], tare: Touch | None) -> TouchMemory:
-        """Some touches, as sensors at this tare would have read them."""
-        from foretouch.models.touch_memory import TouchMemory
+    def _residuals_of(self, touched: Sequence[GraspSample], tare: Touch | None) -> ObjectResiduals:
+        """Residuals of some touches, with their readings shifted to this tare."""
+        from foretouch.models.touch_model import ObjectResiduals
         from foretouch.tactile import offsets, restore
 
-        memory = TouchMemory(self._model, tare)
+        residuals = ObjectResiduals(self._model, tare)
         for sample in touched:
             touch, then = sample.touch, _own_tare(sample) if self._own else sample.tare
-            assert touch is not None  # noqa: S101  only labelled samples come here
+            assert touch is not None  # noqa: S101  only labelled samples are passed
             if tare is not None and then is not None:
                 touch = restore(offsets(touch, then), tare)
-            memory.add(sample.cloud, sample.grasp, touch)
-        return memory
+            residuals.add(sample.cloud, sample.grasp, touch)
+        return residuals
 
 
-def take_in(arguments: argparse.Namespace, model: TouchModel) -> Leaning:
-    """Read what --tare and --touched name, and let the memory take in every touch.
+def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
+    """Read the files of --tare and --touched, and compute the residuals of every touch.
 
     Raises:
-        ConfigError: If `sample` and files are both asked for.
+        ConfigError: If `sample` and files are both given.
         FileError: If a file cannot be read or is no tare, or there are no samples.
         DatasetError: If no sample is labelled, or they are of several objects.
-        ModelError: If the model cannot learn from touches.
+        ModelError: If the model cannot adapt to touches.
     """
     own = _OWN in arguments.tare
     if own and len(arguments.tare) > 1:
-        raise ConfigError(f"--tare: {_OWN!r} stands alone: a tare is a sample's own or that of files")
+        raise ConfigError(f"--tare: {_OWN!r} cannot be combined with files")
     touched = _touched_samples(arguments.touched)
     labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
     if len(labels) > 1:
-        raise DatasetError(f"--touched: {', '.join(labels)}: touches of one object are wanted")
-    return Leaning(model, read_tare(arguments.tare) if arguments.tare and not own else None, touched, own=own)
+        raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
+    return Adaptation(model, read_tare(arguments.tare) if arguments.tare and not own else None, touched, own=own)
 
 
 def read_tare(paths: Sequence[str]) -> Touch:
@@ -164,13 +163,13 @@ def _readings(path: Path) -> list[Touch]:
 
 
 def _reading(path: Path, entry: Any) -> Touch:
-    """One reading; whether a working sensor can have given it is asked later."""
+    """One reading; `make_tare` checks later whether a working sensor can give it."""
     import numpy as np
 
     from foretouch.types import ELECTRODES, Touch
 
     if not isinstance(entry, dict) or sorted(entry) != sorted(_FIELDS):
-        raise FileError(path, f"is no reading: it has to hold {', '.join(_FIELDS)} and nothing else")
+        raise FileError(path, f"is no reading: it must hold {', '.join(_FIELDS)} and nothing else")
     values = {}
     for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
         numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
@@ -184,7 +183,7 @@ def _reading(path: Path, entry: Any) -> Touch:
 
 
 def _same(one: GraspSample, other: GraspSample) -> bool:
-    """Whether two samples are one grasp, be it read from different files; ids alone may come back in another session."""
+    """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
     import numpy as np
 
     if one.touch is None or other.touch is None or one.id != other.id:
@@ -194,7 +193,7 @@ def _same(one: GraspSample, other: GraspSample) -> bool:
 
 def _own_tare(sample: GraspSample | None) -> Touch:
     if sample is None or sample.tare is None:
-        raise DatasetError(f"{'cloud' if sample is None else sample.id}: holds no tare of its own")
+        raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
     return sample.tare
 
 

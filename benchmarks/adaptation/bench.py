@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What does it cost the touch predictor to lean on the hand? CPU time, medians, the model alone in the same run.
+"""What does online adaptation cost the touch predictor? CPU time, medians, the model alone in the same run.
 
-python benchmarks/leaning/bench.py [--model default] [--rounds 200] [--points 3000]
+python benchmarks/adaptation/bench.py [--model default] [--rounds 200] [--points 3000]
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ prepare_environment()
 
 from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch  # noqa: E402
 from foretouch.models import load_model  # noqa: E402
-from foretouch.models.touch_memory import TouchMemory  # noqa: E402
-from foretouch.models.touch_model import TouchModel  # noqa: E402
+from foretouch.models.touch_model import ObjectResiduals, TouchModel  # noqa: E402
 from foretouch.pipeline import ASSUMED_TABLE, FoundObject  # noqa: E402
 from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
@@ -53,22 +52,22 @@ print(time.perf_counter() - began)
 
 
 class Hand:
-    """Sends readings straight into the callback, and times it."""
+    """Calls the callback with readings, and times it."""
 
-    def __init__(self, feeling: OnlineAdapter, clock: list[int]) -> None:
-        self.feeling, self.clock = feeling, clock
+    def __init__(self, adapter: OnlineAdapter, clock: list[int]) -> None:
+        self.adapter, self.clock = adapter, clock
         self.times: list[float] = []
         self.buffer = TouchBuffer()
         self._rng = np.random.default_rng(0)
 
-    def feel(self, counts: np.ndarray, readings: int) -> None:
-        """So many readings at 100 Hz."""
+    def send(self, counts: np.ndarray, readings: int) -> None:
+        """This number of readings at 100 Hz."""
         for _ in range(readings):
             noisy = np.round(counts + self._rng.normal(0.0, np.r_[0.3, 0.3, np.full(48, 4.0)])).astype(np.int16)
             fingers = {"TH": np.r_[noisy[0], noisy[2:26]], "MF": np.r_[noisy[1], noisy[26:]]}
             message = biotac_all_to_msg(fingers, "rh", self.clock[0])
             began = time.process_time()
-            self.feeling.take_tactile(message)
+            self.adapter.take_tactile(message)
             self.times.append(time.process_time() - began)
             self.buffer.add(
                 TouchReading(self.clock[0], noisy.astype(np.float32), np.empty(0, np.float32), self.clock[0])
@@ -76,15 +75,15 @@ class Hand:
             self.clock[0] += PERIOD_NS
 
     def execute(self, grasp_id: str) -> Interval:
-        """Rest, close, hold for half a second, open, and tell of it."""
-        self.feel(REST, 100)
+        """Rest, close, hold for half a second, open, and report the executed grasp."""
+        self.send(REST, 100)
         times = {}
         for name, counts, readings in (("start", REST, 10), ("contact", HELD, 50), ("release", REST, 20)):
             times[name] = self.clock[0]
-            self.feel(counts, readings)
+            self.send(counts, readings)
         stamps = {name: stamp_to_msg(stamp) for name, stamp in times.items()}
         header = header_to_msg(FRAME, self.clock[0])
-        self.feeling.take_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
+        self.adapter.take_executed(ExecutedGrasp(header=header, grasp_id=grasp_id, success=True, **stamps))
         return Interval(**times)
 
 
@@ -96,7 +95,7 @@ def spent_ms(work: Callable[[], object]) -> float:
 
 
 def in_turn(baseline: Callable[[], object], work: Callable[[], object], rounds: int) -> tuple[float, float, float]:
-    """Both called in turn: the medians of each and of the difference [ms], which a busy machine moves least."""
+    """Both called alternately: medians of each and of the difference [ms], which is robust on a busy machine."""
     pairs = np.array([(spent_ms(baseline), spent_ms(work)) for _ in range(rounds)])
     alone, whole = np.median(pairs, axis=0)
     return float(alone), float(whole), float(np.median(pairs[:, 1] - pairs[:, 0]))
@@ -118,57 +117,57 @@ def can(points: int) -> Cloud:
 
 
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
-    """By name, medians of the whole and, where the model has a part in it, of what leaning adds to that [ms]."""
+    """By name, medians of the whole and, where the model is called, of what adaptation adds to it [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    feeling = OnlineAdapter(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
-    hand = Hand(feeling, clock)
+    adapter = OnlineAdapter(model, make_adapter(AdapterConfig()), lambda: settings, lambda: clock[0], print)
+    hand = Hand(adapter, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
     (target,) = objects_from_msg(message, ASSUMED_TABLE)
     cloud, asked = target.cloud, grasps[:1]
 
     def ask() -> Sequence[TouchPrediction]:
-        return feeling.predict(cloud, asked)
+        return adapter.predict(cloud, asked)
 
     def ask_model() -> Sequence[TouchPrediction]:
         return model.predict(cloud, asked)
 
-    hand.feel(REST, 300)
+    hand.send(REST, 300)
     alone, *with_tare = in_turn(ask_model, ask, rounds)
-    memory, kept, learned, remembered = None, [], [], []
+    residuals, buffered, matched, added = None, [], [], []
     for grasp in grasps:
-        seen, told = objects_to_msg([target], FRAME, clock[0]), [grasp_to_msg(grasp)]
-        kept.append(spent_ms(partial(feeling.see, seen, FRAME, told)))
+        objects, planned = objects_to_msg([target], FRAME, clock[0]), [grasp_to_msg(grasp)]
+        buffered.append(spent_ms(partial(adapter.see, objects, FRAME, planned)))
         interval = hand.execute(grasp.id)
-        learned.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(feeling.settle)))
+        matched.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(adapter.settle)))
         cut = cut_touch(hand.buffer, interval, settings.pairing)
-        memory = memory or TouchMemory(model, cut.tare)
-        reading = restore(offsets(cut.touch, cut.tare), memory.tare)
-        expect = partial(model.expect, cloud, [grasp], memory.tare)
-        remembered.append((spent_ms(expect), spent_ms(partial(memory.add, cloud, grasp, reading))))
-    require_equal(model.predict(cloud, asked, memory=memory), ask(), feeling)
+        residuals = residuals or ObjectResiduals(model, cut.tare)
+        reading = restore(offsets(cut.touch, cut.tare), residuals.tare)
+        expect = partial(model.expect, cloud, [grasp], residuals.tare)
+        added.append((spent_ms(expect), spent_ms(partial(residuals.add, cloud, grasp, reading))))
+    require_equal(model.predict(cloud, asked, residuals=residuals), ask(), adapter)
     _, *with_touches = in_turn(ask_model, ask, rounds)
     return {
         "model alone": (alone,),
         "with a tare": tuple(with_tare),
         "with touches": tuple(with_touches),
-        "remember a touch": whole_and_rest(remembered),
-        "pair and remember it": whole_and_rest(learned),
-        "keep a cloud": (float(np.median(kept)),),
+        "add a touch": whole_and_rest(added),
+        "match and add it": whole_and_rest(matched),
+        "buffer a cloud": (float(np.median(buffered)),),
         "a tactile message": (1e3 * float(np.median(hand.times)),),
     }
 
 
-def require_equal(core: Sequence[TouchPrediction], mine: Sequence[TouchPrediction], feeling: OnlineAdapter) -> None:
-    """End the program where the predictor's answer is not what the model says with the same touches."""
-    if core[0].value is None or mine[0].value is None or feeling.touches() != TOUCHES:
-        raise SystemExit(f"refused, or {feeling.touches()} of {TOUCHES} touches taken in: {feeling.notes()}")
-    if not np.array_equal(core[0].value.vector(), mine[0].value.vector()):
-        raise SystemExit(f"the answer is not the core's: {feeling.notes()}")
+def require_equal(model: Sequence[TouchPrediction], node: Sequence[TouchPrediction], adapter: OnlineAdapter) -> None:
+    """End the program unless the predictor's prediction equals the model's with the same touches."""
+    if model[0].value is None or node[0].value is None or adapter.touches() != TOUCHES:
+        raise SystemExit(f"refused, or {adapter.touches()} of {TOUCHES} touches used: {adapter.notes()}")
+    if not np.array_equal(model[0].value.vector(), node[0].value.vector()):
+        raise SystemExit(f"the prediction is not the model's: {adapter.notes()}")
 
 
 def main() -> None:
-    """Prove equal answers, then time."""
+    """Prove equal predictions, then time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="default")
     parser.add_argument("--rounds", type=int, default=200)
@@ -177,10 +176,10 @@ def main() -> None:
     model = load_model(arguments.model)
     figures = measure(model, arguments.points, arguments.rounds)
 
-    print(f"{model.name}, {arguments.points} points, one grasp; answers equal the core's. CPU time, median [ms]:")
-    print(f"  {'':20} {'whole':>7} {'leaning':>8}")
+    print(f"{model.name}, {arguments.points} points, one grasp; predictions equal the model's. CPU time, median [ms]:")
+    print(f"  {'':20} {'whole':>10} {'adaptation':>10}")
     for name, costs in figures.items():
-        print(f"  {name:20} {''.join(f'{cost:8.3f}' for cost in costs)}")
+        print(f"  {name:20} {''.join(f'{cost:11.3f}' for cost in costs)}")
     command = [sys.executable, "-c", LOAD.format(arguments.model)]
     loads = [float(subprocess.run(command, capture_output=True, check=True).stdout) for _ in range(5)]
     print(f"load in a fresh process: {np.median(loads):.3f} s (wall, median of 5)")

@@ -19,7 +19,7 @@ def test_the_default_is_first_and_all_load() -> None:
         assert load_model(name).name == name
 
 
-def test_cards_tell_what_they_must() -> None:
+def test_cards_hold_what_they_must() -> None:
     for name in available_models():
         card = load_model(name).card
         assert {"known", "new"} <= set(card["calibration"]["regimes"])
@@ -47,14 +47,14 @@ def test_a_prediction_has_the_size_of_a_touch(can, make_grasps) -> None:
         assert all(1600 < p.value.pdc_mf < 2300 and 2500 < p.value.pdc_th < 3400 for p in predictions)
 
 
-def test_far_from_all_training_data_the_default_gives_the_mean_and_says_so(can, make_grasps) -> None:
+def test_far_from_all_training_data_the_default_gives_the_mean_and_flags_it(can, make_grasps) -> None:
     predictions = load_model().predict(can, make_grasps(3))
     assert all("unfamiliar" in p.flags for p in predictions)
     assert np.ptp([p.value.vector() for p in predictions], axis=0).max() < 1.0
 
 
 @pytest.mark.real_data
-def test_it_knows_what_it_was_trained_on(real_data: Path) -> None:
+def test_it_predicts_its_training_data(real_data: Path) -> None:
     model = load_model()
     samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::5]]
     predictions = [model.predict(sample.cloud, [sample.grasp])[0] for sample in samples]
