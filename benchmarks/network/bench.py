@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import time
-from datasets.abc import Callable
 
 import numpy as np
 import torch
+from datasets.abc import Callable
 from torch import Tensor, nn
 
 from foretouch.learning.data import SPLITS
