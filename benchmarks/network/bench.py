@@ -18,7 +18,7 @@ from foretouch.models.network.pointnet import Layer
 from foretouch.models.network.regressor import TouchNet
 from foretouch.models.registry import available_models, load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 from foretouch.types import Cloud, Grasp
 
 REPEATS = 40

@@ -22,7 +22,7 @@ from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfi
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.generator import GeneratorConfig
-from foretouch.tactile.modalities import columns
+from foretouch.tactile import columns
 
 SLIM = ModelConfig(
     n_points=128,

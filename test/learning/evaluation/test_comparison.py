@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from foretouch.errors import DatasetError
 from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.learning.evaluation.metrics import mean_skill, score
-from foretouch.tactile.modalities import MODALITIES
+from foretouch.tactile import MODALITIES
 
 
 def errors(own, reference=None, counts=None) -> ObjectErrors:

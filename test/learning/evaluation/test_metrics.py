@@ -8,7 +8,7 @@ from sklearn.metrics import r2_score, root_mean_squared_error
 
 from foretouch.errors import DatasetError
 from foretouch.learning.evaluation.metrics import mean_skill, score
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from foretouch.learning.training.calibration import (
     make_calibration,
 )
 from foretouch.models.calibration import Calibration
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 SIZE = 50
 W = np.linspace(100.0, 900.0, SIZE)

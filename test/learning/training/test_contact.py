@@ -21,7 +21,7 @@ from foretouch.learning.training.calibration import rest_level, resting_labels
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import FEATURES, ContactScene
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 
 SAMPLES = make_samples(5, 10)
 RIDGES = (0.01, 0.3, 3.0, 30.0)

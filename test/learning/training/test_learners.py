@@ -22,7 +22,7 @@ from foretouch.models.calibration import add_calibration, load_calibration
 from foretouch.models.card import KINDS, ModelKind, card_text, new_card, write_text
 from foretouch.models.files import packed, read_tensors, replace_files
 from foretouch.models.touch_model import Estimate, TouchModel
-from foretouch.tactile.ranges import P2_RANGES
+from foretouch.tactile import P2_RANGES
 
 FACTS = {"config": {}, "skill": {}, "baselines": {}, "calibration": None}
 

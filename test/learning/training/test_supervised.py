@@ -20,7 +20,7 @@ from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import LengthRangeCheck
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile.modalities import MODALITIES, modality_size
+from foretouch.tactile import MODALITIES, modality_size
 from foretouch.types import Touch
 
 SIZES = [modality_size(name) for name in MODALITIES]

@@ -116,11 +116,7 @@ def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fo
 
 
 def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:
-    """Shuffle the samples and cut them into `folds` parts whose sizes differ by at most one.
-
-    Raises:
-        DatasetError: If there are fewer samples than folds, or fewer than two folds.
-    """
+    """Shuffle the samples and cut them into `folds` parts, at least two, whose sizes differ by at most one."""
     _check(count, folds, "samples")
     return _folds(count, np.array_split(rng.permutation(count), folds), [f"random {k}" for k in range(folds)])
 
@@ -178,11 +174,7 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
 
 
 def object_folds(objects: Sequence[str]) -> list[Fold]:
-    """Leave one object out at a time, or a tenth of the objects where there are more than ten.
-
-    Raises:
-        DatasetError: If there is only one object.
-    """
+    """Leave one object out at a time, or a tenth where there are more than ten; at least two are required."""
     if len(set(objects)) <= _MOST_OBJECT_FOLDS:
         return group_folds(objects)
     return group_folds(objects, _MOST_OBJECT_FOLDS, np.random.default_rng(0))

@@ -16,10 +16,11 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
+from foretouch.dataset.build import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
 
@@ -41,22 +42,6 @@ RATIOS: Final = (10, 30, 50, 70, 90)
 _TEST_PER_OBJECT: Final = 200  # of P2's 1000
 _TEST_SHARE: Final = 0.2
 _VERSION: Final = 1
-
-
-class _Facts(Protocol):
-    """The fields of a sample that splits depend on."""
-
-    @property
-    def id(self) -> str: ...
-
-    @property
-    def object(self) -> str: ...
-
-    @property
-    def stamp_ns(self) -> int: ...
-
-    @property
-    def labelled(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -133,7 +118,7 @@ def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indic
     return np.sort(np.asarray(test, np.intp)), parts
 
 
-def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
+def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     """All splits as the text of `splits.json`.
 
     Args:
@@ -159,10 +144,7 @@ def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """Read the splits of a dataset.
-
-    Args:
-        path: The dataset, or its `splits.json`.
+    """Read the splits of a dataset, or those of a `splits.json`.
 
     Raises:
         FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
@@ -177,11 +159,7 @@ def read_splits(path: str | Path) -> DatasetSplits:
 
 
 def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
-    """Parse the text of a `splits.json`, which `make_splits` makes; `file` is named in errors.
-
-    Raises:
-        FileError: As `read_splits`.
-    """
+    """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
     try:
         content = json.loads(text)
         if content["schema_version"] != _VERSION:
@@ -199,25 +177,25 @@ def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     return DatasetSplits(kinds, omitted)
 
 
-def _random(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _random(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     return _named(labelled, random_folds(len(labelled), FOLDS, rng))
 
 
-def _object(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _object(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     groups = [sample.object for sample in labelled]
     few = len(set(groups)) < FOLDS
     return _named(labelled, group_folds(groups) if few else group_folds(groups, FOLDS, rng))
 
 
-def _time(samples: Sequence[_Facts], _rng: np.random.Generator) -> Iterator[SplitPart]:
+def _time(samples: Sequence[SampleFacts], _rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     groups, stamps = [sample.object for sample in labelled], [sample.stamp_ns for sample in labelled]
     return _named(labelled, time_folds(groups, stamps, FOLDS))
 
 
-def _labels(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _labels(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     never = tuple(sample.id for sample in samples if not sample.labelled)
     test, parts = label_ratios([sample.object for sample in labelled], rng)
@@ -228,19 +206,19 @@ def _labels(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[Spl
 _MAKERS: Final = {"random": _random, "object": _object, "time": _time, "labels": _labels}
 
 
-def _labelled(samples: Sequence[_Facts]) -> list[_Facts]:
+def _labelled(samples: Sequence[SampleFacts]) -> list[SampleFacts]:
     labelled = [sample for sample in samples if sample.labelled]
     if not labelled:
         raise DatasetError("no sample is labelled")
     return labelled
 
 
-def _named(samples: Sequence[_Facts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
+def _named(samples: Sequence[SampleFacts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
     for fold in folds:
         yield SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test))
 
 
-def _ids(samples: Sequence[_Facts], index: Indices) -> tuple[str, ...]:
+def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
     return tuple(samples[int(k)].id for k in index)
 
 

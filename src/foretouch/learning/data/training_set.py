@@ -15,7 +15,7 @@ from foretouch.errors import CloudError, DatasetError, ModelError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
 from foretouch.models.novelty import grasp_lengths
-from foretouch.tactile.validity import check_touch
+from foretouch.tactile import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
 __all__ = ["TrainingSet", "duplicate_labels", "labels_of"]

@@ -37,7 +37,7 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = [
@@ -145,11 +145,7 @@ class Estimate:
 
 
 def skills(errors: ObjectErrors, config: BootstrapConfig | None = None) -> dict[str, Estimate]:
-    """Skill by modality, and `MEAN`.
-
-    Raises:
-        DatasetError: If the training mean is exact for a value, which leaves the skill undefined.
-    """
+    """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     config = config or BootstrapConfig()
     size = len(errors.objects)
     return _estimates(_skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), size, config)

@@ -22,8 +22,7 @@ from foretouch.learning.evaluation.baselines import BASELINES, Baseline, trainin
 from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
 from foretouch.models.registry import find_card, load_model
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = ["MODEL", "cross_validate", "evaluate_model"]
@@ -122,23 +121,14 @@ def evaluate_model(
 
 @dataclass(frozen=True, eq=False)
 class _Predictions:
-    """Predictions of a model for S samples.
+    """Predictions of a model for S samples."""
 
-    Attributes:
-        counts: (S, 50), NaN where it predicts nothing [counts].
-        half_width: (S, 50) of its intervals [counts]; None without intervals.
-        unfamiliar: Number of samples flagged as out of distribution.
-        modalities: The modalities that it predicts.
-        ranges: Ranges of the hand that it was trained on.
-        trained_on: Hashes of its training data.
-    """
-
-    counts: Float64
-    half_width: Float64 | None
-    unfamiliar: int
+    counts: Float64  # (S, 50), NaN for modalities that it does not predict [counts]
+    half_width: Float64 | None  # (S, 50) of its intervals [counts]
+    unfamiliar: int  # samples flagged as out of distribution
     modalities: Sequence[str]
     ranges: TactileRanges
-    trained_on: frozenset[str]
+    trained_on: frozenset[str]  # hashes of its training data
 
 
 def _predict(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:

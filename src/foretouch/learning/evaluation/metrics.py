@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import P2_RANGES, TactileRanges
+from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = ["Score", "mean_skill", "score"]

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from foretouch.errors import DatasetError
 from foretouch.learning.data.folds import Fold, make_folds, object_folds
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [

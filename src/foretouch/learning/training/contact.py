@@ -21,8 +21,7 @@ from foretouch.models.contact.features import OBJECT_FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression, laplacian, standardisation
 from foretouch.models.novelty import SizeNoveltyDetector
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import P2_RANGES, TactileRanges
+from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [

@@ -98,11 +98,7 @@ SINGLE_PROCESS = DistributedContext()
 
 @contextmanager
 def process_group(device: str) -> Iterator[DistributedContext]:
-    """Join the processes that `torchrun` started, for the time of the context; a single process without it.
-
-    Args:
-        device: `cuda`, for which NCCL adds, or another, for which gloo does.
-    """
+    """Join the processes that `torchrun` started, for the time of the context; a single process without it."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield SINGLE_PROCESS
         return
@@ -162,11 +158,7 @@ class TrainingDevice:
 
     @classmethod
     def of(cls, config: DeviceConfig, batch_size: int) -> TrainingDevice:
-        """As configured, with the processes of the default group.
-
-        Args:
-            config: Settings of the training.
-            batch_size: Samples of a step.
+        """The configured device, with the processes of the default group.
 
         Raises:
             ConfigError: If there is no such device, or the processes cannot share a batch evenly.

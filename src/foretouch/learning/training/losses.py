@@ -157,9 +157,6 @@ def discriminator_loss(
         penalty: Result of `gradient_penalty`, if it is used.
         context: The processes that share the batch.
 
-    Returns:
-        Parts `labeled`, `unlabeled`, `fake` and, if given, `penalty`.
-
     Raises:
         DatasetError: If samples are compared in pairs and the batches differ in size.
     """
@@ -183,12 +180,6 @@ def generator_loss(
         unlabeled: (B, F) features of real clouds, detached.
         config: Reading and distance.
         context: The processes that share the batch.
-
-    Returns:
-        Part `generator`.
-
-    Raises:
-        DatasetError: As `discriminator_loss`.
     """
     total = _matching(fake, unlabeled, config, context)
     return Loss(total, {"generator": total})

@@ -40,20 +40,12 @@ _BEST: Final = "best/"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-    """Replace the state on disk by tensors and what JSON can represent; the previous state survives any failure.
-
-    Raises:
-        FileError: If it cannot be written, such as on a full disk.
-    """
+    """Replace the state on disk by tensors and plain data; raises `FileError`, and keeps the previous state, on failure."""
     replace_files({path: save(dict(tensors), {_KEY: json.dumps(plain)})})
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and plain data of `write_state`.
-
-    Raises:
-        FileError: If there is no such file, or it is damaged.
-    """
+    """Tensors and plain data of `write_state`; raises `FileError` if there are none, or they are damaged."""
     try:
         with safe_open(path, framework="pt") as file:
             plain = json.loads(file.metadata()[_KEY])
@@ -68,13 +60,9 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 class RunFolder:
     """The files of one run.
 
-    Args:
+    Attributes:
         path: The folder; made by `open`.
         report: Called with a record of each epoch.
-
-    Attributes:
-        path: As given.
-        report: As given.
         resumed: Whether there is a state to resume from; set once the folder is open.
     """
 
@@ -111,11 +99,7 @@ class RunFolder:
         return False
 
     def keep_log(self, epochs: int) -> None:
-        """Remove the lines after so many epochs: those whose state was not written before a kill.
-
-        Raises:
-            FileError: If the log cannot be read or written.
-        """
+        """Remove the lines after so many epochs: those whose state was not written before a kill."""
         file = self.path / LOG_FILE
         if not file.exists():
             return
@@ -126,11 +110,7 @@ class RunFolder:
         write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
 
     def log(self, record: Mapping[str, Any]) -> None:
-        """Append an epoch's line.
-
-        Raises:
-            FileError: If it cannot be written, such as on a full disk.
-        """
+        """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
         file = self.path / LOG_FILE
         try:
             with file.open("a", encoding="utf-8") as lines:
@@ -139,16 +119,7 @@ class RunFolder:
             raise FileError(file, f"cannot be written: {err.strerror or err}") from err
 
     def store(self, trainer: Trainer, best: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
-        """Replace the state.
-
-        Args:
-            trainer: The trainer whose state to store.
-            best: Weights of the best epoch so far, by name; empty without validation.
-            facts: Plain data about that epoch.
-
-        Raises:
-            FileError: If it cannot be written; the previous state is kept.
-        """
+        """Replace the state by that of a trainer, with weights of and plain data about the best epoch so far."""
         tensors, plain = trainer.snapshot()
         tensors |= {_BEST + name: value for name, value in best.items()}
         write_state(self.path / STATE_FILE, tensors, {**plain, "best": dict(facts)})

@@ -55,7 +55,7 @@ from foretouch.learning.training.trainer import (
 )
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
-from foretouch.tactile.modalities import columns, modality_size
+from foretouch.tactile import columns, modality_size
 
 __all__ = ["SrganConfig", "SrganTrainer"]
 
@@ -104,9 +104,6 @@ class SrganTrainer(Trainer):
         labelled: (T,) samples to learn from with their labels.
         unlabelled: (U,) samples to learn from without labels; labels that they have are not used.
         config: Settings of the training.
-
-    Attributes:
-        generator: The generator.
 
     Raises:
         DatasetError: If there are fewer samples of either kind than one batch.

@@ -33,7 +33,7 @@ from foretouch.learning.training.trainer import (
 )
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.regressor import TouchNet
-from foretouch.tactile.modalities import columns, modality_size
+from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
 
 __all__ = [
@@ -65,9 +65,6 @@ def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) 
         grasp: (B, G), as fed to the head; G may be 0.
         rotations: (B, 3, 3).
         config: The network configuration, which defines the channels.
-
-    Returns:
-        New (B, N, C) and (B, G).
     """
     back = rotations.transpose(1, 2)
     parts = [points[..., :3] @ back, points[..., 3:]]
@@ -114,12 +111,7 @@ class TrainConfig(DeviceConfig):
 
 
 class SupervisedTrainer(Trainer):
-    """Trains on labelled samples alone: the papers' PointNets and our own.
-
-    Args:
-        data: All samples, prepared for the network's configuration.
-        index: (T,) training samples.
-        config: Settings of the training.
+    """Trains on the labelled samples `index` alone: the papers' PointNets and our own.
 
     Attributes:
         sizes: Number of values of each modality.
@@ -173,12 +165,7 @@ class SupervisedTrainer(Trainer):
 
 
 def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:
-    """Train a network.
-
-    Args:
-        data: All samples, prepared for the network's configuration.
-        index: (T,) training samples.
-        config: Settings of the training.
+    """Train a network on the samples `index`.
 
     Returns:
         The network in evaluation mode. The same arguments give the same weights on the same machine.

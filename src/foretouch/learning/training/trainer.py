@@ -32,14 +32,7 @@ OPTIMISERS: Final = tuple(_OPTIMISERS)
 
 @dataclass(frozen=True)
 class OptimiserRule:
-    """Which optimiser, and its learning rate over time.
-
-    Attributes:
-        optimiser: One of `OPTIMISERS`.
-        learning_rate: Largest learning rate.
-        weight_decay: Weight decay.
-        schedule: One of `SCHEDULES`.
-    """
+    """One of `OPTIMISERS`, its largest learning rate, its weight decay, and one of `SCHEDULES`."""
 
     optimiser: str
     learning_rate: float
@@ -48,14 +41,7 @@ class OptimiserRule:
 
 
 class ScheduledOptimiser:
-    """The optimiser of one network with its learning-rate schedule; its state is tensors and plain data.
-
-    Args:
-        module: The network.
-        rule: Optimiser and schedule.
-        steps: Total number of steps; the cosine schedule ends with them.
-        context: The processes that share each batch.
-    """
+    """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
 
     def __init__(
         self, module: nn.Module, rule: OptimiserRule, steps: int, context: DistributedContext = SINGLE_PROCESS
@@ -196,7 +182,7 @@ class Trainer(ABC):
             losses: Scalars by name.
             number: Number of the batch.
             batch: (B,) its samples.
-            rows: (B, ...) values that the losses were computed from, by which the sample is found.
+            rows: (B, ...) values that the losses were computed from, which locate the sample.
 
         Raises:
             DatasetError: Names loss, epoch, batch and the first sample that is not finite, or else the most extreme.

@@ -16,7 +16,7 @@ from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.learning.training.learners.learner import CardCalibration, Learner, RunConfig, register
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.contact.checkpoint import save_contact
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import TactileRanges
 from foretouch.types import Float64
 
 __all__ = ["ContactLearner", "ContactRun"]

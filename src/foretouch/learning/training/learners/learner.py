@@ -20,8 +20,7 @@ from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.calibration import Calibration
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
-from foretouch.tactile.modalities import MODALITIES
-from foretouch.tactile.ranges import P2_RANGES, TactileRanges
+from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges
 from foretouch.types import Float64
 
 __all__ = ["LEARNERS", "CardCalibration", "Learner", "RunConfig", "register"]
@@ -120,14 +119,9 @@ class Learner(ABC, Generic[_C]):
 
     Indices count the labelled training samples, so that folds of them can be held out.
 
-    Args:
-        config: Settings of the run, of type `config_type`.
-        data: The dataset.
-        split: Its partition into training, validation and test samples.
-
     Attributes:
-        config: As given.
-        split: As given.
+        config: Settings of the run, of type `config_type`.
+        split: Partition of the dataset into training, validation and test samples.
         samples: The labelled training samples.
         labels: (S, 50) their labels [counts].
         epochs: Number of epochs of the last `fit`; 0 for a method without epochs.
@@ -170,19 +164,11 @@ class Learner(ABC, Generic[_C]):
     def save(
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
     ) -> Path:
-        """Write weights, card and calibration of the last `fit`; returns the path of the card.
-
-        Raises:
-            FileError: If a file cannot be written, such as on a full disk; the previous files are kept.
-        """
+        """Write weights, card and calibration of the last `fit`; returns the path of the card."""
 
     @staticmethod
     def load(card: Path) -> TouchModel:
-        """Read back what `save` wrote.
-
-        Raises:
-            ModelError: If it is damaged, or predicts only some of the modalities.
-        """
+        """Read back what `save` wrote, if it predicts all modalities."""
         return load_model(card)
 
     def predict_fold(self, fold: Fold) -> Float64:

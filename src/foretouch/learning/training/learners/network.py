@@ -25,8 +25,7 @@ from foretouch.models.calibration import add_calibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.novelty import Fallback, LengthRangeCheck
-from foretouch.tactile.modalities import MODALITIES, columns
-from foretouch.tactile.ranges import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 __all__ = ["NetworkLearner", "NetworkRun", "SrganLearner", "SrganRun", "SupervisedLearner", "SupervisedRun"]
