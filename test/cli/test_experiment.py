@@ -27,7 +27,7 @@ def test_a_program_gets_a_line_a_cell_and_the_summary(call, tmp_path, numbers) -
     assert (summary["cells"], summary["reused"], summary["rows"], summary["failed"]) == (3, 0, 6, {})
     refused = call(*words)
     assert refused.status == 1
-    assert "--resume goes on" in refused.err
+    assert "--resume continues" in refused.err
     (again,) = call(*words, "--resume").records
     assert again["reused"] == 3
 
@@ -37,7 +37,7 @@ def test_a_person_gets_the_table(call, tmp_path, numbers) -> None:
     assert answer.status == 0, answer.err
     assert "How far can one count?" in answer.out
     assert "counted" in answer.out
-    assert "2 cells (0 from before)" in answer.out
+    assert "2 cells (0 reused)" in answer.out
 
 
 def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
@@ -54,8 +54,8 @@ def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch)
     out = ["-o", tmp_path / "out"]
     assert "'phrenology' is none of cross_validation" in call("experiment", "phrenology", *out).err
     assert "No module named" in call("experiment", "no.such", *out).err
-    assert "holds no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
-    assert "-o DIR is needed" in call("experiment", OWN).err
+    assert "contains no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
+    assert "-o DIR is required" in call("experiment", OWN).err
     assert "no data; give --data PATH or set FORETOUCH_DATA" in call("experiment", "cross_validation", *out).err
     assert "seed: unknown setting" in call("experiment", "cross_validation", *out, "seed=1").err
     answer = call("experiment", "noise_ceiling", *out, "--data", tmp_path)
@@ -75,14 +75,27 @@ def test_a_folder_of_another_experiment_is_not_redrawn(call, tmp_path, numbers) 
     assert answer.status == 1
     assert answer.err.endswith("manifest.json: experiment: 'counting' is not 'coverage'\n")
     (out / "results.csv").write_text("")
-    assert "holds no row" in call("experiment", OWN, "-o", out, "--redraw").err
+    assert "contains no row" in call("experiment", OWN, "-o", out, "--redraw").err
     (out / "results.csv").unlink()
     assert call("experiment", OWN, "-o", out, "--redraw").err.endswith("results.csv: No such file or directory\n")
 
 
 def test_list_names_all(call) -> None:
     names = [record["name"] for record in call("experiment", "list", "--json").records]
-    assert {"cross_validation", "time_blocked", "cross_type", "unseen_object"} <= set(names)
+    assert names == [
+        "cross_validation",
+        "time_blocked",
+        "cross_type",
+        "unseen_object",
+        "noise_ceiling",
+        "lookalikes",
+        "sim_to_real",
+        "coverage",
+        "ablation",
+        "learning_curve",
+        "label_ratio",
+        "label_ratio_tuning",
+    ]
 
 
 @pytest.mark.parametrize("name", ["cross_validation", "time_blocked", "cross_type", "unseen_object"])

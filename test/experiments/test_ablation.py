@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts put together again are the model that ships, and what is taken out is really out."""
+"""The combined components equal the released model, and variants differ from it in what they leave out."""
 
 from pathlib import Path
 
@@ -9,13 +9,11 @@ from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.ablation.parts import DESCRIPTIONS, FULL, Assembled, assemble
-from foretouch.experiments.ablation.table import NOTHING, ablation_rows, ablation_tables
-from foretouch.experiments.framework.figures import draw_figures
-from foretouch.learning.data.training_set import labels_of
+from foretouch.experiments.ablation.results import NOTHING, ablation_rows, ablation_tables
+from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVariant, fit_variants
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
-from foretouch.learning.training.contact import describe_samples
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)
@@ -28,26 +26,26 @@ def sides() -> tuple[list, list]:
 
 
 @pytest.fixture(scope="module")
-def models(sides) -> dict[str, Assembled]:
-    return assemble(*sides, FEW_TREES, calibrated=True)
+def models(sides) -> dict[str, ModelVariant]:
+    return fit_variants(*sides, FEW_TREES, calibrated=True)
 
 
 @pytest.fixture(scope="module")
-def shipped(sides) -> ContactPredictor:
+def released(sides) -> ContactPredictor:
     return ContactPredictor(sides[0], labels_of(sides[0]), FEW_TREES)
 
 
 @pytest.mark.parametrize("tare", [False, True])
 @pytest.mark.parametrize("touched", [NONE, TOUCHED])
-def test_the_whole_is_what_ships(models, shipped, sides, tare: bool, touched: np.ndarray) -> None:
+def test_the_full_model_is_the_released_one(models, released, sides, tare: bool, touched: np.ndarray) -> None:
     held = sides[1]
-    expected = shipped.predict_after([held[k] for k in touched], held[3:], tare=tare)
+    expected = released.predict_after([held[k] for k in touched], held[3:], tare=tare)
     np.testing.assert_allclose(models[FULL].predict(ASKED, touched, tare=tare), expected, atol=1e-9)
 
 
-def test_blends(models, shipped, sides) -> None:
+def test_combinations(models, released, sides) -> None:
     """The kernel by itself, and half of each as the mean of both."""
-    estimator = shipped.estimator
+    estimator = released.estimator
     kernel = estimator.kernel.predict(describe_samples(sides[1])) * estimator.deviation + estimator.mean
     np.testing.assert_allclose(models["kernel alone"].expected, kernel)
     half = (models["forests alone"].expected + models["kernel alone"].expected) / 2.0
@@ -55,17 +53,17 @@ def test_blends(models, shipped, sides) -> None:
     assert np.abs(models["joint forest only"].expected - models[FULL].expected).max() > 1e-3
 
 
-def test_what_only_matters_after_touches(models) -> None:
+def test_variants_that_differ_only_after_touches(models) -> None:
     for name in ("no worth", "diagonal B"):
         np.testing.assert_array_equal(models[name].expected, models[FULL].expected)
         after = models[name].predict(ASKED, TOUCHED, tare=False)
         assert np.abs(after - models[FULL].predict(ASKED, TOUCHED, tare=False)).max() > 1e-3
-    between = models["diagonal B"].trust.regimes["new"].between
-    np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].trust.regimes["new"].between)))
+    between = models["diagonal B"].calibration.regimes["new"].between
+    np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.regimes["new"].between)))
 
 
-def test_descriptions_begin_with_the_object(sides) -> None:
-    rows = {name: describe(sides[1]) for name, describe in DESCRIPTIONS.items()}
+def test_feature_sets_begin_with_the_object(sides) -> None:
+    rows = {name: describe(sides[1]) for name, describe in FEATURE_SETS.items()}
     objects = rows[FULL][:, : len(OBJECT_FEATURES)]
     for one in rows.values():
         np.testing.assert_array_equal(one[:, : len(OBJECT_FEATURES)], objects)
@@ -77,7 +75,7 @@ def _row(table: str, name: str, who: str, squared: float) -> dict:
     return {"table": table, "part": "0", "seed": 0, "predictor": name, "object": who, "count": 5, **errors}
 
 
-def test_differences_are_told_against_the_whole_or_against_nothing(tmp_path: Path) -> None:
+def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Path) -> None:
     objects = [f"o{k}" for k in range(8)]
     rows = [_row("parts", FULL, one, 5.0) for one in objects] + [_row("parts", "less", one, 6.0) for one in objects]
     rows += [_row("lean", NOTHING, one, 8.0) for one in objects] + [_row("lean", "tare", one, 4.0) for one in objects]
@@ -86,16 +84,16 @@ def test_differences_are_told_against_the_whole_or_against_nothing(tmp_path: Pat
     assert by_name["parts", "less"]["vs_full"] == pytest.approx(-0.1)
     assert by_name["parts", "less"]["vs_full_verdict"] == "worse"
     assert by_name["lean", "tare"]["vs_nothing"] == pytest.approx(0.4)
-    told = ablation_tables(table)
-    assert [one.title.rpartition(" ")[2] for one in told] == ["`full`", "`nothing`"]
-    assert told[0].rows[1][1].startswith("0.400 (-0.100 ▼")
-    (figure,) = draw_figures("ablation", table, tmp_path)
+    tables = ablation_tables(table)
+    assert [one.title.rpartition(" ")[2] for one in tables] == ["`full`", "`nothing`"]
+    assert tables[0].rows[1][1].startswith("0.400 (-0.100 ▼")
+    (figure,) = find_experiment("ablation").draw(table, tmp_path)
     assert figure.stat().st_size > 5000
 
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("ablation")
     settings = experiment.resolve("smoke", {"samples": 10, "contact.trees": 2})
     result = run_sweep(experiment, settings, tmp_path / "out", source=real_data / "vision2tactile")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage is counted as the shipped intervals tell it, on objects that neither fit nor calibration has seen."""
+"""Coverage is that of the released intervals, on objects that are neither fitted to nor calibrated on."""
 
 from pathlib import Path
 
@@ -10,20 +10,19 @@ from experiment_samples import make_samples
 
 from foretouch.errors import DatasetError
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.coverage.experiment import coverage_rows
-from foretouch.experiments.coverage.table import coverage_table, coverage_tables, wilson_interval
-from foretouch.experiments.framework.figures import draw_figures
-from foretouch.experiments.shared.divisions import by_object, divide_objects
-from foretouch.experiments.unseen_object.experiment import UnseenObjectSettings
-from foretouch.learning.data.training_set import labels_of
+from foretouch.experiments.coverage import coverage_rows
+from foretouch.experiments.coverage.results import coverage_table, coverage_tables, wilson_interval
+from foretouch.experiments.shared.folds import by_object, split_objects
+from foretouch.experiments.unseen_object import UnseenObjectSettings
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor
 
 FEW_DRAWS = BootstrapConfig(draws=200)
 
 
 def test_coverage_and_width_are_counted_value_by_value() -> None:
-    train, test = divide_objects(with_tares(make_samples(6, 8), 30.0), 5, seed=0)
+    train, test = split_objects(with_tares(make_samples(6, 8), 30.0), 5, seed=0)
     fitted = ContactPredictor(train, labels_of(train), FEW_TREES)
     (held,) = by_object(test)
     counts, half = fitted.intervals_after([], held, tare=True)
@@ -38,15 +37,15 @@ def test_coverage_and_width_are_counted_value_by_value() -> None:
     assert all(after <= before for after, before in zip(three["width"], none["width"], strict=True))
 
 
-def test_divisions_keep_objects_whole() -> None:
+def test_splits_keep_objects_whole() -> None:
     samples = make_samples(6, 3)
-    train, test = divide_objects(samples, 4, seed=1)
+    train, test = split_objects(samples, 4, seed=1)
     assert {s.object for s in train}.isdisjoint({s.object for s in test})
     assert len(train) == 12
-    assert [s.id for s in divide_objects(samples, 4, seed=1)[1]] == [s.id for s in test]
-    assert [s.id for s in divide_objects(samples, 4, seed=2)[1]] != [s.id for s in test]
+    assert [s.id for s in split_objects(samples, 4, seed=1)[1]] == [s.id for s in test]
+    assert [s.id for s in split_objects(samples, 4, seed=2)[1]] != [s.id for s in test]
     with pytest.raises(DatasetError, match="leave none to test on"):
-        divide_objects(samples, 6, seed=0)
+        split_objects(samples, 6, seed=0)
 
 
 def _row(ground: str, part: str, name: str, share: float, touches: int = 0) -> dict:
@@ -63,21 +62,21 @@ def _row(ground: str, part: str, name: str, share: float, touches: int = 0) -> d
     }
 
 
-def test_objects_weigh_the_same_however_often_they_were_met() -> None:
+def test_objects_have_equal_weight_however_often_they_were_tested() -> None:
     rows = [_row("simulated", "0", "a", 1.0), _row("simulated", "1", "a", 0.8), _row("simulated", "1", "b", 0.5)]
     table = coverage_table(rows, FEW_DRAWS)
     together = next(row for row in table if row["object"] == "all")
     assert together["coverage"] == pytest.approx((0.9 + 0.5) / 2.0)
-    assert together["low"] is None  # two objects tell no interval
-    assert together["grasps"] == 20  # both divisions met the same ten grasps of a
+    assert together["low"] is None  # no interval from two objects
+    assert together["grasps"] == 20  # both splits tested the same ten grasps of a
 
 
-def test_blocks_of_time_meet_other_grasps_each() -> None:
+def test_each_block_of_time_has_other_grasps() -> None:
     table = coverage_table([_row("time blocks", str(k), "a", 0.9) for k in range(5)], FEW_DRAWS)
     assert {row["grasps"] for row in table} == {50}
 
 
-def test_what_misses_the_aim_is_marked() -> None:
+def test_means_outside_the_accepted_range_are_marked() -> None:
     rows = [_row("left out", "", f"o{k}", 0.6 + 0.02 * k, touches) for k in range(8) for touches in (0, 1)]
     table, each = coverage_tables(coverage_table(rows, FEW_DRAWS))
     assert all("☒" in cell for row in table.rows for cell in row[1:])
@@ -93,7 +92,7 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("coverage")
     few = {"samples": 20, "learned": 15, "contact.trees": 2}
     source = real_data / "vision2tactile"
@@ -101,5 +100,5 @@ def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch)
     assert result.failures == {}
     assert {row["objects"] for row in result.rows if row["object"] == "all"} == {5}
     assert {row["tare"] for row in result.rows} == {False, True}
-    (figure,) = draw_figures("coverage", result.rows, tmp_path)
+    (figure,) = experiment.draw(result.rows, tmp_path)
     assert figure.stat().st_size > 5000

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of experiments draw what the table says, and hide nothing that lies outside of the panel."""
+"""Figures of experiments draw the values of the table, and mark values outside of the panel."""
 
 import pytest
 from matplotlib.figure import Figure
 
-from foretouch.experiments.cross_type.figure import draw_errors
-from foretouch.experiments.framework.figures import FIGURES, draw_figures
-from foretouch.experiments.shared.skill_figure import LEAST_SKILL, draw_skills
-from foretouch.experiments.unseen_object.figure import draw_course
+from foretouch.experiments import find_experiment, list_experiments
+from foretouch.experiments.cross_type import draw_errors
+from foretouch.experiments.shared.skill import LOWEST_SKILL, draw_skills
+from foretouch.experiments.unseen_object import draw_over_touches
 
 
 @pytest.fixture
@@ -30,9 +30,9 @@ def test_skill_and_interval(axes) -> None:
     assert ([-0.2], [0.0]) in lines(axes)
 
 
-def test_a_skill_out_of_the_panel_is_told_at_its_edge(axes) -> None:
+def test_a_skill_out_of_the_panel_is_marked_at_its_edge(axes) -> None:
     draw_skills(axes, [{"predictor": "a", "skill": -7.25, "skill_low": -9.0, "skill_high": -3.0}], ["a"])
-    assert ([LEAST_SKILL], [0.0]) in lines(axes)
+    assert ([LOWEST_SKILL], [0.0]) in lines(axes)
     assert [text.get_text().strip() for text in axes.texts] == ["-7.2"]
 
 
@@ -41,7 +41,7 @@ def test_course_over_touches(axes) -> None:
         {"object": "cup", "touches": touches, "skill": skill, "skill_low": None, "skill_high": None}
         for touches, skill in ((10, 0.5), (0, -0.1), (3, 0.2))
     ]
-    draw_course(axes, rows, "object", ["cup"])
+    draw_over_touches(axes, rows, "object", ["cup"])
     assert ([0.0, 1.0, 2.0], [-0.1, 0.2, 0.5]) in lines(axes)
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "3", "10"]
 
@@ -57,17 +57,17 @@ def test_published_errors_stand_beside_ours(axes) -> None:
     assert axes.get_ylim()[0] == 0.0
 
 
-def test_someone_s_own_experiment_has_no_figure(tmp_path) -> None:
-    assert draw_figures("counting", [{"number": 1}], tmp_path) == []
-    assert {"cross_validation", "time_blocked", "cross_type", "unseen_object"} <= set(FIGURES)
+def test_an_experiment_may_have_no_figure(tmp_path) -> None:
+    assert find_experiment("own_experiments.counting").draw([{"number": 1}], tmp_path) == []
+    assert [one.name for one in list_experiments() if one.figure is None] == ["label_ratio_tuning"]
 
 
-def test_a_course_out_of_the_panel_is_told_at_its_edge(axes) -> None:
+def test_a_course_out_of_the_panel_is_marked_at_its_edge(axes) -> None:
     rows = [
         {"object": "cup", "touches": touches, "skill": skill, "skill_low": None, "skill_high": None}
         for touches, skill in ((0, -3.0), (1, -2.0), (3, 0.2))
     ]
-    draw_course(axes, rows, "object", ["cup"], -0.5)
+    draw_over_touches(axes, rows, "object", ["cup"], -0.5)
     assert [line for line in lines(axes) if len(line[0]) == 1] == [([0.0], [-0.5]), ([1.0], [-0.5])]
     assert axes.get_ylim() == (-0.5, 1.0)
 

@@ -10,12 +10,12 @@ import pytest
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments import Cell, find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
-from foretouch.experiments.label_ratio.data import RatioDataSettings, load_frozen, sides
+from foretouch.experiments.label_ratio.data import RatioDataSettings, load_frozen, split_at
 from foretouch.experiments.label_ratio.training import MODELS, TRIALS
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.learning.data.splits import RATIOS
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "config" / "scenes" / "deformables.yaml"
 TINY: dict[str, Any] = {
     "updates": 8,
@@ -45,19 +45,19 @@ def test_the_scene_is_the_frozen_one(store: Path) -> None:
 
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_no_test_sample_is_trained_on_or_chosen_by(data: SimulatedGrasps, ratio: int) -> None:
-    final, tuned = sides(data.collection, ratio), sides(data.collection, ratio, held=0.25, seed=3)
-    test = set(final.judged.tolist())
+    final, tuned = split_at(data.collection, ratio), split_at(data.collection, ratio, held_out=0.25, seed=3)
+    test = set(final.test.tolist())
     assert len(test) == 16
-    for index in (final.train, final.unlabelled, tuned.train, tuned.unlabelled, tuned.judged):
+    for index in (final.train, final.unlabelled, tuned.train, tuned.unlabelled, tuned.test):
         assert test.isdisjoint(index.tolist())
-    # Only labels that the ratio leaves are held back, and those are not trained on.
-    assert sorted([*tuned.train, *tuned.judged]) == sorted(final.train)
+    # Only labels that the ratio leaves are held out, and those are not trained on.
+    assert sorted([*tuned.train, *tuned.test]) == sorted(final.train)
     assert len(final.unlabelled) == round(64 * ratio / 100)
 
 
-def test_nobody_held_back_is_refused(data: SimulatedGrasps) -> None:
+def test_an_empty_held_out_set_is_refused(data: SimulatedGrasps) -> None:
     with pytest.raises(DatasetError, match=r"held: 0.01 of 6 samples is none"):
-        sides(data.collection, 90, held=0.01)
+        split_at(data.collection, 90, held_out=0.01)
 
 
 def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -> None:

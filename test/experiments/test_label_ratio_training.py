@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.experiments.label_ratio.data import StockedSet
+from foretouch.experiments.label_ratio.data import PresampledSet
 from foretouch.experiments.label_ratio.training import PointnetTrainer, configured
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.models.network.config import ModelConfig
@@ -22,10 +22,10 @@ BASE = SrganConfig(
 
 
 @pytest.fixture
-def stocked() -> StockedSet:
+def presampled() -> PresampledSet:
     rng = np.random.default_rng(0)
     clouds = rng.uniform(-1.0, 1.0, (24, POINTS, 3)).astype(np.float32)
-    return StockedSet(
+    return PresampledSet(
         clouds=tuple(clouds),
         stock=clouds,
         grasps=rng.normal(size=(24, 15)).astype(np.float32),
@@ -36,13 +36,13 @@ def stocked() -> StockedSet:
     )
 
 
-def test_the_pointnet_is_the_srgan_without_unsupervised_weights(stocked: StockedSet) -> None:
+def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: PresampledSet) -> None:
     """One batch of all points of all labelled samples, so that neither order nor choice makes a difference."""
     config = configured(BASE, "pointnet", "rate 0.003", 8, updates=5, seed=1)
     assert config.loss.weight_unlabeled == config.loss.weight_fake == config.loss.gradient_penalty == 0.0
     nets = []
     for kind in (PointnetTrainer, SrganTrainer):
-        trainer = kind(stocked, np.arange(8), np.arange(8, 24), config)
+        trainer = kind(presampled, np.arange(8), np.arange(8, 24), config)
         while trainer.epoch < trainer.epochs:
             trainer.run_epoch()
         assert trainer.epoch == 5
@@ -51,9 +51,9 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(stocked: Stocked
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5)
 
 
-def test_both_models_begin_with_the_same_network(stocked: StockedSet) -> None:
+def test_both_models_begin_with_the_same_network(presampled: PresampledSet) -> None:
     nets = [
-        kind(stocked, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
+        kind(presampled, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
         for kind, model, trial in (
             (PointnetTrainer, "pointnet", "rate 0.003"),
             (SrganTrainer, "srgan", "0.3/1/1"),
@@ -75,8 +75,8 @@ def test_an_unknown_trial_is_refused() -> None:
         configured(BASE, "pointnet", "faster", 8, 1, seed=0)
 
 
-def test_points_are_those_of_the_cloud_each_once(stocked: StockedSet) -> None:
-    long = replace(stocked, stock=np.arange(2 * 40 * 3, dtype=np.float32).reshape(2, 40, 3))
+def test_points_are_those_of_the_cloud_each_once(presampled: PresampledSet) -> None:
+    long = replace(presampled, stock=np.arange(2 * 40 * 3, dtype=np.float32).reshape(2, 40, 3))
     rng = np.random.default_rng(0)
     drawn = [long.points(np.array([1, 0, 1]), rng, 30) for _ in range(3)]
     for cloud, index in zip(np.concatenate(drawn), [1, 0, 1] * 3, strict=True):

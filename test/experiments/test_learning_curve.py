@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smaller draws are part of larger ones, and every size is measured by one yardstick."""
+"""Smaller draws are part of larger ones, and every size is compared with the same mean."""
 
 from pathlib import Path
 
@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 
 from foretouch.errors import DatasetError
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.framework.figures import draw_figures
-from foretouch.experiments.learning_curve.experiment import NEW, SIMULATED, some_grasps, some_objects
-from foretouch.experiments.learning_curve.figure import draw_curve
+from foretouch.experiments.learning_curve import NEW, SIMULATED, draw_curve, some_grasps, some_objects
 from foretouch.experiments.shared.simulated_data import RealAndSimulated
 
 SAMPLES = make_samples(6, 10)
@@ -45,7 +43,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side() -> No
         for size in (2, 7)
     )
     assert [row["reference"] for row in two] == [row["reference"] for row in seven]
-    # The mean of all seven is the yardstick itself; that of two is another one.
+    # The mean of all seven is the reference itself; that of two is another one.
     for row in seven:
         np.testing.assert_allclose(row["squared"], row["reference"])
     assert all(row["squared"] != row["reference"] for row in two)
@@ -53,7 +51,7 @@ def test_all_sizes_are_compared_with_the_mean_of_the_whole_training_side() -> No
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("learning_curve")
     few = {"grounds": [SIMULATED], "scene": "config/scenes/deformables.yaml", "samples": 24, "effort": 0.01}
     few |= {"simulated_objects": [2, 3], "seeds": [0, 1]}
@@ -62,7 +60,7 @@ def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch)
     assert result.failures == {}
     assert {row["size"] for row in result.rows} == {2, 3}
     assert {row["seeds"] for row in result.rows} == {2}
-    (figure,) = draw_figures("learning_curve", result.rows, tmp_path)
+    (figure,) = experiment.draw(result.rows, tmp_path)
     assert figure.stat().st_size > 5000
 
 

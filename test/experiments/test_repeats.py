@@ -6,7 +6,7 @@ import pytest
 from sim_builders import SPONGE, scene
 
 from foretouch.errors import SimulationError
-from foretouch.experiments.noise_ceiling.repeats import CAUSES, STRANGER, Repeater
+from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.steps import EFFECTS
 from foretouch.simulation.streams import SampleKey
@@ -56,16 +56,16 @@ def test_a_grasp_that_never_succeeds_again_is_named() -> None:
         Repeater(smooth, EVERYTHING).repeat(0, 0, 2)
 
 
-def test_a_stranger_may_be_of_any_material_of_the_scene() -> None:
+def test_a_new_object_may_be_of_any_material_of_the_scene() -> None:
     """A sponge and a hard look-alike: what is known of the object leaves less open than what is not."""
     hard = SPONGE | {"name": "hard", "young_pa": 5e6}
     both = scene(SPONGE, hard, **HIDDEN | {"fingers": {}})
     command = frozenset({"command"})
-    known, strange = (Repeater(both, causes).repeat(0, 0, 6) for causes in (command, command | {STRANGER}))
-    assert np.ptp(strange.touches, axis=0).max() > 1.5 * np.ptp(known.touches, axis=0).max()
+    known, new = (Repeater(both, causes).repeat(0, 0, 6) for causes in (command, command | {NEW_OBJECT}))
+    assert np.ptp(new.touches, axis=0).max() > 1.5 * np.ptp(known.touches, axis=0).max()
 
 
-def test_a_stranger_is_met_on_another_day() -> None:
+def test_a_new_object_is_touched_on_another_day() -> None:
     days = scene(SPONGE, **HIDDEN | {"fingers": {"sessions": {}}})
     assert np.ptp(Repeater(days, EVERYTHING).repeat(0, 0, 3).tares, axis=0).max() == 0.0
-    assert np.ptp(Repeater(days, frozenset({STRANGER})).repeat(0, 0, 3).tares, axis=0).max() > 1.0
+    assert np.ptp(Repeater(days, frozenset({NEW_OBJECT})).repeat(0, 0, 3).tares, axis=0).max() > 1.0

@@ -15,7 +15,7 @@ from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Cell, run_sweep
 from foretouch.experiments.framework.manifest import read_results, write_results
 
-TESTS = Path(__file__).parents[2]
+TESTS = Path(__file__).parents[1]
 
 
 def sweep(out: Path, source: Path, **options):
@@ -32,7 +32,7 @@ def test_table_manifest_and_cells(tmp_path, numbers) -> None:
     told = []
     out = tmp_path / "out"
     result = sweep(
-        out, numbers, workers=2, tell=lambda outcome, done, total: told.append((outcome.cell.key, done, total))
+        out, numbers, workers=2, progress=lambda result, done, total: told.append((result.cell.key, done, total))
     )
     assert [row["number"] for row in result.rows] == [k for k in range(6) for _ in range(2)]
     assert read_results(out / "results.csv") == result.rows
@@ -91,9 +91,9 @@ def test_failures_are_named_and_the_others_go_on(tmp_path, numbers, trace) -> No
 def test_what_changed_is_refused_by_name(tmp_path, numbers) -> None:
     out = tmp_path / "out"
     sweep(out, numbers, settings={"cells": 2})
-    with pytest.raises(FileError, match="--resume goes on"):
+    with pytest.raises(FileError, match="--resume continues"):
         sweep(out, numbers, settings={"cells": 2})
-    with pytest.raises(ConfigError, match=r"settings\.pause_s: 0\.0 is not 0\.1; a sweep resumes as it began"):
+    with pytest.raises(ConfigError, match=r"settings\.pause_s: 0\.0 is not 0\.1; a sweep is resumed with"):
         sweep(out, numbers, settings={"cells": 2, "pause_s": 0.1}, resume=True)
     before = (out / "results.csv").read_bytes()
     numbers.write_text("1 2.6\n")
@@ -116,16 +116,16 @@ def test_data_that_change_meanwhile_fail_the_cell(tmp_path, numbers) -> None:
     from foretouch.experiments.framework.executors import Job, run_cell
 
     job = Job.make(EXPERIMENT, CountingSettings().to_mapping(), numbers, "0" * 64)
-    outcome = run_cell(job, Cell("cell0", {"number": 0}))
-    assert outcome.rows is None
-    assert "which the sweep began with" in outcome.error
+    result = run_cell(job, Cell("cell0", {"number": 0}))
+    assert result.rows is None
+    assert "with which the sweep started" in result.error
 
 
 def test_folders_of_something_else_are_left_alone(tmp_path, numbers) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/precious").touch()
     for resume in (False, True):
-        with pytest.raises(FileError, match="exists already"):
+        with pytest.raises(FileError, match="already exists"):
             sweep(tmp_path / "out", numbers, resume=resume)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
     sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)  # nothing there: it begins
@@ -175,12 +175,12 @@ def test_ray_gives_the_same_bits_and_outlives_a_node(two_nodes, tmp_path, number
     settings = {"cells": 8, "pause_s": 1.0, "dies_once": (0,), "trace": str(trace)}
     seen = []
 
-    def kill(outcome, done, total) -> None:
-        seen.append(outcome.cell.key)
+    def kill(result, done, total) -> None:
+        seen.append(result.cell.key)
         if len(seen) == 2:
             cluster.remove_node(lost, allow_graceful=False)
 
-    result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, tell=kill)
+    result = sweep(tmp_path / "ray", numbers, settings=settings, address=cluster.address, progress=kill)
     assert result.failures == {}
     assert sorted(seen) == [f"cell{k}" for k in range(8)]
     assert sum(starts(trace).values()) <= 8 + 2  # cell 0, and at most the one that the lost node ran

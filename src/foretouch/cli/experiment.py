@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch experiment`: one command that rebuilds an experiment's table and figures, and goes on where it was killed."""
+"""`foretouch experiment`: run an experiment and write its table and figures, or resume an interrupted one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from foretouch.errors import ConfigError, FileError, ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.experiments import Experiment
-    from foretouch.experiments.framework.executors import Outcome
+    from foretouch.experiments.framework.executors import CellResult
 
 __all__ = ["add_arguments", "run"]
 
@@ -25,30 +25,43 @@ _ENVIRONMENT = "FORETOUCH_DATA"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which experiment, where to, and how."""
-    parser.add_argument("name", metavar="NAME", help="such as cross_validation; `list` tells all")
-    parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset's")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of manifest, results.csv and figures")
-    parser.add_argument("--preset", default="full", help="full (default), smoke, or another that the experiment has")
-    parser.add_argument("--data", type=Path, metavar="PATH", help=f"by default the folder below {_ENVIRONMENT}")
-    parser.add_argument("--resume", action="store_true", help="go on with the sweep that stands there, if any")
+    """Arguments of the command."""
     parser.add_argument(
-        "--workers", type=positive_number, help="processes (default: one a core); the results do not depend on it"
+        "name",
+        metavar="NAME",
+        help="name of an experiment, such as cross_validation; `list` prints all; or a module of your own, such as my_lab.stiffness",
     )
-    parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node of this machine")
-    parser.add_argument("--redraw", action="store_true", help="only write tables and figures of DIR/results.csv again")
-    parser.add_argument("--json", action="store_true", help="one JSON object a cell, and the summary last")
+    parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="DIR", help="output folder of manifest, results.csv and figures"
+    )
+    parser.add_argument("--preset", default="full", help="full (default), smoke, or another preset of the experiment")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="PATH",
+        help=f"path of the data (default: the experiment's folder in {_ENVIRONMENT})",
+    )
+    parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR, if there is one")
+    parser.add_argument(
+        "--workers",
+        type=positive_number,
+        help="number of processes (default: one per core); does not change the results",
+    )
+    parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine")
+    parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from DIR/results.csv")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per cell, and a summary last")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 1 if a cell failed; the others are done then."""
-    from foretouch.experiments import EXPERIMENTS, find_experiment
+    """Run the command; the exit status is 1 if a cell failed."""
+    from foretouch.experiments import find_experiment, list_experiments
 
     if arguments.name == "list":
-        return _list([find_experiment(name) for name in EXPERIMENTS], arguments.json)
+        return _list(list_experiments(), arguments.json)
     experiment = find_experiment(arguments.name)
     if arguments.out is None:
-        raise ConfigError("experiment: -o DIR is needed")
+        raise ConfigError("experiment: -o DIR is required")
     if arguments.redraw:
         return _redraw(experiment, arguments)
     return _sweep(experiment, arguments)
@@ -71,7 +84,7 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
     require_experiment(arguments.out, experiment.name)
     rows = read_results(arguments.out / RESULTS_FILE)
     if not rows:
-        raise FileError(arguments.out / RESULTS_FILE, "holds no row: no cell has finished")
+        raise FileError(arguments.out / RESULTS_FILE, "contains no row: no cell has finished")
     figures = _report(experiment, rows, arguments.out)
     if arguments.json:
         print_json({"status": "done", "figures": figures})
@@ -81,22 +94,20 @@ def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> 
 
 
 def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], out: Path) -> list[str]:
-    """Write tables and figures of the results; names of the figures."""
-    from foretouch.experiments.framework.figures import draw_figures
-    from foretouch.experiments.framework.manifest import SUMMARY_FILE
-    from foretouch.experiments.framework.tables import markdown
+    """Write tables and figures of the results; returns the names of the figures."""
+    from foretouch.experiments.framework.manifest import write_summary
 
     if not rows:
         return []
-    (out / SUMMARY_FILE).write_text(markdown(experiment.question, experiment.summarise(rows)), encoding="utf-8")
-    return [path.name for path in draw_figures(experiment.name, rows, out)]
+    write_summary(out, experiment.question, experiment.summarise(rows))
+    return [path.name for path in experiment.draw(rows, out)]
 
 
 def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
     from foretouch.experiments import run_sweep
 
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    with _progress(arguments.json) as tell:
+    with _progress(arguments.json) as progress:
         result = run_sweep(
             experiment,
             settings,
@@ -106,7 +117,7 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             resume=arguments.resume,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
-            tell=tell,
+            progress=progress,
         )
     summary = {
         "status": "failed" if result.failures else "done",
@@ -142,15 +153,15 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
         for note in table.notes:
             print(f"  {note}")
     failed = f", {len(summary['failed'])} failed" if summary["failed"] else ""
-    print(f"{summary['cells']} cells ({summary['reused']} from before{failed}); {summary['path']}/results.csv", end="")
+    print(f"{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/results.csv", end="")
     print("".join(f", {name}" for name in summary["figures"]))
 
 
 @contextmanager
-def _progress(as_json: bool) -> Iterator[Callable[[Outcome, int, int], None]]:
-    """A bar with the time left, where stderr is a terminal; with --json a line a cell on stdout."""
+def _progress(as_json: bool) -> Iterator[Callable[[CellResult, int, int], None]]:
+    """Progress bar with remaining time if stderr is a terminal; with --json a line per cell on stdout."""
     if as_json:
-        yield _tell_json
+        yield _print_result
         return
     from rich.console import Console
     from rich.progress import (
@@ -173,17 +184,17 @@ def _progress(as_json: bool) -> Iterator[Callable[[Outcome, int, int], None]]:
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading the data", total=None)
 
-        def tell(outcome: Outcome, done: int, total: int) -> None:
-            bar.update(task, total=total, completed=done, description=outcome.cell.key)
+        def update(result: CellResult, done: int, total: int) -> None:
+            bar.update(task, total=total, completed=done, description=result.cell.key)
 
         try:
-            yield tell
+            yield update
         except ForetouchError:
-            bar.live.transient = True  # what was wrong is told in one line
+            bar.live.transient = True  # leave only the error line
             raise
 
 
-def _tell_json(outcome: Outcome, done: int, total: int) -> None:
-    record = {"cell": outcome.cell.key, "status": "failed" if outcome.rows is None else "done", "error": outcome.error}
-    print_json({**record, "seconds": round(outcome.seconds, 3), "done": done, "cells": total})
+def _print_result(result: CellResult, done: int, total: int) -> None:
+    record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
+    print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})
     print(end="", flush=True)

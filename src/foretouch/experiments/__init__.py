@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments: each one command that rebuilds its table and figures (`foretouch experiment NAME`).
+"""Experiments: each folder is one, and one command rebuilds its table and figures (`foretouch experiment NAME`).
 
-`experiment` says what one is, `registry` lists them, `sweep` runs their cells so that a killed sweep goes on where it was.
+`framework` runs any experiment, also a user's own; `shared` holds what several of the experiments here have in common. A
+killed sweep is resumed where it was.
 """
 
-from foretouch.experiments.framework.experiment import EXPERIMENTS, Cell, Experiment, Row, Table, find_experiment
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table, find_experiment, list_experiments
 from foretouch.experiments.framework.sweep import SweepResult, run_sweep
 
-__all__ = ["EXPERIMENTS", "Cell", "Experiment", "Row", "SweepResult", "Table", "find_experiment", "run_sweep"]
+__all__ = ["Cell", "Experiment", "Row", "SweepResult", "Table", "find_experiment", "list_experiments", "run_sweep"]

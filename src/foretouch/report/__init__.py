@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures and tables drawn from results; nothing is computed here."""
+"""Figures that several commands share; figures of an experiment lie in its own folder."""

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One picture of a prediction: the object with its contacts, and both fingertips with their electrodes."""
+"""Draw grasps: the object with its contacts, and both fingertips with their electrodes.
+
+`save_touch_picture` draws one prediction, `save_contact_sheet` many labelled samples on one page.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +15,16 @@ from matplotlib.axes import Axes
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
 from foretouch.tactile.layout import electrode_positions
-from foretouch.types import Cloud, Float64, Grasp, Touch, TouchPrediction
+from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
-__all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_touch_picture"]
+__all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_contact_sheet", "save_touch_picture"]
 
-FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # g1, g2 as the models take them: thumb, middle finger
-_LEAST_RANGE_M = 0.4  # of depth, from white to black: else a table seen from above would be black
-_MAX_POINTS = 6000  # more only make a scatter slower, not denser
+FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
+_FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}
+_SHEET_COLUMNS = 2  # samples side by side
+_SHEET_ROW_INCHES = 2.9
+_LEAST_RANGE_M = 0.4  # of depth, from white to black: otherwise a table seen from above would be black
+_MAX_POINTS = 6000  # more make a scatter plot slower, not denser
 
 
 def save_touch_picture(
@@ -33,13 +40,13 @@ def save_touch_picture(
     """Write one PNG: scene, object with contacts, electrodes of thumb and middle finger.
 
     Args:
-        path: Where to; its folder is made.
-        scene: The whole cloud, or None where the object is all there is.
+        path: Path of the file; its folder is created.
+        scene: The whole cloud, or None if there is only the object.
         target: The object.
-        prediction: What is drawn; a refused one is drawn without its fingers.
-        rest: Reading without contact; the electrodes are then coloured by their drop from it.
-        read: What was read when the grasp was executed: drawn below the prediction, in the same colours.
-        title: Above all.
+        prediction: The prediction; a refused one is drawn without fingers.
+        rest: Reading without contact; electrodes are then coloured by their drop from it.
+        read: Reading of the executed grasp, which is drawn below the prediction with the same colour scale.
+        title: Title of the figure.
 
     Returns:
         The path.
@@ -62,8 +69,51 @@ def save_touch_picture(
     return save(figure, path)
 
 
+def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
+    """Write one PNG with the clouds, contacts and readings of labelled samples.
+
+    Args:
+        path: Path of the file; its folder is created.
+        samples: Samples in order; an unlabelled one is drawn without fingers.
+        title: Title of the figure.
+
+    Returns:
+        The path.
+    """
+    rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
+    figure = new_figure(7.2 * _SHEET_COLUMNS, _SHEET_ROW_INCHES * rows + 0.4)
+    figure.suptitle(title)
+    grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.1, 0.8, 0.8] * _SHEET_COLUMNS)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for k, sample in enumerate(samples):
+        row, column = divmod(k, _SHEET_COLUMNS)
+        _draw_sample(list(grid[row, 3 * column : 3 * column + 3]), sample)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100)
+    return path
+
+
+def _draw_sample(panels: Sequence[Axes], sample: GraspSample) -> None:
+    front, *fingers = panels
+    front.set_axis_on()
+    draw_front(front, sample.cloud, sample.grasp)
+    front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
+    if sample.touch is None:
+        return
+    for axes, (name, colour) in zip(fingers, FINGER_COLOURS.items(), strict=True):
+        axes.set_axis_on()
+        pdc, electrodes = _finger(sample.touch, name)
+        rest = None if sample.tare is None else _finger(sample.tare, name)[1]
+        draw_electrodes(axes, electrodes, rest, colour=colour)
+        force = sample.extra.get(f"force_{name.lower()}_n")
+        suffix = "" if force is None else f", {force:.1f} N"
+        axes.set_title(f"{_FINGER_NAMES[name].split()[0]}, PDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
+
+
 def _half_width(prediction: TouchPrediction, name: str) -> float | None:
-    """Of the predicted pressure of one finger [counts]; None without a calibration."""
+    """Half width of the interval of one finger's pressure [counts]; None without a calibration."""
     if prediction.lower is None or prediction.upper is None:
         return None
     return (_finger(prediction.upper, name)[0] - _finger(prediction.lower, name)[0]) / 2.0
@@ -72,16 +122,17 @@ def _half_width(prediction: TouchPrediction, name: str) -> float | None:
 def _draw_finger(
     rows: list[Axes], name: str, touches: dict[str, Touch], rest: Touch | None, half_width: float | None
 ) -> None:
-    """One fingertip in each of some touches, one below the other and coloured alike."""
+    """Draw one fingertip of several touches, one below the other with the same colour scale."""
     readings = {what: _finger(touch, name) for what, touch in touches.items()}
     at_rest = None if rest is None else _finger(rest, name)[1]
     shown = [electrodes if at_rest is None else at_rest - electrodes for _, electrodes in readings.values()]
     limits = (float(np.min(shown)), float(np.max(shown))) if shown else None
-    finger = "thumb" if name == "TH" else "middle finger"
     for axes, (what, (pdc, electrodes)) in zip(rows, readings.items(), strict=True):
         draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name], limits=limits)
-        doubt = f" ± {half_width:.0f}" if what == "predicted" and half_width is not None else ""
-        axes.set_title(f"{finger} {what}\nPDC {pdc:.0f}{doubt}", color=FINGER_COLOURS[name], fontsize=11)
+        interval = f" ± {half_width:.0f}" if what == "predicted" and half_width is not None else ""
+        axes.set_title(
+            f"{_FINGER_NAMES[name]} {what}\nPDC {pdc:.0f}{interval}", color=FINGER_COLOURS[name], fontsize=11
+        )
 
 
 def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
@@ -89,9 +140,9 @@ def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
 
 
 def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
-    """The scene as the camera sees it, shaded by depth, the target tinted.
+    """Draw the scene from the camera, shaded by depth, with the target tinted.
 
-    An organised cloud is drawn as its depth image, another one as points with x right and y down [m].
+    An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
@@ -108,7 +159,7 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
 
 
 def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
-    """The object as the camera sees it, with both contacts and the line between them [m]."""
+    """Draw the object from the camera, with both contacts and the line between them [m]."""
     points = _finite_subset(target)
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
     ends = np.stack([grasp.g1, grasp.g2])
@@ -122,14 +173,14 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
 def draw_electrodes(
     axes: Axes, electrodes: Float64, rest: Float64 | None, *, colour: str, limits: tuple[float, float] | None = None
 ) -> None:
-    """The 24 electrodes of one fingertip, unrolled from the core.
+    """Draw the 24 electrodes of one fingertip, unrolled from the core.
 
     Args:
-        axes: Where to.
+        axes: The axes.
         electrodes: (24,) counts.
-        rest: (24,) counts without contact, or None: then the counts themselves are coloured.
-        colour: Of the outline.
-        limits: Of the colours [counts]; None for those of the values.
+        rest: (24,) counts without contact, or None to colour by the counts themselves.
+        colour: Colour of the outlines.
+        limits: Limits of the colour scale [counts]; None for those of the values.
     """
     x, y, z = 1e3 * electrode_positions().T
     around = np.degrees(np.arctan2(y, -z))

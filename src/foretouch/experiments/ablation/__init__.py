@@ -1,2 +1,178 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is each part of the contact model worth, and what are a tare and touches worth to it?"""
+"""How much do the components of the contact model contribute, and how much a tare and touches?
+
+On simulated objects that were never touched, with tares: predictions without adaptation, with a tare, after touches, and with
+both, all scored on the same grasps. And the model without one of its components, compared with the full one: on those
+objects, and on the real grasps in random folds, in blocks of time, on objects left out, and after touches of these.
+
+A model with other features is fitted separately and only tested before touches, since a new calibration for it would take
+ten to fifteen times as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from foretouch.config import setting
+from foretouch.experiments.ablation.results import (
+    NOTHING,
+    TARE,
+    TARES_AND_TOUCHES,
+    ablation_rows,
+    ablation_tables,
+    draw_ablation_figure,
+)
+from foretouch.experiments.ablation.variants import FULL, GROUP_EDITS, ModelVariant, fit_variants
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.shared.folds import split_by_fold, split_objects
+from foretouch.experiments.shared.real_grasps import error_rows, labelled
+from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
+from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
+from foretouch.learning.data import Indices, labels_of, make_folds
+from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.training.contact import ContactConfig
+from foretouch.types import Float64, GraspSample
+
+__all__ = ["EXPERIMENT", "AblationSettings"]
+
+_SIMULATED: Final = "simulated"
+_GROUNDS: Final = {
+    _SIMULATED: "simulated new objects",
+    "random": "real, random folds",
+    "time": "real, blocks of time",
+    "object": "real, new objects",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblationSettings(BothSettings):
+    """Settings of `ablation`."""
+
+    grounds: tuple[str, ...] = setting(tuple(_GROUNDS), "Data and splits to test on", choices=tuple(_GROUNDS))
+    seeds: tuple[int, ...] = setting(
+        (0, 1, 2), "Seeds of the random folds, of the blocks of time and of their trees", minimum=0
+    )
+    divisions: tuple[int, ...] = setting((0, 1), "Seeds of the splits of the simulated objects", minimum=0)
+    learned: int = setting(65, "Simulated training objects; the others are tested", minimum=2)
+    touches: tuple[int, ...] = setting((1, 3, 5), "Numbers of touches of a test object", minimum=1, maximum=1000)
+    shown: int = setting(3, "Number of touches after which the variants are compared", minimum=1, maximum=1000)
+    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
+    contact: ContactConfig = ContactConfig()
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+
+def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
+    real = labelled(data.real)
+    return [
+        Cell(f"{ground}+{part}+seed{seed}".replace(" ", "_"), {"ground": ground, "part": part, "seed": seed})
+        for ground in settings.grounds
+        for part, seed in _parts(ground, real, settings)
+    ]
+
+
+def _parts(ground: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
+    """Names of splits or folds, and seeds. Since calibration is slow, objects are left out with one seed only."""
+    if ground == _SIMULATED:
+        yield from ((str(split), settings.seeds[0]) for split in settings.divisions)
+        return
+    for seed in settings.seeds if ground != "object" else settings.seeds[:1]:
+        yield from ((fold.name, seed) for fold in make_folds(real, ground, seed))
+
+
+def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
+    ground, part, seed = (cell.values[key] for key in ("ground", "part", "seed"))
+    simulated = ground == _SIMULATED
+    calibrated = simulated or ground == "object"
+    if simulated:
+        train, test = split_objects(labelled(data.simulated), settings.learned, int(part))
+    else:
+        real = labelled(data.real)
+        train, test = split_by_fold(real, make_folds(real, ground, seed), part)
+    models = fit_variants(train, test, settings.contact.replace(seed=seed), calibrated=calibrated)
+    score = partial(_rows, test, labels_of(train).mean(axis=0))
+    rows: list[Row] = []
+    every = np.arange(len(test))
+    for name, model in models.items():
+        if name not in GROUP_EDITS:  # these only matter after touches
+            rows += score(f"{_GROUNDS[ground]}, no touch", name, model, [(every[:0], every)])
+    draws = _touch_draws(test, settings) if calibrated else []
+    table = f"{_GROUNDS[ground]}, {'tare and ' if simulated else ''}{settings.shown} touches"
+    for name, model in models.items():
+        if model.calibration is not None:
+            rows += score(table, name, model, draws, settings.shown, tare=simulated)
+    for tare, count in product((False, True), (0, *settings.touches)) if simulated else ():
+        touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
+        name = " + ".join(filter(None, (TARE if tare else "", touches))) or NOTHING
+        rows += score(f"{_GROUNDS[ground]}{TARES_AND_TOUCHES}", name, models[FULL], draws, count, tare=tare)
+    return rows
+
+
+def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[Indices, Indices]]:
+    """For each object and draw, grasps in the order in which they are touched, and those that are scored."""
+    most = max(*settings.touches, settings.shown)
+    how = UnseenObjectSettings(touches=(most,), draws=settings.draws)
+    names = np.array([sample.object for sample in test])
+    draws = []
+    for name in np.unique(names):
+        subset = np.flatnonzero(names == name)
+        draws += [(subset[order[:most]], subset[order[most:]]) for order in touch_draws(str(name), len(subset), how)]
+    return draws
+
+
+def _rows(
+    test: Sequence[GraspSample],
+    mean: Float64,
+    table: str,
+    name: str,
+    model: ModelVariant,
+    draws: Sequence[tuple[Indices, Indices]],
+    count: int = 0,
+    *,
+    tare: bool = False,
+) -> list[Row]:
+    """`error_rows` of a variant after the first `count` touches of each draw."""
+    predicted = np.concatenate([model.predict(index, touched[:count], tare=tare) for touched, index in draws])
+    scored = [test[k] for _, index in draws for k in index]
+    errors = error_rows(scored, predicted, labels_of(scored), mean)
+    return [{"table": table, "predictor": name, **row} for row in errors]
+
+
+def _tabulate(settings: AblationSettings, rows: Sequence[Row]) -> list[Row]:
+    return ablation_rows(rows, settings.bootstrap)
+
+
+EXPERIMENT = Experiment(
+    name="ablation",
+    question="How much do the components of the contact model contribute, and how much a tare and touches?",
+    module=__name__,
+    order=90,
+    settings=AblationSettings,
+    presets={
+        "full": {},
+        "quick": {"contact.trees": 50},
+        "smoke": {
+            "samples": 100,
+            "learned": 50,
+            "grounds": ["time"],
+            "seeds": [0],
+            "draws": 2,
+            "contact.trees": 5,
+            "bootstrap.draws": 200,
+        },
+    },
+    load=load_both,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=ablation_tables,
+    figure=draw_ablation_figure,
+    prepare=prepare_both,
+    free=("grounds", "seeds", "divisions", "bootstrap"),
+    data_folder="vision2tactile",
+)

@@ -1,2 +1,178 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the 90 % intervals of the contact model hold 90 % of what is read on objects that it never touched?"""
+"""Do the 90 % intervals of the contact model cover 90 % of the readings on objects that were never touched?
+
+    simulated      some objects of a scene for training and calibration, the others for testing; several random splits
+    left out       each real object left out once, of training and of calibration
+    time blocks    known real objects, at a time that is left out of training and of calibration
+
+An object is tested without a touch and after some, with a tare and without where there are tares. The predictor is the
+released one, `ContactPredictor`, which is calibrated on its training samples alone.
+
+Coverage is counted value by value and averaged over the values of a modality, the grasps and the draws of touches. Width is
+relative to the interval around the mean of the training labels, calibrated by the same rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from foretouch.config import setting
+from foretouch.experiments.coverage.results import SIMULATED, coverage_table, coverage_tables, draw_coverage_figure
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.shared.folds import by_object, split_by_fold, split_objects
+from foretouch.experiments.shared.real_grasps import labelled
+from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
+from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
+from foretouch.learning.data import labels_of, make_folds, object_folds
+from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.types import Float64, GraspSample
+
+__all__ = ["EXPERIMENT", "CoverageSettings", "coverage_rows"]
+
+_LEFT_OUT: Final = "left out"
+_TIME: Final = "time blocks"
+_SPLITS: Final = {_LEFT_OUT: "object", _TIME: "time"}
+_GROUNDS: Final = (SIMULATED, *_SPLITS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings(BothSettings):
+    """Settings of `coverage`."""
+
+    grounds: tuple[str, ...] = setting(_GROUNDS, "Data and splits to test on", choices=_GROUNDS)
+    divisions: tuple[int, ...] = setting((0, 1, 2), "Seeds of the splits of the simulated objects", minimum=0)
+    learned: int = setting(65, "Simulated training objects; the others are tested", minimum=2)
+    touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of a test object", minimum=0, maximum=1000)
+    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
+    contact: ContactConfig = ContactConfig()
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+
+def _cells(settings: CoverageSettings, data: RealAndSimulated) -> list[Cell]:
+    cells = []
+    for ground in settings.grounds:
+        if ground == SIMULATED:
+            parts = [str(seed) for seed in settings.divisions]
+        else:
+            parts = [fold.name for fold in make_folds(labelled(data.real), _SPLITS[ground], 0)]
+        cells += [Cell(f"{ground}+{part}".replace(" ", "_"), {"ground": ground, "part": part}) for part in parts]
+    return cells
+
+
+def _run(cell: Cell, settings: CoverageSettings, data: RealAndSimulated) -> list[Row]:
+    ground, part = cell.values["ground"], cell.values["part"]
+    if ground == SIMULATED:
+        train, test = split_objects(labelled(data.simulated), settings.learned, int(part))
+    else:
+        real = labelled(data.real)
+        train, test = split_by_fold(real, make_folds(real, _SPLITS[ground], 0), part)
+    fitted = ContactPredictor(train, labels_of(train), settings.contact)
+    reference = _reference_half_width(train)
+    touches = (0,) if ground == _TIME else settings.touches
+    how = UnseenObjectSettings(touches=touches, draws=settings.draws)
+    tares = (False, True) if all(sample.tare is not None for sample in test) else (False,)
+    return [
+        row
+        for samples in by_object(test)
+        for tare in tares
+        for row in coverage_rows(fitted, samples, reference, how, tare=tare)
+    ]
+
+
+def _reference_half_width(train: Sequence[GraspSample]) -> Float64:
+    """(50,) half width of the interval around the mean of the training labels, calibrated on held-out objects [counts]."""
+    labels, objects = labels_of(train), np.array([sample.object for sample in train])
+    predicted = np.empty_like(labels)
+    for fold in object_folds(list(objects)):
+        predicted[fold.test] = labels[fold.train].mean(axis=0)
+    return fit_group(HeldOutPredictions(predicted, labels, objects, objects)).half_width
+
+
+def coverage_rows(
+    fitted: ContactPredictor,
+    samples: Sequence[GraspSample],
+    reference: Float64,
+    how: UnseenObjectSettings,
+    *,
+    tare: bool,
+) -> list[Row]:
+    """Coverage of the intervals on one object, a row for each number of touches.
+
+    Args:
+        fitted: Predictor that was neither fitted to nor calibrated on these grasps.
+        samples: All grasps of the object.
+        reference: (50,) half width that widths are divided by [counts].
+        how: Numbers of touches and draws.
+        tare: Whether the predictor adapts to the tares.
+
+    Returns:
+        `coverage` and `width`, four numbers each, by modality; `unfamiliar`, the share of grasps flagged as such.
+    """
+    unfamiliar = float(np.mean(~fitted.familiar(samples)))
+    rows = []
+    for count in how.touches:
+        inside, widths = [], []
+        orders = touch_draws(samples[0].object, len(samples), how) if count else [np.arange(len(samples))]
+        for order in orders:
+            touched, rest = ([samples[k] for k in side] for side in (order[:count], order[count:]))
+            counts, half = fitted.intervals_after(touched, rest, tare=tare)
+            inside.append((np.abs(labels_of(rest) - counts) <= half).mean(axis=0))
+            widths.append((half / reference).mean(axis=0))
+        rows.append(
+            {
+                "object": samples[0].object,
+                "tare": tare,
+                "touches": count,
+                "grasps": len(samples) - count,
+                "coverage": _by_modality(np.mean(inside, axis=0)),
+                "width": _by_modality(np.mean(widths, axis=0)),
+                "unfamiliar": unfamiliar,
+            }
+        )
+    return rows
+
+
+def _by_modality(values: Float64) -> list[float]:
+    return [float(values[columns([name])].mean()) for name in MODALITIES]
+
+
+def _tabulate(settings: CoverageSettings, rows: Sequence[Row]) -> list[Row]:
+    return coverage_table(rows, settings.bootstrap)
+
+
+EXPERIMENT = Experiment(
+    name="coverage",
+    question="Do the 90 % intervals cover 90 % of the readings on objects that were never touched?",
+    module=__name__,
+    order=80,
+    settings=CoverageSettings,
+    presets={
+        "full": {},
+        "quick": {"contact.trees": 50},
+        "smoke": {
+            "samples": 100,
+            "learned": 50,
+            "grounds": [SIMULATED],
+            "divisions": [0],
+            "touches": [0],
+            "contact.trees": 5,
+            "bootstrap.draws": 200,
+        },
+    },
+    load=load_both,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=coverage_tables,
+    figure=draw_coverage_figure,
+    prepare=prepare_both,
+    free=("grounds", "divisions", "bootstrap"),
+    data_folder="vision2tactile",
+)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs an experiment: cells, executors, the folder of results, tables and figures."""
+"""Run any experiment: define it, run its cells locally or on Ray, and keep its results in a folder."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One cell in whatever process it runs: plain data in, plain data out, and no exception but a named failure.
+"""Run cells in processes of this machine or as tasks of a Ray cluster; the rows do not depend on which.
 
-Where cells run: processes of this machine, or tasks of a Ray cluster. The rows do not depend on it.
-
-Each process has one thread, so that sums have one order and the cores are shared by cells.
+A cell takes plain data and returns plain data; an exception becomes a failed result with its reason. Each process has one
+thread, so that sums have a fixed order and cells share the cores.
 """
 
 from __future__ import annotations
@@ -26,18 +25,25 @@ from typing import Any, Final
 from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingDependencyError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 
-__all__ = ["LOCAL_CLUSTER", "Job", "Outcome", "in_processes", "on_ray", "run_cell"]
+__all__ = ["LOCAL_CLUSTER", "CellResult", "Job", "in_processes", "on_ray", "run_cell"]
+
+LOCAL_CLUSTER: Final = "local"
+"""Address that starts a Ray node on this machine for one sweep."""
+
+_ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+_RETRIES: Final = 3
+_DIED: Final = "its process died (killed, or out of memory)"
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all cells of a sweep share.
+    """Parameters that all cells of a sweep share.
 
     Attributes:
-        module: That holds the experiment.
-        settings: Resolved, as JSON.
+        module: Module that holds the experiment.
+        settings: Resolved settings as JSON.
         data: Path of the data; the same on every machine that takes part.
-        sha256: Of the data.
+        sha256: Hash of the data.
     """
 
     module: str
@@ -47,19 +53,19 @@ class Job:
 
     @classmethod
     def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Job:
-        """From a resolved experiment."""
+        """Job of an experiment with resolved settings."""
         return cls(experiment.module, json.dumps(settings, sort_keys=True), str(data), sha256)
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of a cell.
+class CellResult:
+    """Result of one cell.
 
     Attributes:
         cell: The cell.
         rows: Its rows; None if it failed.
-        error: One line why it failed, or "".
-        seconds: Processor time of its process.
+        error: Reason of the failure in one line, or "".
+        seconds: Processor time [s].
     """
 
     cell: Cell
@@ -68,18 +74,20 @@ class Outcome:
     seconds: float = 0.0
 
 
-def run_cell(job: Job, cell: Cell) -> Outcome:
-    """Run one cell. The data stay in the process for the next one."""
+def run_cell(job: Job, cell: Cell) -> CellResult:
+    """Run one cell; the process keeps the data for the next one."""
     start = time.process_time()
     try:
         experiment, settings, data = _loaded(job)
-        start = time.process_time()  # reading the data is no part of the cell
+        start = time.process_time()  # reading the data does not count
         rows = experiment.run(cell, settings, data)
     except ForetouchError as err:
-        return Outcome(cell, None, str(err), time.process_time() - start)
-    except Exception as err:  # noqa: BLE001 - one cell's defect must not end the sweep; it is named and counted
-        return Outcome(cell, None, f"{type(err).__name__}: {' '.join(str(err).split())}", time.process_time() - start)
-    return Outcome(cell, rows, "", time.process_time() - start)
+        return CellResult(cell, None, str(err), time.process_time() - start)
+    except Exception as err:  # noqa: BLE001 - a defect in one cell must not end the sweep; it is reported
+        return CellResult(
+            cell, None, f"{type(err).__name__}: {' '.join(str(err).split())}", time.process_time() - start
+        )
+    return CellResult(cell, rows, "", time.process_time() - start)
 
 
 @lru_cache(maxsize=1)
@@ -88,23 +96,15 @@ def _loaded(job: Job) -> tuple[Experiment[Any, Any], Any, Any]:
     settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
     data = experiment.load(settings, Path(job.data))
     if data.sha256 != job.sha256:
-        raise DatasetError(f"{job.data}: sha256: {data.sha256} is not {job.sha256}, which the sweep began with")
+        raise DatasetError(f"{job.data}: sha256: {data.sha256} is not {job.sha256}, with which the sweep started")
     return experiment, settings, data
 
 
-LOCAL_CLUSTER: Final = "local"
-"""Address that starts a Ray node of this machine, for this sweep."""
+def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[CellResult]:
+    """Run cells in processes of this machine and yield each result as it arrives.
 
-_ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-_RETRIES: Final = 3
-_DIED: Final = "its process died (killed, or out of memory)"
-
-
-def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Outcome]:
-    """Run cells in processes of this machine, each outcome as it comes.
-
-    A process that dies takes only its cells along: those that were running are tried once more, each alone, and the
-    one that kills its process again has failed.
+    If a process dies, the cells that were running are tried once more, each alone; one that kills its process again has
+    failed.
     """
     queue = deque(cells)
     with _environment(_ONE_THREAD):
@@ -112,16 +112,16 @@ def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Outc
             suspects = yield from _until_broken(job, queue, workers)
             for cell in suspects:
                 again = yield from _until_broken(job, deque([cell]), 1)
-                yield from (Outcome(guilty, None, _DIED) for guilty in again)
+                yield from (CellResult(failed, None, _DIED) for failed in again)
 
 
-def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[Outcome]:
-    """Run cells as Ray tasks, each outcome as it comes; a lost node costs its running tasks, which go elsewhere.
+def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Iterator[CellResult]:
+    """Run cells as Ray tasks and yield each result as it arrives; tasks of a lost node run again on another one.
 
     Args:
-        job: Its data must lie at the same path on every node, and foretouch be installed there.
+        job: Its data must have the same path on every node, and foretouch must be installed there.
         cells: Tasks of one core each.
-        address: `auto`, `ray://host:port` or `host:port`: a cluster that runs; `local` starts a node of this machine.
+        address: `auto`, `ray://host:port` or `host:port` of a running cluster; `local` starts a node on this machine.
         workers: Cores of that node.
 
     Raises:
@@ -132,10 +132,10 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
         import ray
     except ImportError as err:
         raise MissingDependencyError("ray is not installed: pip install 'foretouch[sweep]'") from err
-    _require_answer(address)
+    _require_server(address)
     try:
         if address == LOCAL_CLUSTER:
-            # Named, for otherwise RAY_ADDRESS would be asked.
+            # Without an address, Ray would use RAY_ADDRESS.
             ray.init(address="local", num_cpus=workers, include_dashboard=False, log_to_driver=False)
         else:
             ray.init(address=address, log_to_driver=False)
@@ -150,18 +150,18 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
             try:
                 yield ray.get(done)
             except ray.exceptions.RayError as err:
-                yield Outcome(cell, None, f"{_DIED}: {type(err).__name__}, {_RETRIES + 1} times")
+                yield CellResult(cell, None, f"{_DIED}: {type(err).__name__}, {_RETRIES + 1} times")
     finally:
         ray.shutdown()
 
 
-def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[Outcome, None, list[Cell]]:
-    """Take cells from the queue until it is empty or a process dies; returns the cells that were running then."""
-    running: dict[Future[Outcome], Cell] = {}
+def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
+    """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
+    running: dict[Future[CellResult], Cell] = {}
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
             while queue or running:
-                while queue and len(running) < workers:  # no more, so that few are under suspicion
+                while queue and len(running) < workers:  # so that few have to be run again
                     running[pool.submit(run_cell, job, queue[0])] = queue[0]
                     queue.popleft()
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
@@ -172,8 +172,8 @@ def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[Outco
     return []
 
 
-def _require_answer(address: str) -> None:
-    """Find out at once what Ray would try for minutes."""
+def _require_server(address: str) -> None:
+    """Fail at once where Ray would retry for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon:
         return
@@ -186,7 +186,7 @@ def _require_answer(address: str) -> None:
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set variables for the processes that are started within."""
+    """Set environment variables for processes that are started within the context."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

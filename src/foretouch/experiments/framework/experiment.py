@@ -1,36 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an experiment is: settings, data, small independent cells, and the table made of their rows.
+"""Define and find experiments: settings, data, small independent cells, a table and figures of their rows.
 
-An experiment is a module that holds an `EXPERIMENT`. A cell is plain data and runs anywhere: in a process of this
-machine or on another one; its rows follow from settings, data and cell alone, so that they are the same wherever it runs.
+An experiment is a package or module that holds an `EXPERIMENT`. Each folder beside this one is an experiment of that
+name, except for `framework` and `shared`: to add an experiment, add its folder. A module elsewhere is found by its dotted
+name, such as `my_lab.stiffness`.
 
-The experiments by name.
+A cell is plain data and runs in any process or on any machine. Its rows follow from settings, data and cell alone.
 """
 
 from __future__ import annotations
 
 import importlib
+import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
 
-__all__ = ["EXPERIMENTS", "Cell", "Experiment", "HashedData", "Row", "Table", "find_experiment", "require_data"]
+__all__ = ["Cell", "Experiment", "HashedData", "Row", "Table", "find_experiment", "list_experiments", "require_data"]
 
+_PACKAGE: Final = "foretouch.experiments"
+_NOT_EXPERIMENTS: Final = ("framework", "shared")
 
 Row = dict[str, Any]
 """Plain JSON data by column."""
 
 
 class HashedData(Protocol):
-    """What cells are run on."""
+    """Data that an experiment runs on."""
 
     @property
     def sha256(self) -> str:
-        """Of the content; a cell refuses data of another hash than the sweep's."""
+        """Hash of the content; a cell refuses data with another hash than the sweep's."""
         ...
 
 
@@ -40,7 +44,7 @@ class Cell:
 
     Attributes:
         key: Unique in the sweep and stable; letters, digits, `_`, `-`, `.` and `+`: the name of its file.
-        values: Plain JSON data: what is to be done. Stands in each of its rows.
+        values: Plain JSON parameters of the task; they are repeated in each of its rows.
     """
 
     key: str
@@ -49,7 +53,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """What a person sees at the end: texts, and notes below."""
+    """A table for the terminal and `summary.md`, with notes below it."""
 
     title: str
     columns: Sequence[str]
@@ -62,10 +66,10 @@ D = TypeVar("D", bound=HashedData)
 
 
 def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
-    """The usual `prepare`: the data must be given.
+    """Default `prepare`: use the given data and refuse to run without.
 
     Raises:
-        ConfigError: If they are not.
+        ConfigError: If no data are given.
     """
     del settings, out
     if source is None:
@@ -75,23 +79,25 @@ def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment(Generic[S, D]):
-    """How one experiment is set up, run and told.
+    """Declaration of one experiment.
 
     Attributes:
-        name: As in the command.
-        question: That it answers, in one sentence.
-        module: Where its `EXPERIMENT` is found by other processes: `__name__`.
+        name: Name on the command line and in the manifest.
+        question: What the experiment answers, in one sentence.
+        module: Module from which other processes import the `EXPERIMENT`: `__name__`.
         settings: Class of its settings.
-        presets: By name, what differs from the defaults; `full` is what is reported.
+        presets: By name, the settings that differ from the defaults; `full` is what is reported.
         load: (settings, path of the data) to the data; called once in each process.
-        cells: All tasks, in an order that does not change.
-        run: The rows of one cell. Pure: no file, no clock, no global randomness.
-        tabulate: All rows of the finished cells, each with its cell's values, in order of the cells, to `results.csv`.
-        summarise: The rows of `results.csv` to the tables on the terminal.
-        prepare: (settings, --data or None, folder of the sweep) to the path of the data; makes them where they are made.
-        free: Settings that only choose cells, or how their rows are told. They may change when a sweep goes on: what is
-            finished stays, such as hours of one predictor when another one is added.
-        data_folder: Below FORETOUCH_DATA, used where --data is not given; None where that is of no use.
+        cells: All tasks, in a fixed order.
+        run: Rows of one cell. Pure: no file, no clock, no global randomness.
+        tabulate: Rows of the finished cells, each with its cell's values and in order of the cells, to `results.csv`.
+        summarise: Rows of `results.csv` to the tables on the terminal.
+        figure: (rows of `results.csv`, folder) to the figures that it wrote; matplotlib is only imported when it is called.
+        prepare: (settings, --data or None, folder of the sweep) to the path of the data, which it may generate.
+        free: Settings that only select cells or change how rows are summarised. They may change when a sweep is resumed:
+            finished cells are kept, such as hours of one predictor when another one is added.
+        data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
+        order: Position in lists of experiments; equal ones are sorted by name.
     """
 
     name: str
@@ -104,12 +110,14 @@ class Experiment(Generic[S, D]):
     run: Callable[[Cell, S, D], list[Row]]
     tabulate: Callable[[S, Sequence[Row]], list[Row]]
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
-    prepare: Callable[[S, Path | None, Path], Path] = field(default=require_data)
+    figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
+    prepare: Callable[[S, Path | None, Path], Path] = require_data
     free: Sequence[str] = ()
     data_folder: str | None = None
+    order: int = 1000
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
-        """Settings of a preset, with what differs from it.
+        """Settings of a preset with overrides.
 
         Raises:
             ConfigError: If there is no such preset, or a setting is unknown or out of its bounds.
@@ -119,39 +127,40 @@ class Experiment(Generic[S, D]):
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
 
+    def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
+        """Draw the figures of `results.csv` into a folder; none if there are no rows or the experiment has no figure."""
+        return self.figure(rows, folder) if self.figure is not None and rows else []
 
-EXPERIMENTS: Final = {
-    name: f"foretouch.experiments.{name}.experiment"
-    for name in (
-        "cross_validation",
-        "time_blocked",
-        "cross_type",
-        "unseen_object",
-        "noise_ceiling",
-        "lookalikes",
-        "sim_to_real",
-        "coverage",
-        "ablation",
-        "learning_curve",
-        "label_ratio",
-        "label_ratio_tuning",
-    )
-}
+
+def list_experiments() -> list[Experiment[Any, Any]]:
+    """The experiments of this package, in order of lists."""
+    return sorted((_load(name, f"{_PACKAGE}.{name}") for name in _names()), key=lambda one: (one.order, one.name))
 
 
 def find_experiment(name: str) -> Experiment[Any, Any]:
-    """An experiment by name, or by the module of one's own that holds an `EXPERIMENT`, such as `my_lab.stiffness`.
+    """Find an experiment by name, or by the dotted name of a user's module that holds an `EXPERIMENT`.
 
     Raises:
         ConfigError: If there is none.
     """
-    if name not in EXPERIMENTS and "." not in name:
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(EXPERIMENTS)}")
-    module = EXPERIMENTS.get(name, name)
+    if name in _names():
+        return _load(name, f"{_PACKAGE}.{name}")
+    if "." not in name:
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
+    return _load(name, name)
+
+
+def _names() -> list[str]:
+    """Folders of the package, without importing them."""
+    folders = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
+    return [folder.name for folder in folders if folder.name not in _NOT_EXPERIMENTS]
+
+
+def _load(name: str, module: str) -> Experiment[Any, Any]:
     try:
         found = getattr(importlib.import_module(module), "EXPERIMENT", None)
     except ModuleNotFoundError as err:
         raise ConfigError(f"experiment: {name}: {err}") from err
     if not isinstance(found, Experiment):
-        raise ConfigError(f"experiment: {name}: holds no EXPERIMENT")
+        raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
     return found

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a sweep: what was run on what, and each finished cell.
+"""Read and write the folder of a sweep.
 
-DIR/manifest.json      experiment, settings, data hash, and the environment of each session that worked on it
-DIR/cells/<key>.json   the rows of a finished cell, whole or absent
-DIR/results.csv        the table
-DIR/summary.md         what a person reads of it
+DIR/manifest.json      experiment, settings, hash of the data, and the environment of each session that ran cells
+DIR/cells/<key>.json   rows of one finished cell; written as a whole or not at all
+DIR/results.csv        table of all rows
+DIR/summary.md         tables for a reader
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework.executors import Outcome
-from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.executors import CellResult
+from foretouch.experiments.framework.experiment import Cell, Row, Table
 from foretouch.models.card import write_text
 
 __all__ = [
@@ -40,6 +40,7 @@ __all__ = [
     "write_cell",
     "write_manifest",
     "write_results",
+    "write_summary",
 ]
 
 MANIFEST_FILE: Final = "manifest.json"
@@ -53,7 +54,7 @@ _FIXED: Final = ("experiment", "settings", "data")
 
 
 def environment(workers: int, address: str | None) -> dict[str, Any]:
-    """Of one session: when, what code, on what machine. Names no path and no host."""
+    """Time, code version and machine of one session; contains no path and no host name."""
     return {
         "started": dt.datetime.now(dt.timezone.utc).isoformat(timespec="seconds"),
         "foretouch": __version__,
@@ -70,41 +71,41 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
 
 
 def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequence[str] = ()) -> dict[str, Any]:
-    """Make the folder of a sweep, or check that it holds this very one.
+    """Create the folder of a sweep, or check that it contains this sweep.
 
     Args:
         out: The folder.
-        fixed: What must not change: experiment, settings, data.
-        resume: Go on with what stands there, if anything does.
-        free: Settings that may change all the same.
+        fixed: Experiment, settings and data, which must not change.
+        resume: Continue the sweep in the folder, if there is one.
+        free: Settings that may change nevertheless.
 
     Returns:
-        The manifest so far, with the settings as they are now.
+        The manifest so far, with the current settings.
 
     Raises:
-        FileError: If it exists and `resume` is off, or holds something else.
-        ConfigError: If the sweep that stands there has other settings or data; names the difference.
+        FileError: If the folder exists and `resume` is off, or contains something else.
+        ConfigError: If its sweep has other settings or data; names the difference.
     """
     file = out / MANIFEST_FILE
     if not file.exists():
         if out.exists() and any(out.iterdir()) and not (resume and [p.name for p in out.iterdir()] == [_CELLS]):
-            raise FileError(out, "exists already" + (f" and holds no {MANIFEST_FILE}" if resume else ""))
+            raise FileError(out, "already exists" + (f" and contains no {MANIFEST_FILE}" if resume else ""))
         (out / _CELLS).mkdir(parents=True, exist_ok=True)
         return {**fixed, "sessions": []}
     if not resume:
-        raise FileError(out, "holds a sweep already; --resume goes on with it")
+        raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_json(file)
     for name in _FIXED:
         _require_same(_without(manifest.get(name), free), _without(fixed[name], free), name, file)
-    (out / _CELLS).mkdir(exist_ok=True)  # they are not kept with published results
+    (out / _CELLS).mkdir(exist_ok=True)  # published results come without them
     return {**manifest, **fixed}
 
 
 def require_experiment(out: Path, name: str) -> None:
-    """Refuse the folder of another experiment; one without a manifest may be of any.
+    """Refuse the folder of another experiment; one without a manifest is accepted.
 
     Raises:
-        ConfigError: If it is another one's.
+        ConfigError: If the manifest names another experiment.
         FileError: If the manifest is damaged.
     """
     file = out / MANIFEST_FILE
@@ -113,22 +114,22 @@ def require_experiment(out: Path, name: str) -> None:
 
 
 def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
-    """Replace the manifest as a whole."""
+    """Replace the manifest atomically."""
     write_text(out / MANIFEST_FILE, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
 
 
-def write_cell(out: Path, outcome: Outcome) -> None:
-    """Keep a finished cell."""
-    cell = outcome.cell
-    record = {"key": cell.key, "values": cell.values, "seconds": outcome.seconds, "rows": outcome.rows}
+def write_cell(out: Path, result: CellResult) -> None:
+    """Store the rows of a finished cell."""
+    cell = result.cell
+    record = {"key": cell.key, "values": cell.values, "seconds": result.seconds, "rows": result.rows}
     write_text(_cell_file(out, cell), json.dumps(record) + "\n")
 
 
 def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
-    """Rows of those cells that are finished, by key, each with its cell's values.
+    """Rows of the finished cells by key, each with its cell's values.
 
     Raises:
-        FileError: If one is damaged, or was run with other values than it now has.
+        FileError: If a file is damaged, or its cell was run with other values.
     """
     found = {}
     for cell in cells:
@@ -137,13 +138,13 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
             continue
         record = _read_json(file)
         if record.get("values") != json.loads(json.dumps(cell.values)) or "rows" not in record:
-            raise FileError(file, "was run with other values than the experiment has now; begin anew")
+            raise FileError(file, "was run with other values than the experiment has now; start a new sweep")
         found[cell.key] = [{**record["values"], **row} for row in record["rows"]]
     return found
 
 
 def write_results(out: Path, rows: Sequence[Row]) -> Path:
-    """Write `results.csv`: an empty field is None, numbers read back as they were.
+    """Write `results.csv`: None is an empty field, and numbers are read back exactly.
 
     Raises:
         FileError: If it cannot be written.
@@ -162,7 +163,7 @@ def write_results(out: Path, rows: Sequence[Row]) -> Path:
 
 
 def read_results(path: Path) -> list[Row]:
-    """Rows of `write_results`.
+    """Read the rows that `write_results` wrote.
 
     Raises:
         FileError: If there is no such file.
@@ -174,6 +175,24 @@ def read_results(path: Path) -> list[Row]:
         raise FileError(path, err.strerror or str(err)) from err
     except (UnicodeDecodeError, csv.Error) as err:
         raise FileError(path, str(err)) from err
+
+
+def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
+    """Write tables and their notes to `summary.md`.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    lines = [f"# {title}", ""]
+    for table in tables:
+        lines += [f"## {table.title}", ""]
+        if table.rows:
+            header = [list(table.columns), ["---", *["---:"] * (len(table.columns) - 1)]]
+            lines += [f"| {' | '.join(row)} |".replace("\n", "<br>") for row in [*header, *table.rows]]
+            lines.append("")
+        lines += [f"- {note}" for note in table.notes]
+        lines += [""] * bool(table.notes)
+    (out / SUMMARY_FILE).write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
 
 
 def _parsed(text: str | None) -> Any:
@@ -189,7 +208,7 @@ def _parsed(text: str | None) -> Any:
 
 def _cell_file(out: Path, cell: Cell) -> Path:
     if not _KEY.fullmatch(cell.key):
-        raise ConfigError(f"cell: {cell.key!r} is no name of a file")
+        raise ConfigError(f"cell: {cell.key!r} is not a valid file name")
     return out / _CELLS / f"{cell.key}.json"
 
 
@@ -199,7 +218,7 @@ def _read_json(file: Path) -> dict[str, Any]:
     except (OSError, ValueError) as err:
         raise FileError(file, f"is unreadable: {' '.join(str(err).split())}") from err
     if not isinstance(record, dict):
-        raise FileError(file, "holds no mapping")
+        raise FileError(file, "contains no mapping")
     return record
 
 
@@ -212,7 +231,9 @@ def _require_same(old: Any, new: Any, name: str, file: Path) -> None:
         for key in sorted({*old, *new}):
             _require_same(old.get(key), new.get(key), f"{name}.{key}", file)
     elif old != json.loads(json.dumps(new)):
-        raise ConfigError(f"{file}: {name}: {old!r} is not {new!r}; a sweep resumes as it began")
+        raise ConfigError(
+            f"{file}: {name}: {old!r} is not {new!r}; a sweep is resumed with the settings and data that it started with"
+        )
 
 
 def _version(name: str) -> str | None:
@@ -223,7 +244,7 @@ def _version(name: str) -> str | None:
 
 
 def _git_commit() -> str | None:
-    """Commit of the source that runs, with `+` where files were changed; None outside of a checkout."""
+    """Commit of the running source, with `+` if files were changed; None outside of a checkout."""
     here = Path(__file__).parent
     try:
         words = ["git", "-C", str(here), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
@@ -240,6 +261,6 @@ def _cpu() -> str:
 
 
 def _gpus() -> list[str]:
-    """As the driver lists them, without loading a library for it."""
+    """Models that the driver lists, read without loading a library."""
     files = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
     return [match[1] for file in files if (match := re.search(r"Model:\s*(.+)", file.read_text(encoding="utf-8")))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs an experiment's cells, keeps each as it finishes, and makes the table of all."""
+"""Run the cells of an experiment, store each as it finishes, and build the table of all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
-from foretouch.experiments.framework.executors import Job, Outcome, in_processes, on_ray
+from foretouch.experiments.framework.executors import CellResult, Job, in_processes, on_ray
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.framework.manifest import (
     environment,
@@ -23,19 +23,19 @@ from foretouch.experiments.framework.manifest import (
 
 __all__ = ["SweepResult", "run_sweep"]
 
-Tell = Callable[[Outcome, int, int], None]
+Progress = Callable[[CellResult, int, int], None]
 
 
 @dataclass(kw_only=True)
 class SweepResult:
-    """What came of a sweep.
+    """Result of a sweep.
 
     Attributes:
-        rows: Of `results.csv`.
-        cells: How many the experiment has.
-        reused: How many of them were finished before.
-        failures: Why cells failed, by key.
-        data_sha256: Of the data.
+        rows: Rows of `results.csv`.
+        cells: Number of cells.
+        reused: Number of cells that were finished before.
+        failures: Reasons of failed cells by key.
+        data_sha256: Hash of the data.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -55,30 +55,30 @@ def run_sweep(
     resume: bool = False,
     workers: int = 1,
     address: str | None = None,
-    tell: Tell | None = None,
+    progress: Progress | None = None,
 ) -> SweepResult:
-    """Run what is not yet finished of an experiment, and write its table.
+    """Run the unfinished cells of an experiment and write its table.
 
     Args:
         experiment: The experiment.
-        settings: Resolved.
+        settings: Resolved settings.
         out: Folder of the sweep.
-        preset: Its name, for the manifest.
-        source: Of the data, as the experiment's `prepare` takes it.
-        resume: Go on in `out`, if something stands there.
-        workers: Processes, or cores of a local Ray node.
-        address: None for processes; else of a Ray cluster (see `executors.on_ray`).
-        tell: Called with each outcome, how many cells are done, and how many there are.
+        preset: Name of the preset, for the manifest.
+        source: Path of the data, as the experiment's `prepare` takes it.
+        resume: Continue the sweep in `out`, if there is one.
+        workers: Number of processes, or of cores of a local Ray node.
+        address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
+        progress: Called with each result, the number of finished cells and the number of all cells.
 
     Returns:
-        The table and the failures; a failed cell is left out of the table and is tried again by the next resume.
+        The table and the failures. A failed cell is left out of the table and is run again by the next resume.
 
     Raises:
         FileError: If `out` exists and `resume` is off, or cannot be written.
-        ConfigError: If what stands there has other settings or data, or two cells have one key.
+        ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
     if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
-        raise FileError(out, "exists already; --resume goes on with a sweep")
+        raise FileError(out, "already exists; --resume continues a sweep")
     path = experiment.prepare(settings, source, out)
     data = experiment.load(settings, path)
     cells = _cells(experiment, settings, data)
@@ -93,14 +93,14 @@ def run_sweep(
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         job = Job.make(experiment, plain, path.absolute(), data.sha256)
         open_cells = [cell for cell in cells if cell.key not in done]
-        for number, outcome in enumerate(_outcomes(job, open_cells, workers, address), len(done) + 1):
-            if outcome.rows is None:
-                result.failures[outcome.cell.key] = outcome.error
+        for number, cell_result in enumerate(_run(job, open_cells, workers, address), len(done) + 1):
+            if cell_result.rows is None:
+                result.failures[cell_result.cell.key] = cell_result.error
             else:
-                write_cell(out, outcome)
-            if tell is not None:
-                tell(outcome, number, len(cells))
-        finished = read_cells(out, cells)  # from disk, so that a sweep that was cut gives the very same table
+                write_cell(out, cell_result)
+            if progress is not None:
+                progress(cell_result, number, len(cells))
+        finished = read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
         write_results(out, result.rows)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
@@ -113,13 +113,13 @@ def run_sweep(
 def _cells(experiment: Experiment[Any, Any], settings: Settings, data: Any) -> list[Cell]:
     cells = list(experiment.cells(settings, data))
     keys = [cell.key for cell in cells]
-    twice = {key for key in keys if keys.count(key) > 1}
-    if twice or not cells:
-        raise ConfigError(f"{experiment.name}: cells: " + (f"{min(twice)} is there twice" if twice else "none"))
+    duplicates = {key for key in keys if keys.count(key) > 1}
+    if duplicates or not cells:
+        raise ConfigError(f"{experiment.name}: cells: " + (f"{min(duplicates)} occurs twice" if duplicates else "none"))
     return cells
 
 
-def _outcomes(job: Job, cells: Sequence[Cell], workers: int, address: str | None) -> Iterator[Outcome]:
+def _run(job: Job, cells: Sequence[Cell], workers: int, address: str | None) -> Iterator[CellResult]:
     if not cells:
         return iter(())
     return in_processes(job, cells, workers) if address is None else on_ray(job, cells, address, workers)

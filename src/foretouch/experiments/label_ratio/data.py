@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cells of `label_ratio` share: the simulated grasps, prepared once a process, and who is on which side.
+"""Data of `label_ratio`: the simulated grasps, prepared once per process, and their split at each label ratio.
 
-P2's sides are the split `labels`: 200 grasps an object are tested, and 10 to 90 % of the others lose their labels.
-To choose between settings, a part of those that kept them is held back: neither a test sample nor a withheld label
-has any say in a choice.
+P2's split is `labels`: 200 grasps per object are for testing, and 10 to 90 % of the others lose their labels. To choose
+hyperparameters, some of those that kept their labels are held out: neither test samples nor withheld labels are used.
 """
 
 from __future__ import annotations
@@ -19,51 +18,47 @@ from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
 from foretouch.config import setting
 from foretouch.errors import CloudError, DatasetError
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, load_simulated
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import Dataset, Indices, TrainingSet
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.types import Float32, GraspSample
 
-__all__ = ["RatioDataSettings", "Sides", "StockedSet", "load_frozen", "prepared", "sides"]
+__all__ = ["LabelSplit", "PresampledSet", "RatioDataSettings", "load_frozen", "prepared", "split_at"]
 
 _SPLIT = "labels"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RatioDataSettings(SimulatedSettings):
-    """Which grasps, and what of their clouds is kept at hand."""
+    """Scene of the grasps, and how many points of their clouds are kept in memory."""
 
     scene_sha256: str | None = setting(
         "db79f5dd4379f4293d1bc390690fb94f61cba827eb42fd4f5fd58ce6e58f7c5b",
-        "Hash of the scene that results belong to, config/scenes/deformables.sha256; any scene where empty",
+        "Hash of the required scene, config/scenes/deformables.sha256; null accepts any scene",
     )
-    stock: int = setting(
-        512, "Points kept of each cloud, drawn once; training draws its own from these each time", minimum=32
-    )
+    stock: int = setting(512, "Points kept of each cloud, drawn once; training draws from these each time", minimum=32)
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
-    """Places of the samples.
+class LabelSplit:
+    """Indices of the samples.
 
     Attributes:
-        train: (T,) to learn from with their labels.
-        unlabelled: (U,) to learn from without.
-        judged: (J,) to be predicted: the test samples, or those held back to choose by.
+        train: (T,) labelled training samples.
+        unlabelled: (U,) training samples without labels.
+        test: (J,) samples to predict: the test samples, or those held out for tuning.
     """
 
     train: Indices
     unlabelled: Indices
-    judged: Indices
+    test: Indices
 
 
 def load_frozen(settings: RatioDataSettings, path: Path) -> SimulatedGrasps:
     """Read a store of the frozen scene.
 
     Raises:
-        DatasetError: If it is of another scene, or an unlabelled sample is in it.
+        DatasetError: If it is of another scene, or contains an unlabelled sample.
     """
     data = load_simulated(settings, path)
     found = data.scene.sha256()
@@ -75,64 +70,64 @@ def load_frozen(settings: RatioDataSettings, path: Path) -> SimulatedGrasps:
     return data
 
 
-def sides(data: Collection, ratio: int, held: float = 0.0, seed: int = 0) -> Sides:
-    """Who is on which side at one of P2's ratios.
+def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> LabelSplit:
+    """Split the samples at one of P2's ratios.
 
     Args:
         data: The samples.
-        ratio: 10 for T10.
-        held: 0 to be judged on the test samples. Else the share of the labelled samples that is held back and judged
-            instead; the test samples are then on no side.
-        seed: Of whom is held back.
+        ratio: Percent without labels: 10 for T10.
+        held_out: 0 to test on the test samples, else the share of the labelled samples that are held out and tested on
+            instead; the test samples are then not used.
+        seed: Seed of the held-out samples.
 
     Raises:
-        DatasetError: If these samples have no such split, or nobody is held back.
+        DatasetError: If these samples have no such split, or no sample is held out.
     """
     (part,) = data.parts(f"{_SPLIT}/T{ratio}")
     train, test, unlabelled = (data.index(ids) for ids in (part.train, part.test, part.unlabelled))
-    if held == 0.0:
-        return Sides(train, unlabelled, test)
-    count = round(held * len(train))
+    if held_out == 0.0:
+        return LabelSplit(train, unlabelled, test)
+    count = round(held_out * len(train))
     if count == 0:
-        raise DatasetError(f"held: {held} of {len(train)} samples is none")
+        raise DatasetError(f"held: {held_out} of {len(train)} samples is none")
     shuffled = np.random.default_rng(seed).permutation(train)
-    return Sides(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
+    return LabelSplit(np.sort(shuffled[count:]), unlabelled, np.sort(shuffled[:count]))
 
 
-def prepared(data: SimulatedGrasps, model: ModelConfig, stock: int) -> StockedSet:
-    """All samples as a network of some outputs is fed them; the clouds are prepared once a process.
+def prepared(data: SimulatedGrasps, model: ModelConfig, stock: int) -> PresampledSet:
+    """All samples as input of a network; the clouds are prepared once per process.
 
     Args:
         data: The samples.
-        model: The network.
+        model: Configuration of the network.
         stock: Points kept of each cloud.
 
     Raises:
-        DatasetError: If a cloud is unusable; named by id.
+        DatasetError: If a cloud is unusable; names the sample.
     """
     return replace(_prepared(data, model.channels, model.metric_inputs, stock), config=model)
 
 
 @dataclass(frozen=True, eq=False)
-class StockedSet(TrainingSet):
-    """A training set whose clouds all have the same number of points, in an order drawn once.
+class PresampledSet(TrainingSet):
+    """A training set whose clouds all have the same number of points, in random order.
 
     Attributes:
-        stock: (S, P, C) float32, the clouds.
+        stock: (S, P, C) float32 clouds.
     """
 
     stock: Float32
 
     def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
-        """(B, n, C) float32: of each cloud as many points as follow on one another from a place that is drawn.
+        """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
 
-        Points stand in random order, so these are a random choice of them, at a twentieth of the time of a fresh one;
-        what it gives up is that two draws may share a run of points.
+        Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each; two
+        draws may share a run of points.
 
         Args:
             index: (B,) samples.
-            rng: Draws the places.
-            n_points: By default those of the configuration.
+            rng: Draws the first points.
+            n_points: Points per cloud; by default those of the configuration.
         """
         count = self.config.n_points if n_points is None else n_points
         size = self.stock.shape[1]
@@ -142,29 +137,29 @@ class StockedSet(TrainingSet):
 
 
 @lru_cache(maxsize=1)
-def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, stock: int) -> StockedSet:
+def _prepared(data: SimulatedGrasps, channels: str, metric_inputs: bool, stock: int) -> PresampledSet:
     config = ModelConfig(channels=channels, metric_inputs=metric_inputs)
     rng = np.random.default_rng(0)
     samples = data.collection.samples
     pairs = [_one(sample, config, stock, rng) for sample in samples]
     clouds = np.stack([points for points, _ in pairs])
-    return StockedSet(
+    return PresampledSet(
         clouds=tuple(clouds),
         stock=clouds,
         grasps=np.array([grasp for _, grasp in pairs]),
         labels=np.array([sample.touch.vector() for sample in samples if sample.touch is not None]),
-        lengths=np.zeros((len(samples), 0)),  # of model cards, and no model is kept
+        lengths=np.zeros((len(samples), 0)),  # only needed in model cards, and no model is kept
         config=config,
         ids=tuple(sample.id for sample in samples),
     )
 
 
 def _one(sample: GraspSample, config: ModelConfig, stock: int, rng: np.random.Generator) -> tuple[Float32, Float32]:
-    """Some points of a cloud, with the normals and in the unit sphere of all of them; and the grasp."""
+    """Random points of a cloud, with normals and in the unit sphere of the whole cloud; and the grasp."""
     try:
         usable = finite_points(sample.cloud, config)
         frame = UnitSphereFrame.fit(usable.xyz)
     except CloudError as err:
         raise DatasetError(f"{sample.id}: {err}") from err
-    index = np.resize(rng.permutation(usable.size), stock)  # all of a smaller cloud, and some again
+    index = np.resize(rng.permutation(usable.size), stock)  # a smaller cloud repeats some
     return sample_channels(usable, index, frame, config), prepare_grasps([sample.grasp], frame, config)[0]

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the two models of `label_ratio` are trained, and the settings that were tried for each: the tuning budget as code.
+"""Training of the two models of `label_ratio`, and the hyperparameters that were tried for each.
 
-One trainer trains both. The PointNet is the SR-GAN whose unsupervised weights are zero: the same network from the same
-first weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size, the
-same optimiser and number of updates. What is left is what the unlabelled and fake clouds do.
+One trainer trains both. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the same
+initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size, the
+same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
 
-Departures from P2, alike for both, each an option that the settings tell:
+Departures from P2, equal for both models, each an option in the settings:
 
 - An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
-  P2's 30 epochs over whatever has labels would give T10 nine times the updates of T90.
-- AdamW with a cosine instead of Adam at a constant 0.01, labels standardised instead of scaled by their ranges, the
-  radius of the cloud and the width of the grasp as further inputs: P2's recipe fails to optimise a PointNet on touch.
-- Neither model stops early: nothing held back is looked at in training, and the last weights are judged.
+  P2's 30 epochs over all labelled samples would give T10 nine times the updates of T90.
+- AdamW with a cosine schedule instead of Adam at a constant 0.01, labels standardised instead of scaled by their ranges, the
+  radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not converge on touch.
+- No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import torch
 
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.label_ratio.data import Sides
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.experiments.label_ratio.data import LabelSplit
+from foretouch.learning.data import TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import predict_set
@@ -76,25 +76,25 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
     },
 }
-"""By model, what each trial changes. Trials of the SR-GAN are named by w_U / w_F / λ of the reading `srgan`; their rate is
-0.003 where they tell none."""
+"""Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`; their learning rate is
+0.003 unless the name contains another one."""
 
 
 def kind_of(modality: str) -> str:
-    """`pressure` or `electrodes`: modalities of a kind share their trial."""
+    """`pressure` or `electrodes`; modalities of a kind share their trial."""
     return "pressure" if modality_size(modality) == 1 else "electrodes"
 
 
 def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates: int | None, seed: int) -> SrganConfig:
-    """How one network is trained.
+    """Configuration of one training.
 
     Args:
-        base: What both models and all trials share.
-        model: Out of `MODELS`.
-        trial: Out of `TRIALS[model]`.
-        labelled: Samples that have labels.
-        updates: Wanted; the nearest number of whole epochs is taken, at least one. None for the epochs of `base`.
-        seed: Of weights, order, points and noise.
+        base: Configuration that both models and all trials share.
+        model: One of `MODELS`.
+        trial: One of `TRIALS[model]`.
+        labelled: Number of labelled samples.
+        updates: Number of updates, rounded to whole epochs, at least one; None for the epochs of `base`.
+        seed: Seed of weights, order, points and noise.
 
     Raises:
         ConfigError: If there is no such model or trial.
@@ -111,10 +111,10 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
 
 
 class PointnetTrainer(SrganTrainer):
-    """The SR-GAN's trainer without what unlabelled and fake clouds do.
+    """The SR-GAN's trainer without unlabelled and fake clouds.
 
-    With `_SUPERVISED` it takes the very steps of `SrganTrainer` on the same batches; it only leaves out what is then
-    multiplied by zero, and the generator, at a quarter of the time.
+    With `_SUPERVISED` it takes the steps of `SrganTrainer` on the same batches, without the generator and the terms that
+    are multiplied by zero, in a quarter of the time.
     """
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
@@ -124,46 +124,46 @@ class PointnetTrainer(SrganTrainer):
             error = scaled - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self._sizes)
             self.require_finite({"labeled": loss}, number, batch, error)
-            self.steppers["net"].step(loss)
+            self.optimisers["net"].step(loss)
             yield {"labeled": float(loss.detach())}
 
 
-def train_and_predict(data: TrainingSet, who: Sides, model: str, config: SrganConfig) -> tuple[Float64, int]:
-    """Train a network and let it predict.
+def train_and_predict(data: TrainingSet, split: LabelSplit, model: str, config: SrganConfig) -> tuple[Float64, int]:
+    """Train a network and predict the test samples.
 
     Returns:
-        (J, M) predictions [counts] of the judged samples, and how many updates the network took.
+        (J, M) predictions [counts], and the number of updates.
 
     Raises:
-        DatasetError: If a side has fewer samples than a batch, or a loss stops being finite.
+        DatasetError: If there are fewer samples than a batch takes, or a loss is not finite.
     """
     kind = PointnetTrainer if model == POINTNET else SrganTrainer
-    trainer = kind(data, who.train, who.unlabelled, config)
+    trainer = kind(data, split.train, split.unlabelled, config)
     while trainer.epoch < trainer.epochs:
         trainer.run_epoch()
-    updates = trainer.epochs * (len(who.train) // config.batch_size)
-    return predict_set(trainer.net.eval(), data, who.judged), updates
+    updates = trainer.epochs * (len(split.train) // config.batch_size)
+    return predict_set(trainer.net.eval(), data, split.test), updates
 
 
-def error_row(data: TrainingSet, who: Sides, predicted: Float64, objects: Sequence[str]) -> Row:
-    """What a cell brings home: for each judged sample, squared errors of the network and of the training mean.
+def error_row(data: TrainingSet, split: LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:
+    """Squared errors of a network and of the training mean for each test sample.
 
     Args:
         data: The samples.
-        who: Who was trained on and judged.
-        predicted: (J, M) [counts].
-        objects: (J,) of the judged samples.
+        split: Training and test samples.
+        predicted: (J, M) predictions [counts].
+        objects: (J,) objects of the test samples.
 
     Returns:
         By object, in order of the samples, both means over the modality's values [counts²].
     """
-    place = columns(data.config.outputs)
-    actual = data.labels[np.ix_(who.judged, place)]
-    mean = data.labels[np.ix_(who.train, place)].mean(axis=0)
+    index = columns(data.config.outputs)
+    actual = data.labels[np.ix_(split.test, index)]
+    mean = data.labels[np.ix_(split.train, index)].mean(axis=0)
     squared, reference = (((guess - actual) ** 2).mean(axis=1) for guess in (predicted, mean))
     names = np.array(objects)
     return {
-        "labelled": len(who.train),
+        "labelled": len(split.train),
         "objects": {
             str(name): {
                 "squared": squared[names == name].round(3).tolist(),

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same simulated grasp over and over, with what no camera can see drawn anew each time.
+"""Execute a simulated grasp repeatedly, with everything that no camera can see redrawn each time.
 
-A model is told the cloud and the planned grasp. It is not told how deep or hard the hand closes, with which place of its
-pads, how far beside the plan it lands, and what temperature and noise add. So of one sample these are drawn again from
-the simulator's own streams, and all else, object, pose and cloud, is kept. Tries that come to nothing (a finger slips or
-closes beside the object) are left out, as they are in a data set.
+A model is given the cloud and the planned grasp, but not how deep or hard the hand closes, which part of the pads makes
+contact, how far beside the plan the hand lands, and what temperature and noise add. These effects of a sample are drawn
+again from the simulator's own streams, and all else, object, pose and cloud, is kept. Attempts that fail (a finger slips or
+closes beside the object) are left out, as they are in a dataset.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from foretouch.simulation.steps import EFFECTS
 from foretouch.simulation.streams import SampleKey
 from foretouch.types import Float64
 
-__all__ = ["CAUSES", "STRANGER", "Repeater", "Repeats"]
+__all__ = ["CAUSES", "NEW_OBJECT", "Repeater", "Repeats"]
 
 CAUSES: Final = {
     "command": frozenset({"targets"}),
@@ -29,15 +29,15 @@ CAUSES: Final = {
     "placement": frozenset({"execution_error"}),
     "sensor": frozenset({"slip", "drift", "noise", "scan_hold"}),
 }
-"""What is hidden, by the effects that draw it: how far the hand closes; with which place of the pads; where it lands and
-how exactly it reaches its target; what the sensor adds over time."""
+"""Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads makes contact;
+where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
 
-STRANGER: Final = "stranger"
-"""Hidden as well of an object that was never touched: its day, and its material, for which each repeat takes that of
-any object of the scene."""
+NEW_OBJECT: Final = "stranger"
+"""Also unknown of an object that was never touched: its day, and its material, which each repeat takes from any object of
+the scene."""
 
 _MATERIAL: Final = ("young_pa", "poisson", "thickness_m", "friction")
-_TRIES: Final = 10  # for each repeat that is wanted
+_TRIES: Final = 10  # per requested repeat
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class Repeats:
     """Repeats of one grasp.
 
     Attributes:
-        touches: (n, 50) float64 [counts].
-        tares: (n, 50) float64 [counts].
+        touches: (n, 50) [counts].
+        tares: (n, 50) [counts].
     """
 
     touches: Float64
@@ -58,13 +58,13 @@ class Repeater:
 
     Args:
         scene: The scene.
-        causes: Of `CAUSES` and `STRANGER`, those to draw anew; the others stay as they were in the sample.
+        causes: Those of `CAUSES` and `NEW_OBJECT` that are redrawn; the others are those of the sample.
     """
 
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
-        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {STRANGER}))
-        self._strange = STRANGER in causes
-        if self._strange:
+        again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {NEW_OBJECT}))
+        self._new_object = NEW_OBJECT in causes
+        if self._new_object:
             again |= {"sessions"}
         effects = [replace(effect, again=effect.name in again) for effect in EFFECTS]
         self._engine = Engine(scene, effects, ("touch", "tare"))
@@ -73,12 +73,12 @@ class Repeater:
         """Execute one grasp again.
 
         Args:
-            slot: Of the sample.
-            attempt: Of the try that made it.
-            count: How many repeats are wanted; a grasp that fails too often gives fewer.
+            slot: Slot of the sample.
+            attempt: Attempt that made it.
+            count: Number of repeats; a grasp that fails too often gives fewer.
 
         Raises:
-            SimulationError: If not even two succeed.
+            SimulationError: If fewer than two succeed.
         """
         touches: list[Float64] = []
         tares: list[Float64] = []
@@ -91,7 +91,7 @@ class Repeater:
                 )
             except SimulationError as err:
                 if err.reason == "effect":
-                    raise  # a mistake in the program, not in the grasp
+                    raise  # a defect of the program, not of the grasp
                 continue
             touches.append(state.touch.vector())
             tares.append(state.tare.vector())
@@ -100,12 +100,12 @@ class Repeater:
         return Repeats(np.array(touches), np.array(tares))
 
     def _item(self, slot: int, number: int) -> ObjectConfig:
-        """The object of a slot; of a stranger, as one repeat takes it."""
+        """Object of a slot, with the material of another object in each repeat if the object is new."""
         items = self._engine.scene.objects
         item = items[slot % len(items)]
-        if not self._strange:
+        if not self._new_object:
             return item
-        others = [other for other in items if other.rigid == item.rigid]  # these call for the same effects
+        others = [other for other in items if other.rigid == item.rigid]  # these need the same effects
         rng = np.random.default_rng([self._engine.scene.seed, slot, number])
         other = others[int(rng.integers(len(others)))]
         return item.replace(**{name: getattr(other, name) for name in _MATERIAL})

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several experiments share: predictors, folds, real grasps and simulated data."""
+"""Predictors, data, folds, scores and figures that several experiments share."""

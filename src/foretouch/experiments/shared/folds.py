@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments that fit each predictor to some grasps and test it on others, fold by fold."""
+"""Fit each predictor to some grasps and test it on others, fold by fold; and split samples by object."""
 
 from __future__ import annotations
 
@@ -7,86 +7,132 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from foretouch.errors import DatasetError
-from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.predictors import find_predictor
-from foretouch.experiments.shared.real_grasps import RealGraspSettings, error_rows, labelled, seeded_predictors
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Fold, Indices, make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.experiments.shared.real_grasps import (
+    FREE,
+    PRESETS,
+    RealGraspSettings,
+    error_rows,
+    labelled,
+    load,
+    score_table,
+    seeded_predictors,
+)
+from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
+from foretouch.learning.data import Dataset, Fold, labels_of, make_folds
 from foretouch.types import GraspSample
 
-__all__ = ["FoldRunner", "Part", "split_parts"]
+__all__ = ["FoldRunner", "TableFold", "by_object", "split_by_fold", "split_experiment", "split_objects"]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One fold of one table.
-
-    Attributes:
-        table: Its table in the results.
-        name: Unique in the table.
-        train, test: Places of the samples.
-    """
+class TableFold:
+    """A fold and the table of the results that it belongs to; its name is unique in the table."""
 
     table: str
-    name: str
-    train: Indices
-    test: Indices
-
-    @classmethod
-    def of(cls, table: str, fold: Fold) -> Part:
-        """A fold as a part of a table."""
-        return cls(table, fold.name, fold.train, fold.test)
+    fold: Fold
 
 
-MakeParts = Callable[[Any, Sequence[GraspSample], int], list[Part]]
+MakeFolds = Callable[[Any, Sequence[GraspSample], int], list[TableFold]]
 
 
 @dataclass(frozen=True)
 class FoldRunner:
-    """`cells` and `run` of an experiment, from the parts that it is made of.
+    """`cells` and `run` of an experiment that consists of folds.
 
     Attributes:
-        parts: (settings, labelled samples, seed) to the parts, the same for the same arguments.
+        folds: (settings, labelled samples, seed) to the folds; deterministic.
     """
 
-    parts: MakeParts
+    folds: MakeFolds
 
-    def cells(self, settings: RealGraspSettings, data: Collection) -> list[Cell]:
-        """A cell for each part, predictor and seed."""
+    def cells(self, settings: RealGraspSettings, data: Dataset) -> list[Cell]:
+        """A cell for each fold, predictor and seed."""
         samples = labelled(data)
         return [
             Cell(
-                "+".join((name, part.table, part.name, f"seed{seed}")).replace(" ", "_"),
-                {"table": part.table, "part": part.name, "predictor": name, "seed": seed},
+                "+".join((name, one.table, one.fold.name, f"seed{seed}")).replace(" ", "_"),
+                {"table": one.table, "part": one.fold.name, "predictor": name, "seed": seed},
             )
             for seed, name in seeded_predictors(settings)
-            for part in self.parts(settings, samples, seed)
+            for one in self.folds(settings, samples, seed)
         ]
 
-    def run(self, cell: Cell, settings: RealGraspSettings, data: Collection) -> list[Row]:
+    def run(self, cell: Cell, settings: RealGraspSettings, data: Dataset) -> list[Row]:
         """Fit and test once."""
         samples = labelled(data)
-        table, name, seed = (cell.values[key] for key in ("table", "part", "seed"))
-        (part,) = (p for p in self.parts(settings, samples, seed) if (p.table, p.name) == (table, name))
-        train, test = ([samples[k] for k in side] for side in (part.train, part.test))
+        table, part, seed = (cell.values[key] for key in ("table", "part", "seed"))
+        folds = [one.fold for one in self.folds(settings, samples, seed) if one.table == table]
+        train, test = split_by_fold(samples, folds, part)
         labels = labels_of(train)
         fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels, seed)
         return error_rows(test, fitted.predict(test), labels_of(test), labels.mean(axis=0))
 
 
-def split_parts(split: str) -> MakeParts:
-    """The folds of a named split of all samples, as one table.
+def split_experiment(*, name: str, question: str, module: str, split: str, order: int) -> Experiment[Any, Any]:
+    """The experiment that tests all predictors on the folds of a named split, as one table.
 
     Args:
-        split: Out of `foretouch.learning.data.folds.SPLITS`.
+        name: Name of the experiment.
+        question: What it answers.
+        module: Module that holds the `EXPERIMENT`.
+        split: One of `foretouch.learning.data.folds.SPLITS`.
+        order: Position in lists of experiments.
     """
 
-    def parts(settings: RealGraspSettings, samples: Sequence[GraspSample], seed: int) -> list[Part]:
+    def folds(settings: RealGraspSettings, samples: Sequence[GraspSample], seed: int) -> list[TableFold]:
         del settings
         if not samples:
             raise DatasetError("experiment: no sample is labelled")
-        return [Part.of(split, fold) for fold in make_folds(samples, split, seed)]
+        return [TableFold(split, fold) for fold in make_folds(samples, split, seed)]
 
-    return parts
+    runner = FoldRunner(folds)
+    return Experiment(
+        name=name,
+        question=question,
+        module=module,
+        order=order,
+        settings=RealGraspSettings,
+        presets=PRESETS,
+        load=load,
+        cells=runner.cells,
+        run=runner.run,
+        tabulate=score_table,
+        summarise=skill_tables,
+        figure=draw_skill_figure,
+        free=FREE,
+        data_folder="vision2tactile",
+    )
+
+
+def split_by_fold(
+    samples: Sequence[GraspSample], folds: Sequence[Fold], name: str
+) -> tuple[list[GraspSample], list[GraspSample]]:
+    """Training and test samples of the fold of a name."""
+    (fold,) = (one for one in folds if one.name == name)
+    return [samples[k] for k in fold.train], [samples[k] for k in fold.test]
+
+
+def split_objects(
+    samples: Sequence[GraspSample], train_objects: int, seed: int
+) -> tuple[list[GraspSample], list[GraspSample]]:
+    """Samples of `train_objects` randomly drawn objects, and those of the others.
+
+    Raises:
+        DatasetError: If no object is left for testing.
+    """
+    names = sorted({sample.object for sample in samples})
+    if train_objects >= len(names):
+        raise DatasetError(f"split: of {len(names)} objects, {train_objects} for training leave none to test on")
+    chosen = {names[k] for k in np.random.default_rng(seed).permutation(len(names))[:train_objects]}
+    return [one for one in samples if one.object in chosen], [one for one in samples if one.object not in chosen]
+
+
+def by_object(samples: Sequence[GraspSample]) -> list[list[GraspSample]]:
+    """Samples of each object, objects sorted by name."""
+    names = sorted({sample.object for sample in samples})
+    return [[sample for sample in samples if sample.object == name] for name in names]

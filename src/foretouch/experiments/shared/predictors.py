@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The published networks as predictors: `config/train/p1.yaml`, `p2.yaml` and `touchnet-v1.yaml`, a test holds them equal.
+"""Predictors that the experiments compare, by name.
 
-They stand here as well because an installed package has no `config/`.
-
-All predictors that the experiments on real grasps compare, by name.
-
-A predictor is fitted to labelled grasps and then asked, with or without touches of the object at hand. A `Baseline`
-knows nothing of such touches: `shrunk_residuals` lends it the simplest use of them. A new predictor is a line in
+A predictor is fitted to labelled grasps and then predicts others, without or after touches of the same object. A `Baseline`
+does not use such touches: `with_offset_correction` adds the simplest use of them. To add a predictor, add a line to
 `PREDICTORS`.
+
+The networks are those of the recipes of `foretouch train`; a recipe with one modality is trained once for each modality.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import TrainingSet, labels_of
 from foretouch.learning.evaluation.baselines import (
     TREES,
     Baseline,
@@ -29,8 +27,7 @@ from foretouch.learning.evaluation.baselines import (
     object_time_trees,
     training_mean,
 )
-from foretouch.learning.training.contact import ContactConfig
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -43,84 +40,52 @@ __all__ = [
     "Fitted",
     "find_predictor",
     "network",
-    "shrunk_residuals",
+    "with_offset_correction",
 ]
 
 
-_PAPERS: Final = {"weight_decay": 0.0, "schedule": "constant", "loss": "rmse", "target_scaling": "ranges"}
-
-RECIPES: Final[dict[str, dict[str, Any]]] = {
-    "p1_pointnet": {
-        "model": {
-            "n_points": 500,
-            "use_grasp": False,
-            "head_widths": [512, 256],
-            "head_norm": True,
-            "ranges": {"pdc_th": [0, 3100], "pdc_mf": [0, 2000], "e_th": [0, 3500], "e_mf": [0, 3800]},
-        },
-        "train": {"epochs": 50, "batch_size": 5, "optimiser": "sgd", "learning_rate": 0.01, **_PAPERS},
-        "one_a_modality": True,
-    },
-    "p2_pointnet": {
-        "model": {"channels": "xyz+normals"},
-        "train": {"epochs": 50, "batch_size": 32, "optimiser": "adam", "learning_rate": 0.01, **_PAPERS},
-        "one_a_modality": True,
-    },
-    "touchnet_v1": {
-        "model": {
-            "tnet": False,
-            "trunk_widths": [32, 64, 128],
-            "head_widths": [128],
-            "head_dropout": 0.3,
-            "metric_inputs": True,
-        },
-        "train": {"epochs": 120, "turn_deg": 20.0, "points": 256},
-        "one_a_modality": False,
-        "falls_back": True,
-    },
-}
+RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
+"""The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
 def network(name: str, effort: float) -> Baseline:
-    """A recipe as a baseline, which is trained anew for each call.
+    """A recipe as a baseline, which is trained again in each call.
 
     Args:
-        name: Out of `RECIPES`.
-        effort: Share of its epochs, at least one is run.
+        name: One of `RECIPES`.
+        effort: Share of its epochs; at least one is run.
 
     Raises:
         ConfigError: If there is no such recipe.
     """
     if name not in RECIPES:
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
-    recipe = RECIPES[name]
-    groups = [(one,) for one in MODALITIES] if recipe["one_a_modality"] else [MODALITIES]
 
     def predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
-        from foretouch.learning.data.training_set import TrainingSet
-        from foretouch.learning.training.supervised import TrainConfig, predict_set, train_network
-        from foretouch.models.network.config import ModelConfig
+        from foretouch.learning.training.learners import load_run_config
+        from foretouch.learning.training.supervised import predict_set, train_network
 
-        model = ModelConfig.from_mapping(recipe["model"], name)
-        how = TrainConfig.from_mapping(recipe["train"], name)
+        recipe: Any = load_run_config(RECIPES[name])  # of a supervised network
+        model, how = recipe.model, recipe.train
         how = how.replace(epochs=max(1, round(effort * how.epochs)), seed=seed)
         data = TrainingSet.build([*train, *test], model, unlabelled=True)
         hidden = np.full((len(test), TOUCH_SIZE), np.nan)
         data = replace(data, labels=np.concatenate([labels, hidden]))
-        learned, asked = np.arange(len(train)), np.arange(len(train), len(data))
+        train_index, test_index = np.arange(len(train)), np.arange(len(train), len(data))
         predicted = np.empty((len(test), TOUCH_SIZE))
-        for outputs in groups:
+        together = model.outputs == MODALITIES
+        for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
-            predicted[:, columns(outputs)] = predict_set(train_network(part, learned, how), part, asked)
-        return _fallen_back(predicted, train, labels, test) if recipe.get("falls_back") else predicted
+            predicted[:, columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
+        return _with_fallback(predicted, train, labels, test) if together else predicted
 
     return predict
 
 
-def _fallen_back(
+def _with_fallback(
     predicted: Float64, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample]
 ) -> Float64:
-    """As the shipped network's predictions fade on objects unlike those of training."""
+    """Fade predictions to the mean on objects out of the training distribution, as the released network does."""
     from foretouch.learning.training.contact import describe_objects
     from foretouch.models.novelty import Fallback
 
@@ -128,46 +93,46 @@ def _fallen_back(
 
 
 SHRINKAGE: Final = 2.0
-"""a of the shrunk mean of the residuals, in touches."""
+"""a of the offset correction, in touches."""
 
 
 class Fitted(Protocol):
-    """A predictor that was fitted to some grasps."""
+    """A fitted predictor."""
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
-        """(S, 50) predictions [counts]; labels of the samples, if they have any, are not looked at."""
+        """(S, 50) predictions [counts]; labels of the samples are not used."""
         ...
 
     def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
-        """The same after the touches of `touched`, which are of the same object and not among the samples."""
+        """(S, 50) predictions [counts] after touches of the same object that are not among the samples."""
         ...
 
 
 class Fit(Protocol):
-    """Fits a predictor: training samples, their (S, 50) labels [counts], seed."""
+    """Fits a predictor to training samples and their (S, 50) labels [counts]; deterministic given the seed."""
 
     def __call__(self, train: Sequence[GraspSample], labels: Float64, seed: int, /) -> Fitted:
-        """What was fitted; the same arguments give the same predictions."""
+        """Fit the predictor."""
         ...
 
 
-class _Shrunk:
-    """A baseline, and after touches the shrunk mean of its residuals.
+class _OffsetCorrected:
+    """A baseline with an offset of the object that is estimated from touches.
 
-    After n touches with residuals r_i = label - prediction it adds n / (n + a) · mean r_i: the posterior mean
-    of an offset of the object, where a is the variance of a single residual over that of the offsets.
+    After n touches with residuals r_i = label - prediction it adds n / (n + a) · mean r_i: the posterior mean of the
+    object's offset, where a is the variance of a single residual over that of the offsets.
     """
 
     def __init__(self, baseline: Baseline, train: Sequence[GraspSample], labels: Float64, seed: int) -> None:
-        self._ask = partial(baseline, train, labels)
+        self._baseline = partial(baseline, train, labels)
         self._seed = seed
-        self._known: dict[str, Float64] = {}  # a baseline is fitted anew for each question
+        self._cache: dict[str, Float64] = {}  # by id: a baseline is fitted in each call
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
-        new = [sample for sample in samples if sample.id not in self._known]
+        new = [sample for sample in samples if sample.id not in self._cache]
         if new:
-            self._known |= {s.id: row for s, row in zip(new, self._ask(new, self._seed), strict=True)}
-        return np.array([self._known[sample.id] for sample in samples])
+            self._cache |= {s.id: row for s, row in zip(new, self._baseline(new, self._seed), strict=True)}
+        return np.array([self._cache[sample.id] for sample in samples])
 
     def predict_after(self, touched: Sequence[GraspSample], samples: Sequence[GraspSample]) -> Float64:
         if not touched:
@@ -177,40 +142,40 @@ class _Shrunk:
         return np.asarray(self.predict(samples) + weight * residuals.mean(axis=0), np.float64)
 
 
-def shrunk_residuals(baseline: Baseline) -> Fit:
-    """A baseline as a predictor; touches move it by the shrunk mean of their residuals (a = `SHRINKAGE`)."""
-    return partial(_Shrunk, baseline)
+def with_offset_correction(baseline: Baseline) -> Fit:
+    """A baseline as a predictor that adds the shrunken mean of the touches' residuals (a = `SHRINKAGE`)."""
+    return partial(_OffsetCorrected, baseline)
 
 
 def _trees(baseline: Callable[..., Float64], effort: float) -> Fit:
-    return shrunk_residuals(partial(baseline, trees=max(1, round(effort * TREES))))
+    return with_offset_correction(partial(baseline, trees=max(1, round(effort * TREES))))
 
 
 def _contact(effort: float) -> Fit:
-    """Our own model, which makes its own use of touches."""
+    """The contact model, which has its own adaptation to touches."""
     config = ContactConfig()
     config = config.replace(trees=max(1, round(effort * config.trees)))
     return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
 
 
 PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
-    "training_mean": lambda _: shrunk_residuals(training_mean),
-    "object_mean": lambda _: shrunk_residuals(object_mean),
+    "training_mean": lambda _: with_offset_correction(training_mean),
+    "object_mean": lambda _: with_offset_correction(object_mean),
     "object_time_trees": lambda effort: _trees(object_time_trees, effort),
     "geometry_trees": lambda effort: _trees(geometry_trees, effort),
     "contact": _contact,
-    "p1_pointnet": lambda effort: shrunk_residuals(network("p1_pointnet", effort)),
-    "p2_pointnet": lambda effort: shrunk_residuals(network("p2_pointnet", effort)),
-    "touchnet_v1": lambda effort: shrunk_residuals(network("touchnet_v1", effort)),
+    "p1_pointnet": lambda effort: with_offset_correction(network("p1_pointnet", effort)),
+    "p2_pointnet": lambda effort: with_offset_correction(network("p2_pointnet", effort)),
+    "touchnet_v1": lambda effort: with_offset_correction(network("touchnet_v1", effort)),
 }
-"""By name, given the share of trees or epochs that it may spend: 1 for what is reported, less for a smoke test."""
+"""By name, from the share of trees or epochs: 1 for reported results, less for a smoke test."""
 
 NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")
-"""Those that take minutes to hours a fold."""
+"""Predictors that take minutes to hours per fold."""
 
 
 def find_predictor(name: str, effort: float = 1.0) -> Fit:
-    """A predictor by name.
+    """Find a predictor by name.
 
     Raises:
         ConfigError: If there is none.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the experiments on real grasps share: settings, the squared errors that cells bring home, and the table of them."""
+"""Settings, squared errors and score table of the experiments on real grasps."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile.modalities import MODALITIES
 from foretouch.tactile.ranges import P1_RANGES, P2_RANGES
 from foretouch.types import Float64, GraspSample
 
 __all__ = [
-    "EVERYTHING",
+    "ALL_OBJECTS",
     "FREE",
     "PRESETS",
     "RealGraspSettings",
@@ -32,26 +32,26 @@ __all__ = [
     "seeded_predictors",
 ]
 
-EVERYTHING: Final = "all"
-"""In the column `object`: all of them together."""
+ALL_OBJECTS: Final = "all"
+"""Value of the column `object` for all objects together."""
 
 _DECIMALS: Final = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class RealGraspSettings(Settings):
-    """Of every experiment on real grasps."""
+    """Settings that all experiments on real grasps share."""
 
     predictors: tuple[str, ...] = setting(
-        tuple(name for name in PREDICTORS if name not in NETWORKS), "Who is compared", choices=tuple(PREDICTORS)
+        tuple(name for name in PREDICTORS if name not in NETWORKS), "Predictors to compare", choices=tuple(PREDICTORS)
     )
-    seeds: tuple[int, ...] = setting((0, 1, 2, 3, 4), "Of folds and predictors; errors are pooled over them", minimum=0)
-    network_seeds: int = setting(1, "How many of the seeds the slow networks get", minimum=1)
-    effort: float = setting(
-        1.0, "Share of trees and epochs; below 1 only to try things out", minimum=0.001, maximum=1.0
+    seeds: tuple[int, ...] = setting(
+        (0, 1, 2, 3, 4), "Seeds of folds and predictors; errors are pooled over them", minimum=0
     )
+    network_seeds: int = setting(1, "Number of seeds for the slow networks", minimum=1)
+    effort: float = setting(1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0)
     references: tuple[str, ...] = setting(
-        ("geometry_trees",), "Whom the others are compared with", choices=tuple(PREDICTORS)
+        ("geometry_trees",), "Predictors that the others are compared with", choices=tuple(PREDICTORS)
     )
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -60,32 +60,34 @@ class RealGraspSettings(Settings):
         for name in ("predictors", "seeds"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
-                raise ConfigError(f"{type(self).__name__}.{name}: {list(values)} must hold at least one, each once")
+                raise ConfigError(
+                    f"{type(self).__name__}.{name}: {list(values)} must contain at least one value and no duplicates"
+                )
 
 
 PRESETS: Final[dict[str, dict[str, Any]]] = {
     "full": {"predictors": list(PREDICTORS)},  # hours
-    "quick": {},  # all but the papers' networks: minutes
+    "quick": {},  # all but the networks of the papers: minutes
     "smoke": {"seeds": [0], "effort": 0.1},
 }
 
 FREE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
-"""A cell depends on none of these; its own predictor and seed are among its values."""
+"""Settings that no cell depends on; its predictor and seed are among its values."""
 
 
-def load(settings: Settings, path: Path) -> Collection:
-    """The samples at a path (see `load_collection`)."""
+def load(settings: Settings, path: Path) -> Dataset:
+    """Load the samples at a path (see `load_dataset`)."""
     del settings
-    return load_collection(path)
+    return load_dataset(path)
 
 
-def labelled(data: Collection) -> list[GraspSample]:
-    """The samples that have a touch, in order."""
+def labelled(data: Dataset) -> list[GraspSample]:
+    """Samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
 
 
 def seeded_predictors(settings: RealGraspSettings) -> list[tuple[int, str]]:
-    """(seed, predictor) of all that is to be run: the networks with the first `network_seeds` seeds only."""
+    """All (seed, predictor) to run; networks run with the first `network_seeds` seeds only."""
     return [
         (seed, name)
         for number, seed in enumerate(settings.seeds)
@@ -95,13 +97,13 @@ def seeded_predictors(settings: RealGraspSettings) -> list[tuple[int, str]]:
 
 
 def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float64, mean: Float64) -> list[Row]:
-    """One row an object with what `ObjectErrors` adds up.
+    """Sums of squared errors, one row per object, as `ObjectErrors` adds them up.
 
     Args:
-        tested: (S,) the test samples.
-        predicted: (S, 50) [counts].
-        labels: (S, 50) [counts].
-        mean: (50,) of the labels that the predictor was trained on [counts].
+        tested: (S,) test samples.
+        predicted: (S, 50) predictions [counts].
+        labels: (S, 50) labels [counts].
+        mean: (50,) mean of the training labels, the reference of the skill [counts].
 
     Raises:
         DatasetError: If a prediction is not finite or missing.
@@ -122,24 +124,23 @@ def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float6
 
 
 def score_table(settings: RealGraspSettings, rows: Sequence[Row]) -> list[Row]:
-    """The rows of `results.csv`, a modality each, of every table, predictor and object.
+    """Rows of `results.csv`: one for each table, predictor, object and modality.
 
     Args:
-        settings: Tells the bootstrap and the references.
-        rows: Of `error_rows`, with `table`, `part`, `predictor` and `seed`. A predictor that lacks a part
-            of a table, because a cell failed, is left out of that table.
+        settings: Configuration of the bootstrap, and the references.
+        rows: Rows of `error_rows`, with `table`, `part`, `predictor` and `seed`. A predictor that lacks a part of a
+            table, because a cell failed, is left out of that table.
     """
     result: list[Row] = []
     for table in dict.fromkeys(row["table"] for row in rows):
-        mine = [row for row in rows if row["table"] == table]
-        complete = _complete(mine)
+        complete = _complete([row for row in rows if row["table"] == table])
         for name in (name for name in settings.predictors if name in complete):
             result += _predictor_rows(settings, table, name, complete)
     return result
 
 
 def _complete(rows: Sequence[Row]) -> dict[str, dict[int, list[Row]]]:
-    """Rows by predictor and seed, of those that have every part of the table."""
+    """Rows by predictor and seed, of the predictors that have every part of the table."""
     parts: dict[int, set[str]] = {}
     grouped: dict[str, dict[int, list[Row]]] = {}
     for row in rows:
@@ -164,7 +165,7 @@ def _predictor_rows(
             pair = (_errors(all_rows[name], common), _errors(all_rows[other], common))
             versus[other] = compare(*pair, settings.bootstrap)
     head = {"table": table, "predictor": name, "seeds": len(seeds)}
-    result = _rows({**head, "object": EVERYTHING}, errors, settings, versus)
+    result = _rows({**head, "object": ALL_OBJECTS}, errors, settings, versus)
     for one in errors.objects if len(errors.objects) > 1 else ():
         result += _rows({**head, "object": one}, errors.only(one), settings, {})
     return result
@@ -198,7 +199,7 @@ def _rows(
 
 
 def _rmse_columns(modality: str, rmse: dict[str, float], mean_rmse: dict[str, float]) -> dict[str, Any]:
-    if modality == MEAN:  # of counts of different sensors there is no mean
+    if modality == MEAN:  # a mean over counts of different sensors has no meaning
         return dict.fromkeys(("rmse", "rmse_of_mean", "nrmse_p1", "nrmse_p2"))
     value = rmse[modality]
     result: dict[str, Any] = {"rmse": round(value, 3), "rmse_of_mean": round(mean_rmse[modality], 3)}

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated grasps as the data of an experiment: a store that stands, or a scene that is simulated first.
+"""Data of experiments on simulated grasps: an existing training store, or a scene that is simulated first.
 
-They lie in a folder beside that of the sweep, `<DIR>.data`, which is made once and needed again only to resume.
-
-The data of an experiment that needs both: the real grasps, and those of a scene that is simulated beside the sweep.
+Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made once and needed again only to resume. An
+experiment on both real and simulated grasps has a link to the real ones there.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
 
@@ -37,34 +36,34 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSettings(Settings):
-    """Of experiments on simulated grasps."""
+    """Settings of experiments on simulated grasps."""
 
-    samples: int = setting(4000, "Grasps to simulate where --data is a scene", minimum=10, maximum=1_000_000)
+    samples: int = setting(4000, "Number of grasps to simulate if --data is a scene", minimum=10, maximum=1_000_000)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedGrasps:
-    """A store of simulated grasps and the scene that they come from.
+    """Simulated grasps and their scene.
 
     Attributes:
         collection: The samples.
-        scene: The scene; with the `slot` and `attempt` of a sample it makes that sample again.
+        scene: The scene; with the `slot` and `attempt` of a sample, it reproduces that sample.
     """
 
-    collection: Collection
+    collection: Dataset
     scene: SceneConfig
 
     @property
     def sha256(self) -> str:
-        """Of the samples."""
+        """Hash of the samples."""
         return self.collection.sha256
 
 
 def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Path) -> Path:
-    """`prepare` of an experiment: `--data` is a scene, which is simulated, or a store that was simulated before.
+    """`prepare` of an experiment: `--data` is a store of simulated grasps, or a scene that is simulated now.
 
     Raises:
-        ConfigError: If nothing is given, or what is given is no scene.
+        ConfigError: If nothing is given, or neither of these.
     """
     if source is None:
         raise ConfigError(
@@ -78,20 +77,20 @@ def prepare_simulated(settings: SimulatedSettings, source: Path | None, out: Pat
 
 
 def beside(out: Path) -> Path:
-    """Where the data of a sweep lie that it makes itself."""
+    """Folder of the data that a sweep makes."""
     return out.absolute().with_name(f"{out.absolute().name}.data")
 
 
 def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
-    """The store of a scene's first samples; one that stands there already, whole, is taken as it is.
+    """Simulate the first samples of a scene to a store, or reuse a complete one.
 
     Args:
-        scene_file: YAML.
-        count: Of the samples.
-        folder: Where the store lies, under the name of the scene.
+        scene_file: Scene (YAML).
+        count: Number of samples.
+        folder: Folder of the store, which is named after the scene.
 
     Raises:
-        ConfigError: If the store that stands there is of another scene or size.
+        ConfigError: If the existing store is of another scene or size.
     """
     scene = load_scene(scene_file)
     path = folder / scene_file.stem
@@ -102,7 +101,7 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
         return path
     store = Store(path)
     if len(store) != count or _scene_of(store.manifest, path).sha256() != scene.sha256():
-        raise ConfigError(f"{path}: holds {len(store)} samples of another scene or size; remove it")
+        raise ConfigError(f"{path}: contains {len(store)} samples of another scene or size; remove it")
     return path
 
 
@@ -110,16 +109,16 @@ def load_simulated(settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
     """Read a store and its scene.
 
     Raises:
-        DatasetError: If the store does not tell its scene.
+        DatasetError: If the store contains no scene.
     """
     del settings
-    return SimulatedGrasps(load_collection(path), _scene_of(Store(path).manifest, path))
+    return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
 
 
 def _scene_of(manifest: Any, path: Path) -> SceneConfig:
     scene = manifest.get("about", {}).get("scene")
     if not isinstance(scene, dict):
-        raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be made again")
+        raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
     return SceneConfig.from_mapping(scene, str(path))
 
 
@@ -128,32 +127,27 @@ _REAL: Final = "real"
 
 @dataclass(frozen=True, kw_only=True)
 class BothSettings(SimulatedSettings):
-    """Of experiments on both."""
+    """Settings of experiments on real and simulated grasps."""
 
     scene: str = setting("config/scenes/unseen_objects.yaml", "Scene of the simulated grasps")
-    samples: int = setting(2400, "Grasps of it", minimum=10, maximum=1_000_000)
+    samples: int = setting(2400, "Number of grasps to simulate", minimum=10, maximum=1_000_000)
 
 
 @dataclass(frozen=True, eq=False)
 class RealAndSimulated:
-    """Both.
+    """Real and simulated grasps."""
 
-    Attributes:
-        real: The real grasps.
-        simulated: The simulated ones.
-    """
-
-    real: Collection
-    simulated: Collection
+    real: Dataset
+    simulated: Dataset
 
     @property
     def sha256(self) -> str:
-        """Of both."""
+        """Hash of both."""
         return hashlib.sha256(f"{self.real.sha256} {self.simulated.sha256}".encode()).hexdigest()
 
 
 def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path:
-    """A folder with the store of the scene and a link to the real grasps.
+    """Make a folder with the store of the scene and a link to the real grasps.
 
     Raises:
         ConfigError: If no real grasps are given.
@@ -172,4 +166,4 @@ def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path
 def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
     """Read the folder of `prepare_both`."""
     simulated = load_simulated(settings, path / Path(settings.scene).stem)
-    return RealAndSimulated(load_collection(path / _REAL), simulated.collection)
+    return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)

@@ -27,13 +27,9 @@ from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 __all__ = [
     "ContactConfig",
     "ContactPredictor",
-    "calibration_folds",  # alias until merge: of `calibration`
     "describe_objects",
     "describe_samples",
     "fit_contact",
-    "object_folds",  # alias until merge: of `learning.data`
-    "rest_level",  # alias until merge: of `calibration`
-    "resting_labels",  # alias until merge: of `calibration`
 ]
 
 _FEWEST_SAMPLES: Final = 5

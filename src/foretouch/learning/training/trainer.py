@@ -124,11 +124,6 @@ class Trainer(ABC):
             training_device.prepare(module)
         self.optimisers: dict[str, ScheduledOptimiser] = {}
 
-    @property
-    def steppers(self) -> dict[str, ScheduledOptimiser]:
-        """Alias of `optimisers` until merge."""
-        return self.optimisers
-
     def run_epoch(self) -> dict[str, float]:
         """One pass over the training samples.
 

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who wins a cell: by hand, and by how often an interval holds the truth."""
+"""Differences of the models by hand, the coverage of their intervals, and the figure of the label ratios."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from foretouch.errors import DatasetError
-from foretouch.experiments.label_ratio.table import (
+from foretouch.experiments.label_ratio.results import (
     P2_AVERAGES,
     P2_CHANGES,
     TREES,
     compare_models,
+    draw_changes,
+    draw_errors,
+    draw_label_ratio_figure,
     summarise,
     tally,
 )
@@ -54,7 +59,7 @@ def test_trees_and_mean_stand_beside_on_the_same_samples() -> None:
     networks = [row("pointnet", 0, {"a": [4.0]}), row("srgan", 0, {"a": [9.0]})]
     (told,) = compare_models([row(TREES, 0, {"a": [2.25]}), *networks], P2_RANGES, draws=200)
     assert (told["mean_rmse"], told["trees_rmse"], told["runs"]) == (pytest.approx(200.0**0.5, abs=1e-4), 1.5, 1)
-    with pytest.raises(DatasetError, match="not judged on the same samples"):
+    with pytest.raises(DatasetError, match="not tested on the same samples"):
         compare_models([row(TREES, 0, {"b": [2.25]}), *networks], P2_RANGES, draws=200)
 
 
@@ -66,7 +71,7 @@ def test_a_run_without_its_partner_is_left_out() -> None:
 
 def test_other_samples_are_refused() -> None:
     rows = [row("pointnet", 0, {"a": [1.0, 2.0]}), row("srgan", 0, {"a": [1.0], "b": [2.0]})]
-    with pytest.raises(DatasetError, match="not judged on the same samples"):
+    with pytest.raises(DatasetError, match="not tested on the same samples"):
         compare_models(rows, P2_RANGES, draws=200)
 
 
@@ -90,8 +95,8 @@ def test_the_interval_holds_no_difference_in_19_of_20_worlds() -> None:
 def test_the_tally_counts_verdicts_and_averages() -> None:
     rows = [{"verdict": name, "change": change} for name, change in (("win", -3.0), ("tie", -0.1), ("loss", 2.0))]
     assert tally(rows) == [
-        "by interval: 1 wins, 1 ties, 1 losses",
-        "by average the SR-GAN is lower in 2 of 3 cells (P2: 12 of 20)",
+        "SR-GAN by 95 % interval: 1 wins, 1 ties, 1 losses",
+        "by mean error the SR-GAN is better in 2 of 3 cells (P2: 12 of 20)",
     ]
 
 
@@ -101,3 +106,47 @@ def test_what_p2_tells_agrees_with_its_own_count() -> None:
         told = [change for (name, _), change in P2_CHANGES.items() if name == modality]
         assert sum(change < 0.0 for change in told) <= count
         assert sum(change > 0.0 for change in told) <= 5 - count
+
+
+ROWS = [
+    {
+        "modality": "E_TH",
+        "ratio": ratio,
+        "pointnet_rmse": 80.0,
+        "srgan_rmse": 76.0,
+        "pointnet_percent": 2.3,
+        "srgan_percent": 2.2,
+        "mean_rmse": 90.0,
+        "trees_rmse": None,
+        "pointnet_sd": None,
+        "srgan_sd": 1.0,
+        "change": -5.0,
+        "change_low": -7.0,
+        "change_high": high,
+        "verdict": verdict,
+        "p2_change": None,
+    }
+    for ratio, high, verdict in ((90, -3.0, "win"), (10, 2.0, "tie"))
+]
+
+
+def test_bars_are_as_high_as_the_errors_in_order_of_the_ratios() -> None:
+    axes = Figure().subplots()
+    draw_errors(axes, ROWS)
+    assert [round(bar.get_height(), 3) for bar in axes.patches] == [2.3, 2.3, 2.2, 2.2]
+    assert axes.get_ylim()[0] == 0.0
+
+
+def test_zero_is_always_seen() -> None:
+    axes = Figure().subplots()
+    draw_changes(axes, ROWS)
+    low, high = axes.get_ylim()
+    assert low < -7.0
+    assert high >= 5.0
+    assert [label.get_text().split("\n")[0] for label in axes.get_xticklabels()] == ["T90", "T10"]
+
+
+def test_a_file_is_written(tmp_path: Path) -> None:
+    (path,) = draw_label_ratio_figure(ROWS, tmp_path)
+    assert path.name == "figure.png"
+    assert path.stat().st_size > 5000

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foretouch.experiments.noise_ceiling.table import CEILING, ceiling_rows
+from foretouch.experiments.noise_ceiling.results import CEILING, ceiling_rows
 
 GRASPS, SIGMA_M, SIGMA = 4000, 3.0, 4.0  # so 9 / 25 of the variance can be told
 TRUE_CEILING = SIGMA_M**2 / (SIGMA_M**2 + SIGMA**2)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact model without one of its components, and predictions of each component alone.
+
+The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.learning.data import Fold, Indices, labels_of
+from foretouch.learning.evaluation.baselines import geometry_features
+from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
+from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
+from foretouch.models.calibration import Calibration, CalibrationGroup
+from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
+from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
+from foretouch.models.novelty import FAMILIAR
+from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+
+__all__ = ["COMBINATIONS", "FEATURE_SETS", "FULL", "GROUP_EDITS", "Components", "ModelVariant", "fit_variants"]
+
+FULL: Final = "full"
+"""The complete model, as released."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Predictions of the components of a contact model for S grasps.
+
+    Attributes:
+        joint_forest: (S, 50) of the forest of all values [counts].
+        separate_forests: (S, 50) of the forests of the modalities [counts].
+        kernel: (S, 50) of the kernel [counts].
+        in_distribution: (S,) degree to which the objects are in the training distribution, 0...1.
+    """
+
+    joint_forest: Float64
+    separate_forests: Float64
+    kernel: Float64
+    in_distribution: Float64
+
+    @classmethod
+    def predict(cls, estimator: ContactEstimator, rows: Float64) -> Components:
+        """Predictions for (S, F) feature rows, whose first columns are those of the object."""
+        separate = np.empty((len(rows), TOUCH_SIZE))
+        for name in MODALITIES:
+            separate[:, columns([name])] = estimator.forests[name].predict(rows)
+        joint, kernel = estimator.forests[TOGETHER].predict(rows), estimator.kernel.predict(rows)
+        weights = [estimator.novelty.familiarity(row[: len(OBJECT_FEATURES)]) for row in rows]
+        mean, deviation = estimator.mean, estimator.deviation
+        return cls(joint * deviation + mean, separate * deviation + mean, kernel * deviation + mean, np.array(weights))
+
+    @classmethod
+    def gather(cls, parts: Sequence[tuple[Indices, Components]]) -> Components:
+        """Predictions for all samples, from disjoint index sets that together contain each of them."""
+        order = np.argsort(np.concatenate([index for index, _ in parts]))
+        names = ("joint_forest", "separate_forests", "kernel", "in_distribution")
+        return cls(*(np.concatenate([getattr(part, name) for _, part in parts])[order] for name in names))
+
+
+def _gated(forests: Float64, parts: Components) -> Float64:
+    weight = parts.in_distribution[:, None]
+    return weight * forests + (1.0 - weight) * parts.kernel
+
+
+Combination = Callable[[Components], Float64]
+
+COMBINATIONS: Final[dict[str, Combination]] = {
+    FULL: lambda p: _gated((p.joint_forest + p.separate_forests) / 2.0, p),
+    "forests alone": lambda p: (p.joint_forest + p.separate_forests) / 2.0,
+    "kernel alone": lambda p: p.kernel,
+    "no gate, half of each": lambda p: (p.joint_forest + p.separate_forests) / 4.0 + p.kernel / 2.0,
+    "joint forest only": lambda p: _gated(p.joint_forest, p),
+}
+"""By name of the variant, (S, 50) predictions before any touch [counts]."""
+
+GROUP_EDITS: Final[dict[str, Callable[[CalibrationGroup], CalibrationGroup]]] = {
+    "no worth": lambda group: replace(group, worth=np.ones(TOUCH_SIZE)),
+    "diagonal B": lambda group: replace(group, between=np.diag(np.diag(group.between))),
+}
+"""By name of the variant, changes of the full model's calibration groups that only matter after touches."""
+
+
+def _without_slopes(samples: Sequence[GraspSample]) -> Float64:
+    return describe_samples(samples)[:, [name not in SLOPE_FEATURES for name in FEATURES]]
+
+
+def _geometry_only(samples: Sequence[GraspSample]) -> Float64:
+    objects = describe_samples(samples)[:, : len(OBJECT_FEATURES)]
+    return np.column_stack([objects, [geometry_features(sample) for sample in samples]])
+
+
+FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
+    FULL: describe_samples,
+    "without slopes": _without_slopes,
+    "geometry_features only": _geometry_only,
+}
+"""By name of the variant, (S, F) feature rows. The first columns are those of the object, from which novelty is detected;
+`geometry_features` are those of the baseline's trees."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelVariant:
+    """A variant of the contact model with its predictions for the test samples.
+
+    Attributes:
+        expected: (S, 50) predictions before any touch, at the rest level of training [counts].
+        familiar: (S,) whether each object is in the training distribution.
+        labels: (S, 50) labels [counts].
+        shifts: (S, 50) differences of the tares from the rest level; zeros without tares [counts].
+        calibration: Its calibration, if one was made.
+    """
+
+    expected: Float64
+    familiar: npt.NDArray[np.bool_]
+    labels: Float64
+    shifts: Float64
+    calibration: Calibration | None
+
+    def predict(self, index: Indices, touched: Indices, *, tare: bool) -> Float64:
+        """(K, 50) predictions as those of `ContactPredictor.predict_after` [counts]; touches need a calibration."""
+        shifts = self.shifts if tare else np.zeros_like(self.shifts)
+        counts = self.expected[index]
+        if self.calibration is not None and len(touched):
+            means = self.expected[touched].mean(axis=0), (self.labels - shifts)[touched].mean(axis=0)
+            count = len(touched)
+            counts, _ = self.calibration.adapt(counts, self.familiar[index], tare=tare, touched=means, count=count)
+        return counts + shifts[index]
+
+
+def fit_variants(
+    train: Sequence[GraspSample], test: Sequence[GraspSample], config: ContactConfig, *, calibrated: bool
+) -> dict[str, ModelVariant]:
+    """Fit all variants to labelled samples and predict others; those of `GROUP_EDITS` only if calibrated.
+
+    Raises:
+        DatasetError: If a label is missing, or there are too few training samples.
+    """
+    result = {}
+    for name, describe in FEATURE_SETS.items():
+        model = _ComponentModel(train, config, describe)
+        components = model.predict(test)
+        held_out = model.held_out() if calibrated and name == FULL else {}
+        for variant, combine in COMBINATIONS.items() if name == FULL else [(name, COMBINATIONS[FULL])]:
+            calibration = model.calibrate(combine, held_out) if held_out else None
+            counts, familiar = combine(components), components.in_distribution >= FAMILIAR
+            result[variant] = ModelVariant(counts, familiar, labels_of(test), model.shifts(test), calibration)
+    full = result[FULL]
+    if full.calibration is not None:
+        for variant, edit in GROUP_EDITS.items():
+            groups = {name: edit(group) for name, group in full.calibration.groups.items()}
+            result[variant] = replace(full, calibration=replace(full.calibration, groups=groups))
+    return result
+
+
+class _ComponentModel:
+    """A contact model that is fitted as `ContactPredictor` fits it and predicts with each component."""
+
+    def __init__(
+        self, train: Sequence[GraspSample], config: ContactConfig, describe: Callable[[Sequence[GraspSample]], Float64]
+    ) -> None:
+        self._train, self._config, self._describe = list(train), config, describe
+        self._rest, _ = rest_level(train)
+        self._labels = labels_of(train)
+        self._resting = resting_labels(train, self._labels, self._rest)
+        self._objects = np.array([sample.object for sample in train])
+        self._rows = describe(train)
+        self._estimator = self._fit(np.arange(len(train)))
+
+    def predict(self, samples: Sequence[GraspSample]) -> Components:
+        return Components.predict(self._estimator, self._describe(samples))
+
+    def shifts(self, samples: Sequence[GraspSample]) -> Float64:
+        tares = [self._rest if sample.tare is None else sample.tare.vector() for sample in samples]
+        return np.array(tares) - self._rest
+
+    def held_out(self) -> dict[str, tuple[Components, npt.NDArray[np.str_]]]:
+        """Predictions for held-out training samples, and the sessions of these, by calibration group."""
+        return {
+            name: (Components.gather([(fold.test, self._without(fold)) for fold in folds]), sessions)
+            for name, (folds, sessions) in calibration_folds(self._train, self._config.seed).items()
+        }
+
+    def calibrate(
+        self, combine: Combination, held_out: Mapping[str, tuple[Components, npt.NDArray[np.str_]]]
+    ) -> Calibration:
+        """Calibration of one combination of the components."""
+        predicted = {name: (combine(components), sessions) for name, (components, sessions) in held_out.items()}
+        return calibrate(self._train, self._labels, predicted)[0]
+
+    def _without(self, fold: Fold) -> Components:
+        return Components.predict(self._fit(fold.train), self._rows[fold.test])
+
+    def _fit(self, index: Indices) -> ContactEstimator:
+        return fit_contact(self._rows[index], self._resting[index], list(self._objects[index]), self._config)

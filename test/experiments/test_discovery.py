@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A new experiment is one folder: in this package, or in a user's own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import foretouch.experiments
+from foretouch.cli.main import main
+from foretouch.errors import ConfigError
+from foretouch.experiments import find_experiment, list_experiments, run_sweep
+from foretouch.experiments.framework import sweep
+from foretouch.experiments.framework.executors import run_cell
+
+RESULTS = Path(__file__).parents[2] / "docs/results"
+
+SOURCE = """
+from dataclasses import dataclass
+from hashlib import sha256
+
+from foretouch.config import Settings, setting
+from foretouch.experiments import Cell, Experiment, Table
+from foretouch.report.panels import new_figure, save
+
+
+@dataclass(frozen=True, kw_only=True)
+class StiffnessSettings(Settings):
+    cells: int = setting(3, "Number of cells", minimum=1)
+
+
+@dataclass(frozen=True)
+class Words:
+    text: str
+
+    @property
+    def sha256(self):
+        return sha256(self.text.encode()).hexdigest()
+
+
+def draw(rows, folder):
+    figure = new_figure(4.0, 3.0)
+    figure.subplots().plot([row["number"] for row in rows], [row["length"] for row in rows])
+    return [save(figure, folder / "stiffness.png")]
+
+
+EXPERIMENT = Experiment(
+    name="stiffness",
+    question="How stiff is it?",
+    module=__name__,
+    settings=StiffnessSettings,
+    presets={"full": {}},
+    load=lambda settings, path: Words(path.read_text()),
+    cells=lambda settings, data: [Cell(f"cell{k}", {"number": k}) for k in range(settings.cells)],
+    run=lambda cell, settings, data: [{"length": len(data.text) * cell.values["number"]}],
+    tabulate=lambda settings, rows: list(rows),
+    summarise=lambda rows: [Table("stiffness", ["length"], [[str(row["length"])] for row in rows])],
+    figure=draw,
+)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """`my_lab/stiffness`, an experiment in a folder."""
+    folder = tmp_path / "my_lab"
+    (folder / "stiffness").mkdir(parents=True)
+    (folder / "__init__.py").touch()
+    (folder / "stiffness/__init__.py").write_text(SOURCE)
+    for name in ("my_lab", "my_lab.stiffness", "foretouch.experiments.stiffness"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return folder
+
+
+def test_a_folder_of_ones_own(folder: Path, capsys, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(folder.parent)
+    out = folder.parent / "out"
+    words = ["experiment", "my_lab.stiffness", "-o", str(out), "--data", str(numbers), "--workers", "1", "--json"]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["figures"] == ["stiffness.png"]
+    assert (out / "results.csv").read_text() == "number,length\n0,0\n1,6\n2,12\n"
+    assert (
+        (out / "summary.md")
+        .read_text()
+        .startswith("# How stiff is it?\n\n## stiffness\n\n| length |\n| --- |\n| 0 |\n")
+    )
+
+
+def test_a_folder_in_the_package(folder: Path, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foretouch.experiments, "__path__", [*foretouch.experiments.__path__, str(folder)])
+    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
+    assert [one.name for one in list_experiments()][-1] == "stiffness"  # after those with an order
+    experiment = find_experiment("stiffness")
+    result = run_sweep(experiment, experiment.resolve("full", {"cells": 2}), folder / "out", source=numbers)
+    assert result.rows == [{"number": 0, "length": 0}, {"number": 1, "length": 6}]
+    (figure,) = experiment.draw(result.rows, folder / "out")
+    assert figure.stat().st_size > 5000
+
+
+def test_every_folder_holds_the_experiment_of_its_name() -> None:
+    root = Path(foretouch.experiments.__file__).parent
+    folders = {path.name for path in root.iterdir() if (path / "__init__.py").exists()} - {"framework", "shared"}
+    assert {one.name for one in list_experiments()} == folders
+    for one in list_experiments():
+        assert find_experiment(one.name) is one
+        assert one.module == f"foretouch.experiments.{one.name}"
+    for name in ("framework", "shared"):
+        with pytest.raises(ConfigError, match=f"{name!r} is none of cross_validation, time_blocked"):
+            find_experiment(name)
+
+
+def test_matplotlib_is_only_imported_to_draw() -> None:
+    code = (
+        "import sys; from foretouch.experiments import list_experiments as f; f(); print('matplotlib' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*/manifest.json")), ids=lambda path: path.parent.name)
+def test_sweeps_of_earlier_versions_can_be_resumed(path: Path) -> None:
+    """Their manifests hold the name and settings of an experiment, and no name of a module."""
+    manifest = json.loads(path.read_text())
+    experiment = find_experiment(manifest["experiment"])
+    settings = experiment.settings.from_mapping(manifest["settings"], experiment.name).to_mapping()
+    assert json.loads(json.dumps(settings)) == manifest["settings"]
+    assert "module" not in manifest
