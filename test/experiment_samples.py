@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from foretouch.learning.data.collection import Collection
+from foretouch.learning.data import Dataset
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 OBJECTS = ("campbells", "cheezit", "coffee", "pringles", "rugby", "spam", "train", "wood")
@@ -17,10 +17,10 @@ def make_samples(objects: int = 8, each: int = 12, seed: int = 0) -> list[GraspS
     return [_sample(rng, OBJECTS[k], k, number) for k in range(objects) for number in range(each)]
 
 
-def make_collection(objects: int = 8, each: int = 12) -> Collection:
+def make_collection(objects: int = 8, each: int = 12) -> Dataset:
     """The same as a collection of a made-up hash."""
     samples = make_samples(objects, each)
-    return Collection("made-up", tuple(samples), f"{objects}x{each}", {})
+    return Dataset("made-up", tuple(samples), f"{objects}x{each}", {})
 
 
 def _sample(rng: np.random.Generator, name: str, place: int, number: int) -> GraspSample:

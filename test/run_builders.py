@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A configuration that trains within a second, and what to say, or not, of a run."""
+"""A configuration that trains within a second, and report callbacks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from foretouch.learning.training.run_config import IDLE, RunConfig
+from foretouch.learning.training.learners import RunConfig, find_learner, read_run_config
 
 MODEL = {"n_points": 32, "tnet": False, "trunk_widths": [8, 16], "head_widths": [16], "outputs": ["PDC_TH"]}
 BASE: dict[str, Any] = {
@@ -23,21 +23,23 @@ BASE: dict[str, Any] = {
 
 
 def run_config(**changes: Any) -> RunConfig:
-    """`BASE` with some groups replaced, without those that the method does not look at."""
+    """`BASE` with some groups replaced, without those that the method does not use."""
     given = {**BASE, **changes}
-    idle = IDLE[given.get("method", "supervised")]
-    return RunConfig.from_mapping({key: value for key, value in given.items() if key not in idle})
+    unused = {"model", "train", "srgan", "contact"} - find_learner(
+        given.get("method", "supervised")
+    ).config_type.groups().keys()
+    return read_run_config({key: value for key, value in given.items() if key not in unused})
 
 
 def quiet(_record: Mapping[str, Any]) -> None:
-    """Says nothing."""
+    """Reports nothing."""
 
 
 def stop_after(epoch: int) -> Callable[[Mapping[str, Any]], None]:
-    """Interrupts the run once an epoch is on the disk."""
+    """Interrupts the run once an epoch is on disk."""
 
-    def say(record: Mapping[str, Any]) -> None:
+    def report(record: Mapping[str, Any]) -> None:
         if record.get("epoch") == epoch:
             raise KeyboardInterrupt
 
-    return say
+    return report

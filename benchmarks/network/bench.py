@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import torch
+from datasets.abc import Callable
 from torch import Tensor, nn
 
-from foretouch.learning.data.folds import SPLITS
+from foretouch.learning.data import SPLITS
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold

@@ -7,16 +7,16 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from datasets.abc import Callable, Iterator, Mapping
 from plain import plain_composition
 
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import TrainingSet
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer

@@ -6,16 +6,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
+from datasets.abc import Iterator
 from torch import Tensor
 
-from foretouch.learning.data.collection import Collection, load_collection
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import Dataset, TrainingSet, load_dataset
 from foretouch.learning.training import losses
 from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
@@ -100,11 +99,11 @@ def report(name: str, skills: list[float], out: list[dict[str, object]]) -> None
     )
 
 
-def run(collection: Collection, seeds: int) -> list[dict[str, object]]:
+def run(dataset: Dataset, seeds: int) -> list[dict[str, object]]:
     """Every case and seed."""
-    (part,) = collection.parts("labels/T50")
-    train, test, bare = (collection.index(ids) for ids in (part.train, part.test, part.unlabelled))
-    data = TrainingSet.build(collection.samples, SLIM, unlabelled=True)
+    (part,) = dataset.parts("labels/T50")
+    train, test, bare = (dataset.index(ids) for ids in (part.train, part.test, part.unlabelled))
+    data = TrainingSet.build(dataset.samples, SLIM, unlabelled=True)
     rows: list[dict[str, object]] = []
     for name, how in SUPERVISED.items():
         report(
@@ -134,10 +133,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    collection = load_collection(arguments.data)
-    rows = run(collection, arguments.seeds)
+    dataset = load_dataset(arguments.data)
+    rows = run(dataset, arguments.seeds)
     if arguments.out is not None:
-        head = {"data_sha256": collection.sha256, "model": dataclasses.asdict(SLIM)["trunk_widths"]}
+        head = {"data_sha256": dataset.sha256, "model": dataclasses.asdict(SLIM)["trunk_widths"]}
         lines = [json.dumps(row) for row in (head, *rows)]
         arguments.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -29,13 +29,15 @@ def test_train_and_evaluate(call, simulated, tmp_path) -> None:
     assert [record["epoch"] for record in epochs] == [0, 1]
     assert {"labeled", "unlabeled", "fake", "generator", "total"} == set(epochs[0]["losses"])
     assert result["status"] == "done"
-    judged = call("evaluate", result["card"], simulated, "--split", "labels/T50", "--json")
-    assert judged.status == 0, judged.err
-    (record,) = judged.records
+    scored = call("evaluate", result["card"], simulated, "--split", "labels/T50", "--json")
+    assert scored.status == 0, scored.err
+    (record,) = scored.records
     assert record["PDC_TH"] == result["scores"]["model"]["PDC_TH"]
     assert set(record["PDC_TH"]) == {"rmse", "nrmse", "skill", "coverage90"}
     assert set(record["baselines"]) == {"training_mean", "object_mean", "object_time_trees", "geometry_trees"}
     assert record["same_data"] is True
+    by_folder = call("evaluate", tmp_path / "run", simulated, "--split", "labels/T50", "--json")
+    assert by_folder.records[0]["PDC_TH"] == record["PDC_TH"]
     again = call(*words, "--json")
     assert again.status == 1
     assert "--resume" in again.err
@@ -48,9 +50,9 @@ def test_people_get_a_table(call, simulated, tmp_path) -> None:
     assert answer.status == 0, answer.err
     assert "geometry_trees" in answer.out
     assert "PDC_TH" in answer.out
-    judged = call("evaluate", "default", simulated)
-    assert judged.status == 0, judged.err
-    assert "E_MF" in judged.out
+    scored = call("evaluate", "default", simulated)
+    assert scored.status == 0, scored.err
+    assert "E_MF" in scored.out
 
 
 def test_what_is_wrong_is_told_in_one_line(call, simulated, tmp_path) -> None:

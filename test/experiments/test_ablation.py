@@ -11,10 +11,9 @@ from experiment_samples import make_samples
 from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.ablation.results import NOTHING, ablation_rows, ablation_tables
 from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVariant, fit_variants
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
-from foretouch.learning.training.contact import describe_samples
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)

@@ -14,9 +14,9 @@ from foretouch.experiments.coverage import coverage_rows
 from foretouch.experiments.coverage.results import coverage_table, coverage_tables, wilson_interval
 from foretouch.experiments.shared.folds import by_object, split_objects
 from foretouch.experiments.unseen_object import UnseenObjectSettings
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor
 
 FEW_DRAWS = BootstrapConfig(draws=200)
 

@@ -15,9 +15,7 @@ from foretouch.experiments import find_experiment
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
-from foretouch.learning.data.collection import Collection, load_collection
-from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import Dataset, labels_of, load_dataset, make_folds
 from foretouch.learning.evaluation.metrics import score
 from foretouch.tactile import MODALITIES
 
@@ -31,7 +29,7 @@ FROZEN = {
 """By split and number of seeds; fixed before any model of our own was tuned, and not to be renewed."""
 
 
-def run_all(name: str, data: Collection, **settings) -> list[Row]:
+def run_all(name: str, data: Dataset, **settings) -> list[Row]:
     """Table of an experiment, all cells in this process."""
     experiment = find_experiment(name)
     resolved = experiment.resolve("smoke", settings)
@@ -44,13 +42,13 @@ def run_all(name: str, data: Collection, **settings) -> list[Row]:
 
 
 @pytest.fixture(scope="module")
-def collection() -> Collection:
+def collection() -> Dataset:
     return make_collection()
 
 
 @pytest.fixture(scope="module")
-def real(real_data) -> Collection:
-    data = load_collection(real_data / "vision2tactile")
+def real(real_data) -> Dataset:
+    data = load_dataset(real_data / "vision2tactile")
     if data.sha256 != json.loads((RESULTS / "cross_validation/manifest.json").read_text())["data"]["sha256"]:
         pytest.skip("other objects are there than those of the committed results")
     return data

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small made-up collection whose labels follow from what a network sees."""
+"""A small made-up dataset whose labels follow from what a network is fed."""
 
 from pathlib import Path
 
@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from foretouch.dataset.store_writer import SampleFacts, StoreWriter
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.store_writer import StoreWriter
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
@@ -62,5 +63,5 @@ def store(samples, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def data(store) -> Collection:
-    return load_collection(store)
+def data(store) -> Dataset:
+    return load_dataset(store)

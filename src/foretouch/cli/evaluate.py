@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch evaluate`: how good a model is on a dataset, beside what needs no model."""
+"""`foretouch evaluate`: score a model and the baselines on a dataset."""
 
 from __future__ import annotations
 
@@ -13,26 +13,30 @@ __all__ = ["add_arguments", "run", "show_scores"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The model, the samples, and how they are split for the baselines."""
-    parser.add_argument("model", metavar="MODEL", help="default, a shipped name, or a checkpoint")
+    """Model, dataset, and the split for the baselines."""
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        help="default, the name of a model of the package, a card, weights, or the folder of a run",
+    )
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
     parser.add_argument(
         "--split",
         metavar="NAME",
         default="random",
-        help="KIND or KIND/PART: test samples, and what the baselines are fitted to (random, object, time, labels/T50)",
+        help="KIND or KIND/PART: samples to test, and samples to fit the baselines to (random, object, time, labels/T50)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the baselines")
-    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the baselines")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0 however bad the model is."""
-    from foretouch.learning.data.collection import load_collection
-    from foretouch.learning.evaluation.evaluate_model import judge
+    """Exit status 0 whatever the scores."""
+    from foretouch.learning.data import load_dataset
+    from foretouch.learning.evaluation.evaluate import evaluate_model
 
-    data = load_collection(arguments.dataset)
-    result = judge(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
+    data = load_dataset(arguments.dataset)
+    result = evaluate_model(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
     scores = dict(result["scores"])
     record = {"split": arguments.split, "data_sha256": data.sha256, "samples": result["samples"]}
     record |= {
@@ -45,34 +49,34 @@ def run(arguments: argparse.Namespace) -> int:
         print_json({"model": arguments.model, "dataset": arguments.dataset, **record})
         return 0
     if result["same_data"]:
-        warn("the model was trained on these data: its own figures tell how well it remembers")
+        warn("the model was trained on this dataset: its scores are training scores, not test scores")
     show_scores(result, arguments.split)
     return 0
 
 
 def show_scores(result: Mapping[str, Any], split: str) -> None:
-    """A table: a row for the model and each baseline, one modality after the other.
+    """Print a table with a row for the model and each baseline, one modality after the other.
 
     Args:
-        result: Of `foretouch.learning.evaluation.evaluate_model.judge`.
-        split: Named in the title.
+        result: Result of `evaluate_model`.
+        split: Split for the title.
     """
     scores = result["scores"]
     rows = [
         [
-            key if who == "model" else "",
-            who,
+            key if name == "model" else "",
+            name,
             f"{row[key]['rmse']:.1f}",
             f"{row[key]['nrmse']:.4f}",
             f"{row[key]['skill']:+.3f}",
             "" if row[key]["coverage90"] is None else f"{row[key]['coverage90']:.3f}",
         ]
         for key in scores["model"]
-        for who, row in scores.items()
+        for name, row in scores.items()
     ]
     title = (
         f"{result['samples']} samples ({result['unfamiliar']} flagged unfamiliar), split {split}; "
         "rmse in counts; skill: 0 is the training mean, 1 is perfect; inside: share of readings in the 90 % interval"
     )
     # Short heads: on 80 columns, as in a pipe, longer ones would cut the names of the baselines.
-    print_table(title, ["", "who", "rmse", "rmse / range", "skill", "inside"], rows)
+    print_table(title, ["", "predictor", "rmse", "rmse / range", "skill", "inside"], rows)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch train`: a model from a configuration, resumable at every epoch.
+"""`foretouch train`: a model from a configuration and a dataset, resumable at every epoch.
 
-Several processes share each batch out, with the gradients of one, when `torchrun` starts the command::
+Several processes share each batch, with the gradients of one, when `torchrun` starts the command::
 
     torchrun --nproc-per-node 2 -m foretouch.cli.main train CONFIG -o RUN
 """
@@ -16,48 +16,69 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.evaluate import show_scores
-from foretouch.cli.output import print_json
-from foretouch.config import load_yaml, parse_overrides
+from foretouch.cli.output import print_json, print_table
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
-    from foretouch.learning.training.run_config import RunConfig
+    from foretouch.learning.data import Dataset
+    from foretouch.learning.training.learners import RunConfig
 
 __all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The configuration, what differs from it, and where to."""
-    parser.add_argument("config", metavar="CONFIG", help="YAML, such as config/train/p2_srgan.yaml")
+    """Configuration, overrides, and where the run is written."""
     parser.add_argument(
-        "overrides", metavar="key=value", nargs="*", help="settings that differ, such as data=PATH or train.epochs=5"
+        "config",
+        metavar="CONFIG",
+        help="YAML file, such as config/train/p2_srgan.yaml, or the name of a recipe of the package, such as contact-v1",
     )
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="RUN", help="folder of the run")
-    parser.add_argument("--resume", action="store_true", help="go on with the run that stands there, if any")
-    parser.add_argument("--json", action="store_true", help="one JSON object an epoch, and the result")
+    parser.add_argument(
+        "overrides",
+        metavar="key=value",
+        nargs="*",
+        help="settings that differ from CONFIG: data=DATASET, train.epochs=5, calibrate=true (intervals for a network), "
+        "release=true (scores on three splits in the card)",
+    )
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("-o", "--out", type=Path, metavar="RUN", help="folder of the run; it can be used as a model")
+    target.add_argument(
+        "--compare",
+        metavar="SPLITS",
+        help="score model and baselines on splits such as random,time,object; write nothing",
+    )
+    parser.add_argument("--resume", action="store_true", help="continue the run in RUN, if there is one")
+    parser.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="processes for cross-validation and calibration"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per epoch, and the result")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status 0 with a model on disk; what stops a training is an error, and the last good state stays."""
-    config = _config(arguments)  # before the samples are read, for it is faster to be found wrong
+    """Exit status 0 with a model on disk; an error stops the training, and the last good state stays."""
+    from foretouch.learning.training.device import process_group
+    from foretouch.learning.training.learners import load_run_config
+
+    config = load_run_config(arguments.config, arguments.overrides)  # before the samples: errors appear at once
     if config.data is None:
         raise ConfigError(f"{arguments.config}: data: is empty; give data=PATH")
-    from foretouch.learning.training.device import process_group
+    from foretouch.learning.data import load_dataset
 
-    with process_group(config.device) as ranks:
-        return _train(arguments, config, config.data, quiet=ranks.own > 0)
+    if arguments.compare:
+        return _compare(arguments, config.replace(release=True), load_dataset(config.data))
+    with process_group(config.device) as context:
+        return _train(arguments, config, load_dataset(config.data), quiet=context.rank > 0)
 
 
-def _train(arguments: argparse.Namespace, config: RunConfig, source: str, *, quiet: bool) -> int:
-    from foretouch.learning.data.collection import load_collection
+def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset, *, quiet: bool) -> int:
     from foretouch.learning.training.run import train_run
 
-    data = load_collection(source)
+    options = {"resume": arguments.resume, "workers": arguments.workers}
     if arguments.json or quiet:
-        train_run(config, data, arguments.out, print_now, resume=arguments.resume)
+        train_run(config, data, arguments.out, print_now, **options)
         return 0
-    with _progress() as (say, last):
-        card = train_run(config, data, arguments.out, say, resume=arguments.resume)
+    with _progress() as (report, last):
+        card = train_run(config, data, arguments.out, report, **options)
     epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
     print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
     if "scores" in last:
@@ -65,22 +86,38 @@ def _train(arguments: argparse.Namespace, config: RunConfig, source: str, *, qui
     return 0
 
 
+def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) -> int:
+    from foretouch.learning.training.run import compare_splits, make_learner
+
+    records: list[Mapping[str, Any]] = []
+    report = print_now if arguments.json else records.append
+    compare_splits(make_learner(config, data), arguments.compare.split(","), report, arguments.workers)
+    if records:
+        scored = [record for record in records if "skill" in record]
+        modalities = list(scored[0]["skill"])
+        rows = [
+            [
+                one["split"],
+                one["who"],
+                f"{one['mean_skill']:+.3f}",
+                *(f"{one['skill'][key]:+.3f}" for key in modalities),
+            ]
+            for one in scored
+        ]
+        title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
+        print_table(title, ["split", "predictor", "mean", *modalities], rows)
+    return 0
+
+
 def print_now(record: Mapping[str, Any]) -> None:
-    """One line, at once, for whoever follows a training through a pipe."""
+    """Print one JSON line at once, so that a training can be followed through a pipe."""
     print_json(record)
     print(end="", flush=True)
 
 
-def _config(arguments: argparse.Namespace) -> RunConfig:
-    mapping = load_yaml(arguments.config) | parse_overrides(arguments.overrides)
-    from foretouch.learning.training.run_config import RunConfig
-
-    return RunConfig.from_mapping(mapping, arguments.config)
-
-
 @contextmanager
 def _progress() -> Iterator[tuple[Callable[[Mapping[str, Any]], None], dict[str, Any]]]:
-    """A bar with losses and the time left, on stderr; beside it what was said last."""
+    """A progress bar with losses and the time left, on stderr; beside it the last record."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -89,15 +126,15 @@ def _progress() -> Iterator[tuple[Callable[[Mapping[str, Any]], None], dict[str,
     bar = Progress(*columns, console=Console(stderr=True))
     task = bar.add_task("epoch", total=None)
 
-    def say(record: Mapping[str, Any]) -> None:
+    def report(record: Mapping[str, Any]) -> None:
         last.clear()
         last.update(record)
         if "losses" in record:
-            bar.start()  # not before: a contact model has no epochs, and an error stands alone
+            bar.start()  # not before: a contact model has no epochs, and an error is printed without a bar
             bar.update(task, total=record["epochs"], completed=record["epoch"] + 1, description=_words(record))
 
     try:
-        yield say, last
+        yield report, last
     finally:
         if bar.live.is_started:
             bar.stop()

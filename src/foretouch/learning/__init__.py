@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learning to feel: splits, baselines, training of networks and contact models, calibration, judging.
+"""Training and evaluation of touch models.
 
-    collection ─ division ─┬─ training_set ─ train, srgan (both a trainer, in a place, by a stepper) ─┬─ run ─ run_folder, run_card
-                           └─ contact_training ─ contact_predictor ─ calibration ─ contact_run ───────┘
-    splits ─ evaluation: a kind of model, trained anew on each fold     judging: a trained model, as it is
+    data        datasets, splits, folds, inputs prepared for a network
+    training    trainers and losses; calibration; learners (one per method); run: settings and a dataset to a run folder
+    evaluation  metrics, baselines, comparisons; evaluation of models and cross-validation of methods
 
-Nothing is re-exported: `splits`, `metrics` and `baselines` stay free of torch, which `train` imports.
+`data` and the metrics, baselines and comparisons do not import torch.
 """

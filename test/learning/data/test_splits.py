@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foretouch.dataset.store_writer import SampleFacts
+from foretouch.dataset.build import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, label_ratios, make_splits, read_splits
 
@@ -101,10 +101,10 @@ def test_what_cannot_be_split_is_told() -> None:
 )
 def test_an_id_on_two_sides_is_refused(tmp_path: Path, train: str, test: str, unlabelled: str) -> None:
     part = {"name": "fold", "train": list(train), "test": list(test), "unlabelled": list(unlabelled)}
-    with pytest.raises(DatasetError, match=r"split fold: [ab] is there twice"):
+    with pytest.raises(DatasetError, match=r"split fold: [ab] is listed twice"):
         SplitPart("fold", tuple(train), tuple(test), tuple(unlabelled)).require_disjoint()
     (tmp_path / SPLITS_FILE).write_text(json.dumps({"schema_version": 1, "splits": {"random": [part]}}))
-    with pytest.raises(FileError, match="is there twice"):
+    with pytest.raises(FileError, match="is listed twice"):
         read_splits(tmp_path)
 
 

@@ -16,14 +16,9 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import LeaveOneGroupOut
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.training.contact import (
-    ContactConfig,
-    describe_samples,
-    fit_contact,
-    object_folds,
-    rest_level,
-    resting_labels,
-)
+from foretouch.learning.data import object_folds
+from foretouch.learning.training.calibration import rest_level, resting_labels
+from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.contact.features import FEATURES, ContactScene
 from foretouch.tactile import MODALITIES, columns

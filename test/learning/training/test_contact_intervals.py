@@ -9,7 +9,7 @@ from experiment_samples import make_samples
 from foretouch.errors import DatasetError
 from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.comparison import mean_over_objects
-from foretouch.learning.training.contact_predictor import ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 
 
@@ -27,7 +27,7 @@ def fitted(sides) -> ContactPredictor:
 @pytest.mark.parametrize("tare", [False, True])
 @pytest.mark.parametrize("touches", [0, 3])
 def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, touches: int) -> None:
-    model = TouchModel(fitted.estimator, {"name": "toy", "sha256": ""}, fitted.trust[0])
+    model = TouchModel(fitted.estimator, {"name": "toy", "sha256": ""}, fitted.calibration[0])
     held = sides[1]
     counts, half = fitted.intervals_after(held[:touches], held[touches:], tare=tare)
     for sample, row, width in zip(held[touches:], counts, half, strict=True):
@@ -36,7 +36,7 @@ def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, 
         for felt in held[:touches]:
             shift = sample.tare.vector() - felt.tare.vector() if tare else 0.0
             memory.add(felt.cloud, felt.grasp, type(felt.touch).from_vector(felt.touch.vector() + shift))
-        (told,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
+        (told,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
         np.testing.assert_allclose(told.value.vector(), row, atol=1e-6)
         np.testing.assert_allclose(told.upper.vector() - told.value.vector(), width, rtol=1e-9)
 

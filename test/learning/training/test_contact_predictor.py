@@ -12,11 +12,9 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
-from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.contact import describe_samples, fit_contact
-from foretouch.learning.training.contact_predictor import ContactPredictor, calibration_folds
-from foretouch.models.calibration import add_calibration
-from foretouch.models.contact.checkpoint import save_contact
+from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
+from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
+from foretouch.models.contact.checkpoint import add_calibration, save_contact
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
@@ -47,7 +45,7 @@ def as_shipped(
     for one in touched:
         reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
         memory.add(one.cloud, one.grasp, reading)
-    (found,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
+    (found,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
     return found.value.vector(), found.upper.vector() - found.value.vector()
 
 
@@ -55,7 +53,7 @@ def as_shipped(
 @pytest.mark.parametrize("touches", [0, 1, 3])
 def test_predictions_after_touches_are_those_of_the_shipped_model(tared, tmp_path, touches: int, tare: bool) -> None:
     card = save_contact(tmp_path, "toy", tared.estimator, {})
-    add_calibration(card, *tared.trust)
+    add_calibration(card, *tared.calibration)
     model = load_model(card)
     touched, asked = TARED[40 : 40 + touches], TARED[44:]
     counts, half = tared.intervals_after(touched, asked, tare=tare)
@@ -102,14 +100,14 @@ def test_a_tare_takes_the_drift_away(tared) -> None:
 
 def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
     assert (bare.rest_recorded, tared.rest_recorded) == (False, True)
-    assert set(bare.trust[0].regimes) == {"known", "new"}
-    assert set(tared.trust[0].regimes) == {"known", "new", "known_tare", "new_tare"}
+    assert set(bare.calibration[0].regimes) == {"known", "new"}
+    assert set(tared.calibration[0].regimes) == {"known", "new", "known_tare", "new_tare"}
     assert_allclose(tared.rest, np.mean([sample.tare.vector() for sample in TARED[:40]], axis=0))
-    assert_array_equal(tared.trust[0].rest, tared.rest)
+    assert_array_equal(tared.calibration[0].rest, tared.rest)
 
 
 def test_drift_that_a_tare_takes_away_is_not_doubted(tared) -> None:
-    regimes = tared.trust[0].regimes
+    regimes = tared.calibration[0].regimes
     for name in ("known", "new"):
         assert regimes[f"{name}_tare"].half_width.mean() < regimes[name].half_width.mean()
 
@@ -124,10 +122,10 @@ def test_doubt_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> N
         fitted = fit_contact(rows[fold.train], labels[fold.train], list(objects[fold.train]), FEW_TREES)
         predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
     wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions), new=name == "new")
-    found = bare.trust[0].regimes[name]
+    found = bare.calibration[0].regimes[name]
     for field in ("between", "within", "worth", "spread", "half_width"):
         assert_allclose(getattr(found, field), getattr(wanted, field))
-    assert bare.trust[1]["regimes"][name]["objects"] == 4
+    assert bare.calibration[1]["regimes"][name]["objects"] == 4
 
 
 def test_new_objects_are_held_out_whole_known_ones_in_stretches_of_time() -> None:
@@ -171,7 +169,7 @@ def test_one_object_alone_predicts_but_cannot_tell_its_doubt() -> None:
     alone = ContactPredictor(BARE[:10], labels_of(BARE[:10]), FEW_TREES)
     assert np.isfinite(alone.predict(BARE[10:20])).all()
     with pytest.raises(DatasetError, match=r"folds: all samples are of .*; to keep groups apart takes 2"):
-        _ = alone.trust
+        _ = alone.calibration
 
 
 @pytest.mark.real_data

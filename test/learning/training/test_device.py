@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import Place
+from foretouch.learning.data import TrainingSet
+from foretouch.learning.training.device import TrainingDevice
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
 from foretouch.models.network.generator import GeneratorConfig
@@ -16,9 +16,9 @@ from foretouch.models.network.generator import GeneratorConfig
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    assert Place.of(TrainConfig(), 8).device == torch.device("cpu")
+    assert TrainingDevice.of(TrainConfig(), 8).device == torch.device("cpu")
     with pytest.raises(ConfigError, match=r"TrainConfig\.device: cuda: torch finds no GPU; choose auto or cpu"):
-        Place.of(TrainConfig(device="cuda"), 8)
+        TrainingDevice.of(TrainConfig(device="cuda"), 8)
 
 
 def test_a_search_in_bfloat16_learns_as_much_and_leaves_float32_weights(samples, small) -> None:

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import ONE_RANK, DistributedContext, Place
+from foretouch.learning.data import TrainingSet
+from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.learning.training.losses import Features, SrganLossConfig, discriminator_loss, labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
@@ -23,21 +23,21 @@ READINGS = ("as_printed", "contrast", "srgan")
 
 
 def batch() -> tuple[torch.Tensor, torch.Tensor]:
-    """Six samples whose errors grow, so that the ranks' own roots differ much."""
+    """Six samples whose errors grow, so that the processes' own roots differ much."""
     generator = torch.Generator().manual_seed(5)
     x = torch.randn(6, 4, generator=generator)
     return x, torch.randn(6, 3, generator=generator) * torch.arange(1.0, 7.0).unsqueeze(1)
 
 
-def gradients(chosen: slice, ranks: DistributedContext) -> torch.Tensor:
+def gradients(chosen: slice, context: DistributedContext) -> torch.Tensor:
     """Of a linear map that is features and prediction at once, for each reading."""
     x, target = (part[chosen] for part in batch())
     rows = []
     for reading in READINGS:
         weight = torch.linspace(-1.0, 1.0, 12).view(4, 3).requires_grad_()
-        labeled = labeled_loss(x @ weight, target, [1, 2], ranks=ranks)
+        labeled = labeled_loss(x @ weight, target, [1, 2], context=context)
         features = Features(x @ weight, (x * 0.5 + 1.0) @ weight, (x * 2.0 - 1.0) @ weight)
-        discriminator_loss(labeled, features, SrganLossConfig(reading=reading), ranks=ranks).total.backward()
+        discriminator_loss(labeled, features, SrganLossConfig(reading=reading), context=context).total.backward()
         rows.append(weight.grad)
     return torch.stack(rows)
 
@@ -63,28 +63,28 @@ def test_two_processes_give_the_gradients_of_one(tmp_path: Path) -> None:
         worker.join(60)
     assert [worker.exitcode for worker in workers] == [0, 0]
     found = torch.frombuffer(bytearray((tmp_path / "found").read_bytes()), dtype=torch.float32).view(3, 4, 3)
-    whole = gradients(slice(0, 6), ONE_RANK)
+    whole = gradients(slice(0, 6), SINGLE_PROCESS)
     assert float((found - whole).norm() / whole.norm()) < 1e-6
 
 
 def in_double(trainer: Trainer) -> None:
-    """Networks, labels and what they are fed."""
+    """Networks, labels and inputs."""
     for module in trainer.modules.values():
         module.double()
-    trainer._labels, trainer._fed = trainer._labels.double(), trainer._fed.double()
-    trainer.place = DoublePlace(trainer.place.device, trainer.place.precision, trainer.place.ranks)
+    trainer._labels, trainer._grasp_inputs = trainer._labels.double(), trainer._grasp_inputs.double()
+    trainer.training_device = DoubleDevice(**vars(trainer.training_device))
 
 
 @dataclasses.dataclass(frozen=True)
-class DoublePlace(Place):
-    """Hands out rows in float64."""
+class DoubleDevice(TrainingDevice):
+    """Distributes rows in float64."""
 
-    def share(self, rows: torch.Tensor) -> torch.Tensor:
-        return super().share(rows).double()
+    def shard(self, rows: torch.Tensor) -> torch.Tensor:
+        return super().shard(rows).double()
 
 
 def trained_gradients(data: TrainingSet, method: str) -> torch.Tensor:
-    """All gradients of one step, whose batch of 20 the ranks share."""
+    """All gradients of one step, whose batch of 20 the processes share."""
     if method == "supervised":
         config = TrainConfig(epochs=1, batch_size=20, loss="rmse", optimiser="sgd", device="cpu")
         trainer: Trainer = SupervisedTrainer(data, np.arange(20), config)
@@ -139,23 +139,23 @@ def test_two_processes_train_with_the_gradients_of_one(samples, small, tmp_path:
 
 
 def test_a_batch_that_cannot_be_shared_evenly_is_refused() -> None:
-    ranks = DistributedContext(size=4, own=1)
-    assert ranks.share(np.arange(8)).tolist() == [2, 3]
+    four = DistributedContext(world_size=4, rank=1)
+    assert four.shard(np.arange(8)).tolist() == [2, 3]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DistributedContext, "of_process_group", classmethod(lambda _cls: ranks))
+        patch.setattr(DistributedContext, "of_process_group", classmethod(lambda _cls: four))
         with pytest.raises(ConfigError, match=r"TrainConfig\.batch_size: 6 is no multiple of the 4 processes"):
-            Place.of(TrainConfig(batch_size=6, device="cpu"), 6)
+            TrainingDevice.of(TrainConfig(batch_size=6, device="cpu"), 6)
 
 
-def test_the_mean_of_the_ranks_own_roots_would_be_wrong() -> None:
+def test_the_mean_of_the_processes_own_roots_would_be_wrong() -> None:
     """What the sum before the root is for."""
-    halves = (gradients(slice(0, 3), ONE_RANK) + gradients(slice(3, 6), ONE_RANK)) / 2
-    whole = gradients(slice(0, 6), ONE_RANK)
+    halves = (gradients(slice(0, 3), SINGLE_PROCESS) + gradients(slice(3, 6), SINGLE_PROCESS)) / 2
+    whole = gradients(slice(0, 6), SINGLE_PROCESS)
     assert float((halves - whole).norm() / whole.norm()) > 0.001
 
 
-def test_one_rank_changes_nothing() -> None:
+def test_a_single_process_changes_nothing() -> None:
     value = torch.tensor([3.0], requires_grad=True)
-    assert DistributedContext.of_process_group() == ONE_RANK
-    assert ONE_RANK.shared_sum(value) is value
-    assert not ONE_RANK.sum(value).requires_grad
+    assert DistributedContext.of_process_group() == SINGLE_PROCESS
+    assert SINGLE_PROCESS.shared_sum(value) is value
+    assert not SINGLE_PROCESS.sum(value).requires_grad

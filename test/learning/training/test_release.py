@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shipping script, whole, on a small made-up folder."""
+"""`foretouch train release=true` and `--compare`, whole, on a small made-up folder of the public kind."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
+from safetensors.numpy import load_file
 
+from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.vision2tactile import folder_sha256, read_folder
-from foretouch.learning.training.release import main
 from foretouch.models import load_model
 
 CONFIG = """
@@ -24,14 +26,14 @@ def folder(tmp_path: Path, samples) -> Path:
     """Ten of the made-up samples, written as the recordings are."""
     for name in ("box0", "box1"):
         for sample in [one for one in samples if one.object == name][:5]:
-            place = tmp_path / "data" / name / str(sample.stamp_ns // 10**9)
-            place.mkdir(parents=True)
-            write_cloud(place / "cloud-object.pcd", sample.cloud)
+            here = tmp_path / "data" / name / str(sample.stamp_ns // 10**9)
+            here.mkdir(parents=True)
+            write_cloud(here / "cloud-object.pcd", sample.cloud)
             contacts = np.concatenate([sample.grasp.g1, sample.grasp.g2])
-            (place / "best-grasp.txt").write_text(",".join(map(str, contacts)))
+            (here / "best-grasp.txt").write_text(",".join(map(str, contacts)))
             touch = sample.touch
             numbers = [*touch.e_mf, 0, 0, touch.pdc_mf, 0, 0, *touch.e_th, 0, 0, touch.pdc_th, 0, 0]
-            (place / "tactile.tac").write_text("," + ",".join(map(str, numbers)))
+            (here / "tactile.tac").write_text("," + ",".join(map(str, numbers)))
     return tmp_path / "data"
 
 
@@ -42,18 +44,23 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+def train(config: Path, folder: Path, *words: object) -> int:
+    return main(["train", str(config), f"data={folder}", *map(str, words)])
+
+
 def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config: Path, tmp_path, capsys) -> None:
-    assert main([str(config), "train.epochs=2", "--data", str(folder), "-o", str(tmp_path / "out")]) == 0
+    out = tmp_path / "out"
+    assert train(config, folder, "train.epochs=2", "release=true", "-o", out, "--json") == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["epoch"] for line in lines if "epoch" in line] == [0, 1]
-    model = load_model(tmp_path / "out" / "toy.json")
+    model = load_model(out)
     card = model.card
     assert card["data"]["sha256"] == folder_sha256(folder)
     assert card["data"]["objects"] == {"box0": 5, "box1": 5}
-    assert card["training"]["epochs"] == 2
+    assert card["training"]["train"]["epochs"] == 2
     for split in ("random", "time", "object"):
-        said = next(line for line in lines if line.get("split") == split and line.get("who") == "model")
-        assert card["skill"][split]["E_MF"]["skill"] == pytest.approx(said["skill"]["E_MF"], abs=1e-3)
+        reported = next(line for line in lines if line.get("split") == split and line.get("who") == "model")
+        assert card["skill"][split]["E_MF"]["skill"] == pytest.approx(reported["skill"]["E_MF"], abs=1e-3)
         assert card["baselines"]["training_mean"][split]["PDC_TH"]["skill"] == pytest.approx(0.0, abs=1e-9)
         assert any(line.startswith(f"Split {split}: mean skill") for line in card["limits"])
     sample = read_folder(folder)[0]
@@ -62,10 +69,9 @@ def test_it_evaluates_trains_and_writes_a_model_that_loads(folder: Path, config:
     assert "unfamiliar" not in prediction.flags
 
 
-def test_a_contact_model_ships_with_its_calibration(folder: Path, tmp_path: Path) -> None:
-    config = tmp_path / "contact.yaml"
+def test_a_contact_model_is_released_with_its_calibration(folder: Path, config: Path, tmp_path: Path) -> None:
     config.write_text("name: toy\nmethod: contact\ncontact: {trees: 5}\n")
-    assert main([str(config), "--data", str(folder), "-o", str(tmp_path / "out")]) == 0
+    assert train(config, folder, "release=true", "-o", tmp_path / "out") == 0
     model = load_model(tmp_path / "out" / "toy.json")
     assert set(model.card["calibration"]["regimes"]) == {"known", "new"}
     assert any("cannot exceed 67%" in line for line in model.card["limits"])  # 2 of 3
@@ -75,14 +81,52 @@ def test_a_contact_model_ships_with_its_calibration(folder: Path, tmp_path: Path
     assert (prediction.value.vector() < prediction.upper.vector()).all()
 
 
+@pytest.mark.slow
+def test_a_calibration_changes_no_weight_and_is_that_of_a_release(folder: Path, config: Path, tmp_path: Path) -> None:
+    runs = {"plain": (), "calibrated": ("calibrate=true", "--workers", 2), "released": ("release=true",)}
+    for name, words in runs.items():
+        assert train(config, folder, *words, "-o", tmp_path / name, "--json") == 0
+    weights = {name: (tmp_path / name / "toy.safetensors").read_bytes() for name in runs}
+    assert weights["plain"] == weights["calibrated"] == weights["released"]
+    one, two = (load_file(tmp_path / name / "toy.trust.safetensors") for name in ("calibrated", "released"))
+    assert set(one) == set(two)
+    for name, array in one.items():
+        assert_array_equal(array, two[name])
+    assert load_model(tmp_path / "plain").card["limits"] == [
+        "Bounds are null: the model was trained with calibrate=false."
+    ]
+
+
+def test_comparing_reports_skills_and_writes_nothing(folder: Path, config: Path, tmp_path, capsys) -> None:
+    before = sorted(tmp_path.iterdir())
+    assert train(config, folder, "--compare", "random,object", "--json") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["split"] for line in lines if "seconds" in line] == ["random", "object"]
+    assert train(config, folder, "train.epochs=1", "--compare", "random") == 0
+    assert "geometry_trees" in capsys.readouterr().out
+    assert sorted(tmp_path.iterdir()) == before
+
+
 def test_known_failures_are_one_line_and_status_one(folder: Path, config: Path, tmp_path, capsys) -> None:
-    assert main([str(config), "--data", str(tmp_path / "absent"), "--compare", "random"]) == 1
-    assert capsys.readouterr().err == f"{tmp_path / 'absent'}: no such folder\n"
-    assert main([str(config), "train.epoch=2", "--data", str(folder), "--compare", "random"]) == 1
-    assert "train.epoch: unknown setting" in capsys.readouterr().err
+    assert train(config, tmp_path / "absent", "--compare", "random") == 1
+    assert f"{tmp_path / 'absent'}: " in capsys.readouterr().err
+    for words, message in (
+        (["train.epoch=2"], "train.epoch: unknown setting"),
+        (
+            ["model.outputs=[PDC_TH]", "release=true"],
+            "RunConfig.release: model.outputs: ['PDC_TH'] are not all modalities",
+        ),
+        (["split=random/random 0", "release=true"], "RunConfig.release: trains on all samples"),
+        (["method=trees"], "RunConfig.method: 'trees' is none of contact, "),
+    ):
+        assert train(config, folder, *words, "-o", tmp_path / "out") == 1
+        assert message in capsys.readouterr().err
+    assert train(config, folder, "--compare", "blocks") == 1
+    assert "split: 'blocks' is none of random, time, object" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
-def test_no_folder_to_write_to_is_wrong_usage(folder: Path, config: Path, capsys) -> None:
+def test_no_folder_to_write_to_is_wrong_usage(folder: Path, config: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
-        main([str(config), "--data", str(folder)])
+        train(config, folder)
     assert stopped.value.code == 2

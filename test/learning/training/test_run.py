@@ -17,12 +17,21 @@ from safetensors.torch import load_file
 
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.evaluation.evaluate_model import judge
+from foretouch.learning.data import Dataset
+from foretouch.learning.evaluation.evaluate import evaluate_model
 from foretouch.learning.evaluation.metrics import score
+from foretouch.learning.training.contact import ContactConfig
+from foretouch.learning.training.learners import load_run_config, read_run_config
 from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import BOARD_FOLDER, LOG_FILE, STATE_FILE, read_state, write_state
+from foretouch.learning.training.run_folder import (
+    CONFIG_FILE,
+    LOG_FILE,
+    STATE_FILE,
+    TENSORBOARD_FOLDER,
+    read_state,
+    write_state,
+)
+from foretouch.learning.training.supervised import TrainConfig
 
 
 @pytest.mark.parametrize("method", ["supervised", "srgan"])
@@ -39,6 +48,27 @@ def test_a_stopped_run_goes_on_to_the_same_weights(data, tmp_path, method: str) 
     logs = [(tmp_path / name / LOG_FILE).read_text() for name in ("whole", "cut")]
     assert logs[0] == logs[1]
     assert [json.loads(line)["epoch"] for line in logs[0].splitlines()] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("method", ["supervised", "contact"])
+def test_a_run_of_an_older_version_resumes(data, tmp_path, method: str) -> None:
+    """Its settings lack the newer fields, and hold the groups of all methods."""
+    chosen = run_config(method=method, **({"contact": {"trees": 3}} if method == "contact" else {}))
+    whole = train_run(chosen, data, tmp_path / "whole", quiet)
+    if method == "contact":
+        train_run(chosen, data, tmp_path / "old", quiet)
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            train_run(chosen, data, tmp_path / "old", stop_after(1))
+    file = tmp_path / "old" / CONFIG_FILE
+    resolved = {key: value for key, value in load_yaml(file).items() if key not in {"calibrate", "release"}}
+    groups = {"train": TrainConfig().to_mapping(), "contact": ContactConfig().to_mapping()}
+    file.write_text(yaml.safe_dump({**groups, **resolved}))
+    resumed = train_run(chosen, data, tmp_path / "old", quiet, resume=True)
+    assert resumed.with_suffix(".safetensors").read_bytes() == whole.with_suffix(".safetensors").read_bytes()
+    changed = chosen.replace(tensorboard=True)
+    with pytest.raises(ConfigError, match="tensorboard: False is not True; a run resumes as it began"):
+        train_run(changed, data, tmp_path / "old", quiet, resume=True)
 
 
 @pytest.mark.slow
@@ -145,17 +175,17 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
         read_state(file)
 
 
-def test_judging_counts_all_parts_of_a_split_and_knows_its_own_data(data, tmp_path) -> None:
+def test_an_evaluation_counts_all_parts_of_a_split_and_recognises_training_data(data, tmp_path) -> None:
     card = train_run(run_config(), data, tmp_path / "run", quiet)
-    judged = judge(card, data, data.parts("random"), baselines={})
-    assert judged["samples"] == len(data.samples)
-    assert judged["same_data"]
-    assert set(judged["scores"]) == {"model"}
-    other = Collection(data.name, data.samples, "another", data.splits)
-    assert not judge(card, other, data.parts("object"), baselines={})["same_data"]
+    result = evaluate_model(card, data, data.parts("random"), baselines={})
+    assert result["samples"] == len(data.samples)
+    assert result["same_data"]
+    assert set(result["scores"]) == {"model"}
+    other = Dataset(data.name, data.samples, "another", data.splits)
+    assert not evaluate_model(card, other, data.parts("object"), baselines={})["same_data"]
 
 
-def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path) -> None:
+def test_a_contact_model_trains_and_is_evaluated_with_its_intervals(data, tmp_path) -> None:
     said: list[dict] = []
     part = data.parts("object")[0].name
     run = run_config(method="contact", split=f"object/{part}", contact={"trees": 5})
@@ -172,7 +202,7 @@ def test_a_contact_model_trains_and_is_judged_with_its_intervals(data, tmp_path)
 
 def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
     name = data.samples[0].object
-    alone = Collection("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
+    alone = Dataset("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
     card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
     told = json.loads(card.read_text())
     assert told["calibration"] is None
@@ -188,13 +218,14 @@ def test_a_contact_model_has_no_validation() -> None:
     "recipe", sorted((Path(__file__).parents[3] / "config/train").glob("*.yaml")), ids=lambda p: p.stem
 )
 def test_the_recipes_that_come_along_are_understood(recipe: Path) -> None:
-    resolved = RunConfig.from_mapping(load_yaml(recipe), recipe.name)
-    assert RunConfig.from_mapping(resolved.to_mapping()) == resolved
+    resolved = load_run_config(recipe)
+    assert read_run_config(resolved.to_mapping()) == resolved
+    assert load_run_config(recipe.stem) == resolved  # by name, as where no config folder is installed
 
 
 def test_the_recipe_of_p2s_srgan_is_the_papers() -> None:
     recipe = Path(__file__).parents[3] / "config/train/p2_srgan.yaml"
-    chosen = RunConfig.from_mapping(load_yaml(recipe))
+    chosen = load_run_config(recipe)
     loss = chosen.srgan.loss
     assert (chosen.method, chosen.srgan.batch_size, chosen.srgan.epochs) == ("srgan", 10, 30)
     assert (chosen.srgan.optimiser, chosen.srgan.learning_rate) == ("adam", 0.01)
@@ -214,7 +245,7 @@ def test_tensorboard_shows_the_figures_of_the_log(data, tmp_path) -> None:
 
     train_run(run_config(tensorboard=True, validation=0.2), data, tmp_path / "run", quiet)
     logged = [json.loads(line) for line in (tmp_path / "run" / LOG_FILE).read_text().splitlines()]
-    shown = EventAccumulator(str(tmp_path / "run" / BOARD_FOLDER))
+    shown = EventAccumulator(str(tmp_path / "run" / TENSORBOARD_FOLDER))
     shown.Reload()
     for tag, values in (
         ("losses/loss", [line["losses"]["loss"] for line in logged]),
@@ -235,7 +266,7 @@ TWO = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "
 
 @pytest.mark.slow
 def test_two_processes_train_the_model_of_one(store, data, tmp_path) -> None:
-    """Started as a user starts them; gradients are compared in test_ranks."""
+    """Started as a user starts them; gradients are compared in test_distributed."""
     changes = {"train": {**BASE["train"], "epochs": 2, "loss": "rmse", "optimiser": "sgd", "learning_rate": 0.05}}
     file = tmp_path / "tiny.yaml"
     file.write_text(yaml.safe_dump(run_config(**changes).to_mapping()))

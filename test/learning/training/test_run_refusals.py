@@ -13,9 +13,9 @@ from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
 from foretouch.errors import ConfigError, DatasetError, FileError
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data import Dataset, load_dataset
+from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.run import train_run
-from foretouch.learning.training.run_config import RunConfig
 from foretouch.learning.training.run_folder import CONFIG_FILE, LOG_FILE, STATE_FILE, RunFolder, read_state
 from foretouch.models.registry import load_model
 from foretouch.types import Cloud, GraspSample
@@ -27,7 +27,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def with_first(data: Collection, sample: GraspSample) -> Collection:
+def with_first(data: Dataset, sample: GraspSample) -> Dataset:
     return replace(data, samples=(sample, *data.samples[1:]))
 
 
@@ -42,18 +42,18 @@ def with_first(data: Collection, sample: GraspSample) -> Collection:
 )
 def test_settings_of_another_method_are_refused(given: dict, field: str) -> None:
     with pytest.raises(ConfigError, match=f"RunConfig.{field}"):
-        RunConfig.from_mapping(given)
-    RunConfig.from_mapping({"method": given.get("method", "supervised")})
+        read_run_config(given)
+    read_run_config({"method": given.get("method", "supervised")})
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])
 def test_one_object_cannot_be_kept_apart(data, tmp_path, method: str) -> None:
-    from foretouch.dataset.store_writer import SampleFacts
+    from foretouch.dataset.build import SampleFacts
     from foretouch.learning.data.splits import make_splits, parse_splits
 
     alone = tuple(sample for sample in data.samples if sample.object == "box0")
     book = parse_splits(make_splits([SampleFacts(s.id, s.object, s.stamp_ns, labelled=True) for s in alone]))
-    one = Collection("one", alone, "sha", book.parts, omitted=book.omitted)
+    one = Dataset("one", alone, "sha", book.parts, omitted=book.omitted)
     rule = r"one: split: 'object' cannot be made of these samples: folds: all samples are of box0; .* takes 2"
     with pytest.raises(DatasetError, match=rule):
         train_run(run_config(method=method, split="object/box0"), one, tmp_path / "run", quiet)
@@ -199,6 +199,6 @@ def test_splits_of_a_store_tell_why_one_is_missing(data, store) -> None:
     file.write_text(json.dumps(book))
     try:
         with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
-            load_collection(store).parts("object")
+            load_dataset(store).parts("object")
     finally:
         file.write_text(text)

@@ -9,13 +9,13 @@ import torch
 from numpy.testing import assert_allclose
 
 from foretouch.errors import DatasetError
-from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import TrainingSet, duplicate_labels
+from foretouch.learning.data import Dataset, TrainingSet, duplicate_labels, labels_of, make_folds
 from foretouch.learning.evaluation.baselines import object_mean, training_mean
-from foretouch.learning.evaluation.cross_validation import evaluate
-from foretouch.learning.training.learners import NetworkLearner
+from foretouch.learning.evaluation.evaluate import cross_validate
+from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
-from foretouch.learning.training.supervised import TrainConfig, predict_set, train_network
+from foretouch.learning.training.run import make_learner
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set, train_network
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import LengthRangeCheck
@@ -30,9 +30,10 @@ QUICK = TrainConfig(epochs=60, batch_size=8, learning_rate=5e-3)
 
 def test_it_learns_what_can_be_learned_and_beats_the_mean(samples, small) -> None:
     data = TrainingSet.build(samples, small)
-    losses: list[float] = []
-    net = train_network(data, np.arange(45), QUICK, lambda _, loss: losses.append(loss))
-    assert len(losses) == 60
+    trainer = SupervisedTrainer(data, np.arange(45), QUICK)
+    losses = [trainer.run_epoch()["loss"] for _ in range(60)]
+    net = train_network(data, np.arange(45), QUICK)
+    assert all(torch.equal(value, net.state_dict()[name]) for name, value in trainer.net.cpu().state_dict().items())
     assert losses[-1] < 0.3 * losses[0]
     predicted = predict_set(net, data, np.arange(45, 60))
     actual = data.labels[45:]
@@ -149,14 +150,18 @@ def test_duplicate_labels_are_found(samples) -> None:
     assert duplicate_labels([*samples, copy]) == [(samples[7].id, "x/1")]
 
 
-def test_evaluation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
-    learner = NetworkLearner.build(samples, small, QUICK.replace(epochs=40))
+def test_cross_validation_scores_network_and_baselines_on_the_same_folds(samples, small) -> None:
+    train = QUICK.replace(epochs=40).to_mapping()
+    config = read_run_config({"model": small.to_mapping(), "train": train, "calibrate": True})
+    learner = make_learner(config, Dataset("boxes", tuple(samples), "sha", {}))
     quick = {"training_mean": training_mean, "object_mean": object_mean}
     folds = make_folds(samples, "random", 0)
-    found = evaluate(samples, learner.data.labels, learner, folds, small.ranges, baselines=quick)
-    assert set(found.scores) == {"model", "training_mean", "object_mean"}
-    assert_allclose([one.skill for one in found.scores["training_mean"].values()], 0.0, atol=1e-12)
-    assert found.scores["model"]["E_TH"].skill > 0.2
-    assert_allclose(found.predicted[folds[2].test], learner(folds[2]))
+    scores, predicted = cross_validate(
+        samples, labels_of(samples), learner.predict_fold, folds, learner.ranges, baselines=quick
+    )
+    assert set(scores) == {"model", "training_mean", "object_mean"}
+    assert_allclose([one.skill for one in scores["training_mean"].values()], 0.0, atol=1e-12)
+    assert scores["model"]["E_TH"].skill > 0.2
+    assert_allclose(predicted[folds[2].test], learner.predict_fold(folds[2]))
     with pytest.raises(DatasetError, match="'blocks' is none of random, time, object"):
         make_folds(samples, "blocks", 0)

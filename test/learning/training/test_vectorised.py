@@ -10,7 +10,7 @@ import torch
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.supervised import TrainConfig, train_network
-from foretouch.learning.training.trainer import Stepper, StepRule
+from foretouch.learning.training.trainer import OptimiserRule, ScheduledOptimiser
 from foretouch.learning.training.vectorised import train_many
 
 CONFIG = TrainConfig(epochs=3, batch_size=8, learning_rate=1e-3, optimiser="sgd", device="cpu")
@@ -42,15 +42,15 @@ def test_each_run_is_what_it_is_alone(sets) -> None:
 
 
 @pytest.mark.parametrize("optimiser", ["adam", "adamw", "sgd"])
-def test_the_rules_of_the_steps_work_value_by_value(optimiser: str) -> None:
-    """So a stack moves as its members do. Not shown on networks: Adam makes whole steps of a gradient that is rounding."""
-    rule = StepRule(optimiser, 0.1, 0.01, "cosine")
+def test_optimisers_work_value_by_value(optimiser: str) -> None:
+    """So a stack moves as its members do. Not tested on networks: Adam takes full steps along a gradient that is rounding."""
+    rule = OptimiserRule(optimiser, 0.1, 0.01, "cosine")
     stack = torch.nn.ParameterList([torch.linspace(-1.0, 1.0, 6).view(2, 3)])
     members = [torch.nn.ParameterList([part.detach().clone()]) for part in stack[0]]
-    steppers = [Stepper(module, rule, 4) for module in (stack, *members)]
+    optimisers = [ScheduledOptimiser(module, rule, 4) for module in (stack, *members)]
     for _ in range(4):
-        for stepper, module in zip(steppers, (stack, *members), strict=True):
-            stepper.step(module[0].pow(4).sum())
+        for one, module in zip(optimisers, (stack, *members), strict=True):
+            one.step(module[0].pow(4).sum())
     torch.testing.assert_close(stack[0], torch.stack([member[0] for member in members]), rtol=1e-6, atol=1e-7)
 
 

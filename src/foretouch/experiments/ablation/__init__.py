@@ -34,8 +34,7 @@ from foretouch.experiments.shared.folds import split_by_fold, split_objects
 from foretouch.experiments.shared.real_grasps import error_rows, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
-from foretouch.learning.data.folds import Indices, make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import Indices, labels_of, make_folds
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.types import Float64, GraspSample

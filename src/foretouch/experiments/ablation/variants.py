@@ -13,12 +13,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.learning.data.folds import Fold, Indices
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import Fold, Indices, labels_of
 from foretouch.learning.evaluation.baselines import geometry_features
-from foretouch.learning.training.calibration import HeldOutPredictions, make_calibration
-from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, rest_level, resting_labels
-from foretouch.learning.training.contact_predictor import calibration_folds
+from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
+from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
@@ -169,7 +167,7 @@ class _ComponentModel:
         self, train: Sequence[GraspSample], config: ContactConfig, describe: Callable[[Sequence[GraspSample]], Float64]
     ) -> None:
         self._train, self._config, self._describe = list(train), config, describe
-        self._rest, self._rest_recorded = rest_level(train)
+        self._rest, _ = rest_level(train)
         self._labels = labels_of(train)
         self._resting = resting_labels(train, self._labels, self._rest)
         self._objects = np.array([sample.object for sample in train])
@@ -194,13 +192,8 @@ class _ComponentModel:
         self, combine: Combination, held_out: Mapping[str, tuple[Components, npt.NDArray[np.str_]]]
     ) -> Calibration:
         """Calibration of one combination of the components."""
-        found = {}
-        for name, (components, sessions) in held_out.items():
-            predicted = combine(components)
-            found[name] = HeldOutPredictions(predicted, self._labels, self._objects, sessions)
-            if self._rest_recorded:
-                found[f"{name}_tare"] = HeldOutPredictions(predicted, self._resting, self._objects, sessions)
-        return make_calibration(self._rest, found)[0]
+        predicted = {name: (combine(components), sessions) for name, (components, sessions) in held_out.items()}
+        return calibrate(self._train, self._labels, predicted)[0]
 
     def _without(self, fold: Fold) -> Components:
         return Components.predict(self._fit(fold.train), self._rows[fold.test])

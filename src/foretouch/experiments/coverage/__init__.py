@@ -27,13 +27,11 @@ from foretouch.experiments.shared.folds import by_object, split_by_fold, split_o
 from foretouch.experiments.shared.real_grasps import labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
-from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of, make_folds, object_folds
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.contact import ContactConfig, object_folds
-from foretouch.learning.training.contact_predictor import ContactPredictor
-from foretouch.tactile import MODALITIES, columns
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "CoverageSettings", "coverage_rows"]

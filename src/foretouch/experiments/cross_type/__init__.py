@@ -29,8 +29,7 @@ from foretouch.experiments.shared.real_grasps import (
     score_table,
 )
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Fold, Indices, random_folds
+from foretouch.learning.data import Dataset, Fold, Indices, random_folds
 from foretouch.learning.evaluation.comparison import MEAN
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
@@ -109,7 +108,7 @@ def _index(samples: Sequence[GraspSample], names: Sequence[str]) -> Indices:
 _RUNNER = FoldRunner(_folds)
 
 
-def _cells(settings: CrossTypeSettings, data: Collection) -> list[Cell]:
+def _cells(settings: CrossTypeSettings, data: Dataset) -> list[Cell]:
     """The cells of all folds; each lists the objects of no type, as the results do."""
     known = {*settings.types.cylinders, *settings.types.boxes}
     untyped = sorted({sample.object for sample in labelled(data)} - known)

@@ -21,8 +21,8 @@ from foretouch.experiments.label_ratio.data import RatioDataSettings, load_froze
 from foretouch.experiments.label_ratio.results import TREES, compare_models, draw_label_ratio_figure, summarise
 from foretouch.experiments.label_ratio.training import MODELS, configured, error_row, kind_of, train_and_predict
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, prepare_simulated
+from foretouch.learning.data import labels_of
 from foretouch.learning.data.splits import RATIOS
-from foretouch.learning.data.training_set import labels_of
 from foretouch.learning.evaluation.baselines import geometry_trees
 from foretouch.learning.training.srgan import SrganConfig
 from foretouch.models.network.config import ModelConfig

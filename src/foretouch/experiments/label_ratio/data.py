@@ -18,9 +18,7 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.config import setting
 from foretouch.errors import CloudError, DatasetError
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, SimulatedSettings, load_simulated
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import Dataset, Indices, TrainingSet
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.types import Float32, GraspSample
@@ -72,7 +70,7 @@ def load_frozen(settings: RatioDataSettings, path: Path) -> SimulatedGrasps:
     return data
 
 
-def split_at(data: Collection, ratio: int, held_out: float = 0.0, seed: int = 0) -> LabelSplit:
+def split_at(data: Dataset, ratio: int, held_out: float = 0.0, seed: int = 0) -> LabelSplit:
     """Split the samples at one of P2's ratios.
 
     Args:

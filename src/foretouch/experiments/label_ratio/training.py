@@ -25,7 +25,7 @@ import torch
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.label_ratio.data import LabelSplit
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import predict_set
@@ -124,7 +124,7 @@ class PointnetTrainer(SrganTrainer):
             error = scaled - self.net.to_scaled(self._labels[batch])
             loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self._sizes)
             self.require_finite({"labeled": loss}, number, batch, error)
-            self.steppers["net"].step(loss)
+            self.optimisers["net"].step(loss)
             yield {"labeled": float(loss.detach())}
 
 

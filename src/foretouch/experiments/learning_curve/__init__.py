@@ -33,8 +33,7 @@ from foretouch.experiments.shared.real_grasps import (
 )
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.shared.skill import skill_tables
-from foretouch.learning.data.folds import make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of, make_folds
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES

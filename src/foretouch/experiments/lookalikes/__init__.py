@@ -27,7 +27,7 @@ from foretouch.experiments.shared.simulated_data import (
 )
 from foretouch.experiments.shared.skill import skill_tables
 from foretouch.experiments.unseen_object import UnseenObjectSettings, draw_over_touches, touch_rows
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample

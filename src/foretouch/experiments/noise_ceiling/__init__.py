@@ -35,7 +35,7 @@ from foretouch.experiments.shared.simulated_data import (
     load_simulated,
     prepare_simulated,
 )
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import labels_of
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "NoiseCeilingSettings"]

@@ -23,9 +23,7 @@ from foretouch.experiments.shared.real_grasps import (
     seeded_predictors,
 )
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Fold, make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import Dataset, Fold, labels_of, make_folds
 from foretouch.types import GraspSample
 
 __all__ = ["FoldRunner", "TableFold", "by_object", "split_by_fold", "split_experiment", "split_objects"]
@@ -52,7 +50,7 @@ class FoldRunner:
 
     folds: MakeFolds
 
-    def cells(self, settings: RealGraspSettings, data: Collection) -> list[Cell]:
+    def cells(self, settings: RealGraspSettings, data: Dataset) -> list[Cell]:
         """A cell for each fold, predictor and seed."""
         samples = labelled(data)
         return [
@@ -64,7 +62,7 @@ class FoldRunner:
             for one in self.folds(settings, samples, seed)
         ]
 
-    def run(self, cell: Cell, settings: RealGraspSettings, data: Collection) -> list[Row]:
+    def run(self, cell: Cell, settings: RealGraspSettings, data: Dataset) -> list[Row]:
         """Fit and test once."""
         samples = labelled(data)
         table, part, seed = (cell.values[key] for key in ("table", "part", "seed"))

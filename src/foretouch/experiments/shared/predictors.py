@@ -5,8 +5,7 @@ A predictor is fitted to labelled grasps and then predicts others, without or af
 does not use such touches: `with_offset_correction` adds the simplest use of them. To add a predictor, add a line to
 `PREDICTORS`.
 
-The recipes of the networks repeat `config/train/p1.yaml`, `p2.yaml` and `touchnet-v1.yaml`, since an installed package has
-no `config/`; a test compares them.
+The networks are those of the recipes of `foretouch train`; a recipe with one modality is trained once for each modality.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from foretouch.errors import ConfigError
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import TrainingSet, labels_of
 from foretouch.learning.evaluation.baselines import (
     TREES,
     Baseline,
@@ -28,9 +27,8 @@ from foretouch.learning.evaluation.baselines import (
     object_time_trees,
     training_mean,
 )
-from foretouch.learning.training.contact import ContactConfig
-from foretouch.learning.training.contact_predictor import ContactPredictor
-from foretouch.tactile import MODALITIES, columns
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.tactile.modalities import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [
@@ -46,38 +44,8 @@ __all__ = [
 ]
 
 
-_PAPERS: Final = {"weight_decay": 0.0, "schedule": "constant", "loss": "rmse", "target_scaling": "ranges"}
-
-RECIPES: Final[dict[str, dict[str, Any]]] = {
-    "p1_pointnet": {
-        "model": {
-            "n_points": 500,
-            "use_grasp": False,
-            "head_widths": [512, 256],
-            "head_norm": True,
-            "ranges": {"pdc_th": [0, 3100], "pdc_mf": [0, 2000], "e_th": [0, 3500], "e_mf": [0, 3800]},
-        },
-        "train": {"epochs": 50, "batch_size": 5, "optimiser": "sgd", "learning_rate": 0.01, **_PAPERS},
-        "one_a_modality": True,
-    },
-    "p2_pointnet": {
-        "model": {"channels": "xyz+normals"},
-        "train": {"epochs": 50, "batch_size": 32, "optimiser": "adam", "learning_rate": 0.01, **_PAPERS},
-        "one_a_modality": True,
-    },
-    "touchnet_v1": {
-        "model": {
-            "tnet": False,
-            "trunk_widths": [32, 64, 128],
-            "head_widths": [128],
-            "head_dropout": 0.3,
-            "metric_inputs": True,
-        },
-        "train": {"epochs": 120, "turn_deg": 20.0, "points": 256},
-        "one_a_modality": False,
-        "falls_back": True,
-    },
-}
+RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
+"""The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
 def network(name: str, effort: float) -> Baseline:
@@ -92,26 +60,24 @@ def network(name: str, effort: float) -> Baseline:
     """
     if name not in RECIPES:
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
-    recipe = RECIPES[name]
-    groups = [(one,) for one in MODALITIES] if recipe["one_a_modality"] else [MODALITIES]
 
     def predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
-        from foretouch.learning.data.training_set import TrainingSet
-        from foretouch.learning.training.supervised import TrainConfig, predict_set, train_network
-        from foretouch.models.network.config import ModelConfig
+        from foretouch.learning.training.learners import load_run_config
+        from foretouch.learning.training.supervised import predict_set, train_network
 
-        model = ModelConfig.from_mapping(recipe["model"], name)
-        how = TrainConfig.from_mapping(recipe["train"], name)
+        recipe: Any = load_run_config(RECIPES[name])  # of a supervised network
+        model, how = recipe.model, recipe.train
         how = how.replace(epochs=max(1, round(effort * how.epochs)), seed=seed)
         data = TrainingSet.build([*train, *test], model, unlabelled=True)
         hidden = np.full((len(test), TOUCH_SIZE), np.nan)
         data = replace(data, labels=np.concatenate([labels, hidden]))
         train_index, test_index = np.arange(len(train)), np.arange(len(train), len(data))
         predicted = np.empty((len(test), TOUCH_SIZE))
-        for outputs in groups:
+        together = model.outputs == MODALITIES
+        for outputs in [MODALITIES] if together else [(one,) for one in MODALITIES]:
             part = replace(data, config=model.replace(outputs=outputs))
             predicted[:, columns(outputs)] = predict_set(train_network(part, train_index, how), part, test_index)
-        return _with_fallback(predicted, train, labels, test) if recipe.get("falls_back") else predicted
+        return _with_fallback(predicted, train, labels, test) if together else predicted
 
     return predict
 

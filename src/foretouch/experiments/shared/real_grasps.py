@@ -14,7 +14,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES
 from foretouch.types import Float64, GraspSample
@@ -74,13 +74,13 @@ FREE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap"
 """Settings that no cell depends on; its predictor and seed are among its values."""
 
 
-def load(settings: Settings, path: Path) -> Collection:
-    """Load the samples at a path (see `load_collection`)."""
+def load(settings: Settings, path: Path) -> Dataset:
+    """Load the samples at a path (see `load_dataset`)."""
     del settings
-    return load_collection(path)
+    return load_dataset(path)
 
 
-def labelled(data: Collection) -> list[GraspSample]:
+def labelled(data: Dataset) -> list[GraspSample]:
     """Samples that have a touch, in order."""
     return [sample for sample in data.samples if sample.touch is not None]
 

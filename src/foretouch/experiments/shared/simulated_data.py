@@ -16,7 +16,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data.collection import Collection, load_collection
+from foretouch.learning.data import Dataset, load_dataset
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
 
@@ -50,7 +50,7 @@ class SimulatedGrasps:
         scene: The scene; with the `slot` and `attempt` of a sample, it reproduces that sample.
     """
 
-    collection: Collection
+    collection: Dataset
     scene: SceneConfig
 
     @property
@@ -112,7 +112,7 @@ def load_simulated(settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
         DatasetError: If the store contains no scene.
     """
     del settings
-    return SimulatedGrasps(load_collection(path), _scene_of(Store(path).manifest, path))
+    return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
 
 
 def _scene_of(manifest: Any, path: Path) -> SceneConfig:
@@ -137,8 +137,8 @@ class BothSettings(SimulatedSettings):
 class RealAndSimulated:
     """Real and simulated grasps."""
 
-    real: Collection
-    simulated: Collection
+    real: Dataset
+    simulated: Dataset
 
     @property
     def sha256(self) -> str:
@@ -166,4 +166,4 @@ def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path
 def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
     """Read the folder of `prepare_both`."""
     simulated = load_simulated(settings, path / Path(settings.scene).stem)
-    return RealAndSimulated(load_collection(path / _REAL), simulated.collection)
+    return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)

@@ -34,9 +34,7 @@ from foretouch.experiments.shared.real_grasps import (
     seeded_predictors,
 )
 from foretouch.experiments.shared.skill import skill_tables
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.folds import Indices, make_folds
-from foretouch.learning.data.training_set import labels_of
+from foretouch.learning.data import Dataset, Indices, labels_of, make_folds
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
@@ -108,7 +106,7 @@ def touch_draws(name: str, count: int, settings: UnseenObjectSettings) -> list[I
     return [np.random.default_rng([code, draw]).permutation(count) for draw in range(settings.draws)]
 
 
-def left_out_cells(settings: UnseenObjectSettings, data: Collection) -> list[Cell]:
+def left_out_cells(settings: UnseenObjectSettings, data: Dataset) -> list[Cell]:
     """A cell for each predictor, seed and object that is left out."""
     return [
         Cell(f"{name}+{fold.name}+seed{seed}", {"part": fold.name, "predictor": name, "seed": seed})
@@ -117,7 +115,7 @@ def left_out_cells(settings: UnseenObjectSettings, data: Collection) -> list[Cel
     ]
 
 
-def left_out_rows(fit: Fit, cell: Cell, settings: UnseenObjectSettings, data: Collection) -> list[Row]:
+def left_out_rows(fit: Fit, cell: Cell, settings: UnseenObjectSettings, data: Dataset) -> list[Row]:
     """Fit to all objects but the cell's, and return the `touch_rows` of that one."""
     train = [sample for sample in labelled(data) if sample.object != cell.values["part"]]
     test = [sample for sample in labelled(data) if sample.object == cell.values["part"]]
@@ -125,7 +123,7 @@ def left_out_rows(fit: Fit, cell: Cell, settings: UnseenObjectSettings, data: Co
     return touch_rows(fit(train, labels, cell.values["seed"]), test, labels.mean(axis=0), settings)
 
 
-def _run(cell: Cell, settings: UnseenObjectSettings, data: Collection) -> list[Row]:
+def _run(cell: Cell, settings: UnseenObjectSettings, data: Dataset) -> list[Row]:
     return left_out_rows(find_predictor(cell.values["predictor"], settings.effort), cell, settings, data)
 
 

@@ -1,2 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples to train and evaluate on: collections, splits and folds."""
+"""Samples to train and evaluate on: datasets, splits, folds, and inputs prepared for a network; free of torch."""
+
+from foretouch.learning.data.dataset import Dataset, DataSplit, load_dataset
+from foretouch.learning.data.folds import (
+    SPLITS,
+    Fold,
+    HoldOut,
+    Indices,
+    group_folds,
+    make_folds,
+    object_folds,
+    predict_folds,
+    random_folds,
+    time_folds,
+)
+from foretouch.learning.data.splits import SplitPart
+from foretouch.learning.data.training_set import TrainingSet, duplicate_labels, labels_of
+
+__all__ = [
+    "SPLITS",
+    "DataSplit",
+    "Dataset",
+    "Fold",
+    "HoldOut",
+    "Indices",
+    "SplitPart",
+    "TrainingSet",
+    "duplicate_labels",
+    "group_folds",
+    "labels_of",
+    "load_dataset",
+    "make_folds",
+    "object_folds",
+    "predict_folds",
+    "random_folds",
+    "time_folds",
+]

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splits of a dataset into folds, each tested once by a model that never saw it.
+"""Cross-validation folds: each sample is predicted once, by a model that was fitted without it.
 
-Three questions, three splits:
+Three splits answer three questions:
 
-- `random_folds`: how well is another grasp of the same sessions predicted? P1's five folds. Neighbours in
-  time land on both sides, so drift and session are known to the model: the easiest question.
+- `random_folds`: how well is another grasp of the same recording sessions predicted? P1's five folds. Neighbours in
+  time are in training and test, so the model has seen drift and session: the easiest question.
 - `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
   cut into consecutive blocks.
-- `group_folds`: how well is an object predicted that was never touched? With the objects of the public
-  recordings this is also another day, for each was recorded on days of its own.
+- `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each object
+  was recorded on different days.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -21,26 +23,38 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
-from foretouch.types import GraspSample
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = ["SPLITS", "Fold", "Indices", "group_folds", "make_folds", "random_folds", "time_folds"]
+__all__ = [
+    "SPLITS",
+    "Fold",
+    "HoldOut",
+    "Indices",
+    "group_folds",
+    "make_folds",
+    "object_folds",
+    "predict_folds",
+    "random_folds",
+    "time_folds",
+]
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""
 
 _FOLDS: Final = 5
+_MOST_OBJECT_FOLDS: Final = 10
 
 Indices: TypeAlias = npt.NDArray[np.intp]
-"""(S,) places of samples."""
+"""(S,) indices of samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One division of the samples.
+    """One partition of the samples.
 
     Attributes:
         train, test: Sorted indices of the samples, disjoint.
-        name: What is held out.
+        name: Name of the test side.
     """
 
     train: Indices
@@ -48,13 +62,45 @@ class Fold:
     name: str = ""
 
 
+HoldOut = Callable[[Fold], Float64]
+"""Fits to the training side of a fold and returns (T, 50) predictions of its test side [counts]."""
+
+
+def predict_folds(predict: HoldOut, folds: Sequence[Fold], workers: int = 1) -> Float64:
+    """(S, 50) held-out predictions: each sample's is from the fold that tests it [counts].
+
+    Args:
+        predict: Must be picklable where there are several workers.
+        folds: Together they test each sample once.
+        workers: Processes of one thread each among which the folds are distributed; results do not depend on it.
+    """
+    if workers == 1:
+        return _gather(folds, map(predict, folds))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        return _gather(folds, pool.map(predict, folds))
+
+
+def _gather(folds: Sequence[Fold], parts: Iterable[Float64]) -> Float64:
+    result = np.full((sum(len(fold.test) for fold in folds), TOUCH_SIZE), np.nan)
+    for fold, part in zip(folds, parts, strict=True):
+        result[fold.test] = part
+    return result
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
 def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fold]:
     """The folds of a named split.
 
     Args:
         samples: All samples.
-        split: Out of `SPLITS`.
-        seed: Shuffles the random split.
+        split: One of `SPLITS`.
+        seed: Seed of the random split.
 
     Raises:
         DatasetError: If there is no such split, or too few samples for it.
@@ -70,11 +116,7 @@ def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fo
 
 
 def random_folds(count: int, folds: int, rng: np.random.Generator) -> list[Fold]:
-    """Shuffle the samples and cut them into `folds` parts whose sizes differ by at most one.
-
-    Raises:
-        DatasetError: If there are fewer samples than folds, or fewer than two folds.
-    """
+    """Shuffle the samples and cut them into `folds` parts, at least two, whose sizes differ by at most one."""
     _check(count, folds, "samples")
     return _folds(count, np.array_split(rng.permutation(count), folds), [f"random {k}" for k in range(folds)])
 
@@ -84,7 +126,7 @@ def time_folds(groups: Sequence[str], stamps_ns: Sequence[int], folds: int) -> l
 
     Args:
         groups: (S,) name of each sample's group: its object.
-        stamps_ns: (S,) when it was recorded [ns].
+        stamps_ns: (S,) time of recording [ns].
         folds: Number of blocks.
 
     Raises:
@@ -105,12 +147,12 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
 
     Args:
         groups: (S,) name of each sample's group: its object.
-        folds: Number of folds, over which the shuffled groups are dealt out; by default one a group, in
+        folds: Number of folds among which the shuffled groups are distributed; by default one fold per group, in
             order of name (leave one object out).
-        rng: Shuffles the groups; needed with `folds`.
+        rng: Shuffles the groups; required with `folds`.
 
     Raises:
-        DatasetError: If there is one group only, fewer groups than folds, or fewer than two folds.
+        DatasetError: If there is only one group, there are fewer groups than folds, or fewer than two folds.
     """
     members = _by_group(groups)
     names = sorted(members)
@@ -129,6 +171,13 @@ def group_folds(groups: Sequence[str], folds: int | None = None, rng: np.random.
         [np.concatenate([members[name] for name in part]) for part in parts],
         ["+".join(sorted(part)) for part in parts],
     )
+
+
+def object_folds(objects: Sequence[str]) -> list[Fold]:
+    """Leave one object out at a time, or a tenth where there are more than ten; at least two are required."""
+    if len(set(objects)) <= _MOST_OBJECT_FOLDS:
+        return group_folds(objects)
+    return group_folds(objects, _MOST_OBJECT_FOLDS, np.random.default_rng(0))
 
 
 def _folds(count: int, tests: Sequence[Indices], names: Sequence[str]) -> list[Fold]:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All splits of a dataset in one file, by the ids of the samples: part of the data, made once, seeded.
+"""All splits of a dataset in one file, by sample ids: part of the dataset, made once from a seed.
 
     random   five folds of shuffled samples
     object   five folds of whole objects, or leave-one-out where there are fewer
     time     five blocks of each object's recording
     labels   P2's ratios: the same test samples, 200 of each object, and of the rest 10, 30, 50, 70 or 90 %
-             without their labels (T10...T90); an object with fewer than 1000 samples gives a fifth of them to the test
+             without their labels (T10...T90); of an object with fewer than 1000 samples, a fifth is tested
 
 Unlabelled samples are in no fold; they are listed with the unlabelled part of each ratio.
 """
@@ -16,10 +16,11 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
+from foretouch.dataset.build import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
 
@@ -43,31 +44,15 @@ _TEST_SHARE: Final = 0.2
 _VERSION: Final = 1
 
 
-class _Facts(Protocol):
-    """What is needed of a sample."""
-
-    @property
-    def id(self) -> str: ...
-
-    @property
-    def object(self) -> str: ...
-
-    @property
-    def stamp_ns(self) -> int: ...
-
-    @property
-    def labelled(self) -> bool: ...
-
-
 @dataclass(frozen=True)
 class SplitPart:
-    """One division of the samples, by id.
+    """One partition of the samples, by id.
 
     Attributes:
         name: Such as "random 0" or "T30".
-        train: To learn from, with labels.
-        test: To be judged on.
-        unlabelled: To learn from without labels.
+        train: Samples to train on with labels.
+        test: Samples to evaluate on.
+        unlabelled: Samples to train on without labels.
     """
 
     name: str
@@ -76,7 +61,7 @@ class SplitPart:
     unlabelled: tuple[str, ...] = ()
 
     def require_disjoint(self) -> None:
-        """Check that no id stands on two sides.
+        """Check that no id is in two parts.
 
         Raises:
             DatasetError: Names the split and an id.
@@ -85,17 +70,17 @@ class SplitPart:
         for side in (self.train, self.test, self.unlabelled):
             both = seen.intersection(side)
             if both or len(set(side)) != len(side):
-                raise DatasetError(f"split {self.name}: {min(both or side)} is there twice")
+                raise DatasetError(f"split {self.name}: {min(both or side)} is listed twice")
             seen.update(side)
 
 
 @dataclass(frozen=True)
 class DatasetSplits:
-    """What `splits.json` holds.
+    """Content of `splits.json`.
 
     Attributes:
         parts: By kind of split, in the order of the file.
-        omitted: By kind that the samples are too few for, the reason.
+        omitted: By kind of split for which there are too few samples, the reason.
     """
 
     parts: dict[str, list[SplitPart]]
@@ -107,10 +92,10 @@ def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indic
 
     Args:
         groups: (S,) object of each labelled sample.
-        rng: Chooses; what has no label at one ratio has none at the higher ones.
+        rng: Makes the choices; a sample without its label at one ratio has none at higher ratios.
 
     Returns:
-        The test samples, and for each of T10...T90 those trained on with and without their labels.
+        The test samples, and for each of T10...T90 the training samples with and without their labels.
 
     Raises:
         DatasetError: If an object has fewer than two samples, or fewer than two remain to train on.
@@ -133,15 +118,15 @@ def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indic
     return np.sort(np.asarray(test, np.intp)), parts
 
 
-def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
+def make_splits(samples: Sequence[SampleFacts], seed: int = 0) -> str:
     """All splits as the text of `splits.json`.
 
     Args:
         samples: In the order of the store.
-        seed: Of every choice; the same samples and seed give the same text.
+        seed: Seed of every choice; the same samples and seed give the same text.
 
     Returns:
-        JSON. A split that these samples are too few for is missing, and its reason stands under `omitted`.
+        JSON. A split for which there are too few samples is missing; `omitted` gives the reason.
     """
     splits: dict[str, list[dict[str, Any]]] = {}
     omitted: dict[str, str] = {}
@@ -154,18 +139,15 @@ def make_splits(samples: Sequence[_Facts], seed: int = 0) -> str:
         for part in parts:
             part.require_disjoint()
         splits[kind] = [_plain(part) for part in parts]
-    book = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
-    return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
+    content = {"schema_version": _VERSION, "seed": seed, "splits": splits, "omitted": omitted}
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def read_splits(path: str | Path) -> DatasetSplits:
-    """The splits of a store.
-
-    Args:
-        path: The store, or its `splits.json`.
+    """Read the splits of a dataset, or those of a `splits.json`.
 
     Raises:
-        FileError: If there is none, it is damaged or of another version, or an id stands on two sides.
+        FileError: If there is no such file, it is damaged or of another version, or an id is in two parts.
     """
     path = Path(path)
     file = path / SPLITS_FILE if path.is_dir() else path
@@ -177,21 +159,13 @@ def read_splits(path: str | Path) -> DatasetSplits:
 
 
 def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
-    """The splits in the text of a `splits.json`.
-
-    Args:
-        text: Of `make_splits`.
-        file: Named in errors.
-
-    Raises:
-        FileError: As of `read_splits`.
-    """
+    """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
     try:
-        book = json.loads(text)
-        if book["schema_version"] != _VERSION:
-            raise FileError(file, f"{book['schema_version']} is not {_VERSION}", field="schema_version")
-        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in book["splits"].items()}
-        omitted = {str(kind): str(reason) for kind, reason in book.get("omitted", {}).items()}
+        content = json.loads(text)
+        if content["schema_version"] != _VERSION:
+            raise FileError(file, f"{content['schema_version']} is not {_VERSION}", field="schema_version")
+        kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in content["splits"].items()}
+        omitted = {str(kind): str(reason) for kind, reason in content.get("omitted", {}).items()}
     except (ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(file, f"is no list of splits: {type(err).__name__}: {err}") from err
     for parts in kinds.values():
@@ -203,25 +177,25 @@ def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     return DatasetSplits(kinds, omitted)
 
 
-def _random(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _random(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     return _named(labelled, random_folds(len(labelled), FOLDS, rng))
 
 
-def _object(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _object(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     groups = [sample.object for sample in labelled]
     few = len(set(groups)) < FOLDS
     return _named(labelled, group_folds(groups) if few else group_folds(groups, FOLDS, rng))
 
 
-def _time(samples: Sequence[_Facts], _rng: np.random.Generator) -> Iterator[SplitPart]:
+def _time(samples: Sequence[SampleFacts], _rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     groups, stamps = [sample.object for sample in labelled], [sample.stamp_ns for sample in labelled]
     return _named(labelled, time_folds(groups, stamps, FOLDS))
 
 
-def _labels(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[SplitPart]:
+def _labels(samples: Sequence[SampleFacts], rng: np.random.Generator) -> Iterator[SplitPart]:
     labelled = _labelled(samples)
     never = tuple(sample.id for sample in samples if not sample.labelled)
     test, parts = label_ratios([sample.object for sample in labelled], rng)
@@ -232,19 +206,19 @@ def _labels(samples: Sequence[_Facts], rng: np.random.Generator) -> Iterator[Spl
 _MAKERS: Final = {"random": _random, "object": _object, "time": _time, "labels": _labels}
 
 
-def _labelled(samples: Sequence[_Facts]) -> list[_Facts]:
+def _labelled(samples: Sequence[SampleFacts]) -> list[SampleFacts]:
     labelled = [sample for sample in samples if sample.labelled]
     if not labelled:
         raise DatasetError("no sample is labelled")
     return labelled
 
 
-def _named(samples: Sequence[_Facts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
+def _named(samples: Sequence[SampleFacts], folds: Sequence[Fold]) -> Iterator[SplitPart]:
     for fold in folds:
         yield SplitPart(fold.name, _ids(samples, fold.train), _ids(samples, fold.test))
 
 
-def _ids(samples: Sequence[_Facts], index: Indices) -> tuple[str, ...]:
+def _ids(samples: Sequence[SampleFacts], index: Indices) -> tuple[str, ...]:
     return tuple(samples[int(k)].id for k in index)
 
 

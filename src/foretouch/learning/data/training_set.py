@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Labelled samples, prepared once and sampled anew for every batch."""
+"""Samples prepared once for a network; the points of each cloud are drawn again for every batch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
+from foretouch.cloud.geometry.sampling import sample_indices
+from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
 from foretouch.errors import CloudError, DatasetError, ModelError
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
@@ -22,15 +23,15 @@ __all__ = ["TrainingSet", "duplicate_labels", "labels_of"]
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:
-    """What a network trains on.
+    """Inputs and labels of S samples, prepared for one network configuration.
 
     Attributes:
-        clouds: Of S samples, each (N_i, C) float32 in the unit sphere: all points, not yet sampled.
+        clouds: (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled.
         grasps: (S, G) float32, as fed to the head.
         labels: (S, 50) float64 [counts]; NaN for an unlabelled sample.
         lengths: (S, 5) float64 [m], for the range check of the card.
-        config: Of the network that it was prepared for.
-        ids: (S,) of the samples.
+        config: The network configuration.
+        ids: (S,) ids of the samples.
     """
 
     clouds: tuple[Float32, ...]
@@ -45,13 +46,13 @@ class TrainingSet:
         """Prepare samples.
 
         Args:
-            samples: In the order that indices mean.
-            config: Of the network.
-            unlabelled: Whether samples without a label may be among them.
+            samples: In the order that indices refer to.
+            config: The network configuration.
+            unlabelled: Whether samples without a label are accepted.
 
         Raises:
-            DatasetError: If there is none, or a label is absent or no reading of a working sensor, or a cloud is
-                unusable or lacks a channel of the network; named by id.
+            DatasetError: If there is no sample, a label is missing or is not a reading of a working sensor, or a cloud is
+                unusable or lacks a channel of the network; names the sample.
         """
         if not samples:
             raise DatasetError("training set: no sample")
@@ -73,13 +74,7 @@ class TrainingSet:
         return len(self.clouds)
 
     def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
-        """(B, n, C) float32: other points of the chosen clouds each time.
-
-        Args:
-            index: (B,) samples.
-            rng: Chooses the points.
-            n_points: By default those of the configuration.
-        """
+        """(B, n, C) float32: points of the chosen clouds, drawn by `rng`; n is by default that of the configuration."""
         count = self.config.n_points if n_points is None else n_points
         chosen = [self.clouds[i] for i in index]
         return np.stack([c[sample_indices(c[:, :3], count, method=self.config.sampler, rng=rng)] for c in chosen])
@@ -89,13 +84,13 @@ def labels_of(samples: Sequence[GraspSample]) -> Float64:
     """(S, 50) float64 labels [counts].
 
     Raises:
-        DatasetError: If a label is absent or no reading of a working sensor; named by id.
+        DatasetError: If a label is missing or is not a reading of a working sensor; names the sample.
     """
     return np.array([_label(sample) for sample in samples])
 
 
 def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
-    """Pairs of ids whose 50 labels are all equal: noise makes that next to impossible, so one is wrong."""
+    """Pairs of ids whose 50 labels are all equal: with sensor noise next to impossible, so one label is wrong."""
     seen: dict[bytes, str] = {}
     pairs = []
     for sample in samples:
@@ -107,11 +102,11 @@ def duplicate_labels(samples: Sequence[GraspSample]) -> list[tuple[str, str]]:
 
 
 def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float32, Float64]:
-    """Of one sample: all its points, its grasp, and its lengths."""
+    """All points, the grasp and the lengths of one sample."""
     usable = finite_points(sample.cloud, config)
     frame = UnitSphereFrame.fit(usable.xyz)
     points = sample_channels(usable, np.arange(usable.size), frame, config)
-    # On the points that prediction will choose, for the gap to the nearest depends on their number.
+    # On the points that prediction will choose: the gap to the nearest point depends on their number.
     lengths = grasp_lengths(prepare_cloud(sample.cloud, config), [sample.grasp])[0]
     return points, prepare_grasps([sample.grasp], frame, config)[0], lengths
 

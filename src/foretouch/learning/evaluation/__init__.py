@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics, baselines, and comparisons with confidence intervals."""
+"""Metrics, baselines, comparisons with confidence intervals, and the evaluation of models (`evaluate`)."""

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plain numbers that describe an object and a grasp: what the trees are given instead of a cloud.
+"""Baselines: predictors without a cloud, or with a few geometric features of it, that a model has to beat.
 
-What a model has to beat: predictors that see no cloud, or only simple numbers of it.
-
-With few objects, each recorded on days of its own, object, time and drift go together: a model may seem to
-feel shapes while it only recognises the session. The object mean and the trees on object and time show how far
-that alone goes.
+With few objects, each recorded on different days, object, time and sensor drift are confounded: a model may seem to
+predict touch from shape while it only recognises the recording session. The object mean and the trees on object and time
+show how far that alone goes.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ FEATURE_NAMES: Final = (
 def geometry_features(sample: GraspSample) -> Float64:
     """(len(FEATURE_NAMES),) float64: lengths in metres, camera frame; contacts relative to the centroid.
 
-    Where no point is near a contact its spreads and offset are 0 and its count says so.
+    Where no point is near a contact, its count, spreads and offset are 0.
     """
     cloud = sample.cloud.take(np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_))
     xyz = cloud.xyz.astype(np.float64)
@@ -92,19 +90,19 @@ def _spreads(centred: Float64) -> Float64:
 Features = npt.NDArray[np.float64]
 
 TREES: Final = 300
-"""Of a forest."""
+"""Trees of a forest."""
 
 _LEAF: Final = 3
 _FEATURE_SHARE: Final = 0.5
 
 
 class Baseline(Protocol):
-    """Fit on some samples and predict others: train samples, (S, 50) labels, test samples, seed to (T, 50)."""
+    """Fits to training samples and their (S, 50) labels and predicts test samples."""
 
     def __call__(
         self, train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, /
     ) -> Float64:
-        """Predictions of the test samples [counts]."""
+        """(T, 50) predictions of the test samples [counts]."""
         ...
 
 
@@ -127,7 +125,7 @@ def object_mean(train: Sequence[GraspSample], labels: Float64, test: Sequence[Gr
 def object_time_trees(
     train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, trees: int = TREES
 ) -> Float64:
-    """Extremely randomised trees that see which object it is and when, and nothing else."""
+    """Extremely randomised trees on object and time of recording alone."""
     names = sorted({sample.object for sample in train})
     return _forest(_object_time(train, names), labels, _object_time(test, names), seed, trees)
 
@@ -154,7 +152,7 @@ BASELINES: Final[dict[str, Baseline]] = {
 
 
 def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Features:
-    """(S, 1 + objects): time in days, then which object; an object unseen in training has none set."""
+    """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
     table = np.zeros((len(samples), 1 + len(names)))
     for row, sample in zip(table, samples, strict=True):
         row[0] = sample.stamp_ns / 86_400e9

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How sure a skill is, and whether one predictor is better than another: bootstrap over objects.
+"""Confidence intervals of skills and of their differences: bootstrap over objects.
 
-Grasps of one object resemble each other (one shape, one session), so objects are drawn again, not grasps: a cluster
+Grasps of one object are correlated (one shape, one session), so objects are resampled, not grasps: a cluster
 bootstrap (Davison & Hinkley 1997, section 3.8). With O objects, a draw takes O of them with replacement, and with
 
     S_o = sum over the grasps of object o of (prediction - label)², per value of the modality
@@ -11,20 +11,20 @@ the skill of a draw with object o taken w_o times is (`foretouch.learning.evalua
 
     skill = mean over the modality's values of 1 - sum_o w_o S_o / sum_o w_o R_o .          (1)
 
-Two predictors are compared by the difference of their skills in the *same* draws, so that an object which is hard
-for both counts for neither.
+Two predictors are compared by the difference of their skills in the *same* draws, so that an object which is difficult
+for both favours neither.
 
-Few objects: percentiles of a bootstrap are too narrow for them. With 8, plain 95 % percentiles hold the truth in 89 %
-of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t asks 2.365).
+With few objects, percentiles of a bootstrap are too narrow. With 8, plain 95 % percentiles contain the true value in 89 %
+of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t requires 2.365).
 So the percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap", The
 American Statistician 69, section 4): the tail is
 
     Φ(-√(O / (O - 1)) t_{O-1, 1-α/2})                                                        (2)
 
 instead of α/2, 0.6 % instead of 2.5 % for 8 objects. No draw leaves the range that the objects span, which
-holds the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no interval
-is told. Whatever the number, the interval speaks of objects *like these*: 8 household objects, each recorded on
-days of its own, promise nothing about another hand, camera or kind of object.
+contains the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no interval
+is given. In every case the interval is valid for objects *like these*: 8 household objects, each recorded on
+different days, guarantee nothing about another hand, camera or kind of object.
 """
 
 from __future__ import annotations
@@ -53,21 +53,21 @@ __all__ = [
 ]
 
 LEAST_OBJECTS: Final = 6
-"""Fewest for an interval: 2^(1 - 6) is below 5 %."""
+"""Fewest objects for an interval: 2^(1 - 6) is below 5 %."""
 
 MEAN: Final = "mean"
-"""Beside the modalities: the mean of their four skills."""
+"""Key of the mean of the four skills, beside the modalities."""
 
 Verdict = Literal["better", "worse", "tie", "too few objects"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class BootstrapConfig(Settings):
-    """How intervals are drawn."""
+    """Settings of the bootstrap."""
 
     draws: int = setting(10_000, "Resamples of the objects", minimum=100, maximum=1_000_000)
-    seed: int = setting(0, "Of the resamples", minimum=0)
-    level: float = setting(0.95, "Coverage that the intervals aim at", minimum=0.5, maximum=0.999)
+    seed: int = setting(0, "Seed of the resamples", minimum=0)
+    level: float = setting(0.95, "Nominal coverage of the intervals", minimum=0.5, maximum=0.999)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +100,19 @@ class ObjectErrors:
 
     @classmethod
     def total(cls, parts: Sequence[tuple[str, float, Float64, Float64]]) -> Self:
-        """Add up (object, count, squared, reference), in any order and with objects repeated."""
+        """Sum (object, count, squared, reference) rows, in any order and with objects repeated."""
         names = tuple(sorted({name for name, *_ in parts}))
-        place = {name: k for k, name in enumerate(names)}
+        row = {name: k for k, name in enumerate(names)}
         counts = np.zeros(len(names))
         squared, reference = np.zeros((2, len(names), TOUCH_SIZE))
         for name, count, own, mean in parts:
-            counts[place[name]] += count
-            squared[place[name]] += own
-            reference[place[name]] += mean
+            counts[row[name]] += count
+            squared[row[name]] += own
+            reference[row[name]] += mean
         return cls(names, counts, squared, reference)
 
     def only(self, name: str) -> ObjectErrors:
-        """Those of one object."""
+        """The errors of one object."""
         k = [self.objects.index(name)]
         return ObjectErrors((name,), self.counts[k], self.squared[k], self.reference[k])
 
@@ -122,18 +122,13 @@ class ObjectErrors:
         return {name: float(np.sqrt(mean[columns([name])].mean())) for name in MODALITIES}
 
     def reference_rmse(self) -> dict[str, float]:
-        """The same of the training mean."""
+        """`rmse` of the training mean."""
         return ObjectErrors(self.objects, self.counts, self.reference, self.reference).rmse()
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval.
-
-    Attributes:
-        value: Over all objects.
-        low, high: Ends of the interval; None where there are too few objects.
-    """
+    """A value over all objects with the `low` and `high` end of its interval, None where there are too few objects."""
 
     value: float
     low: float | None
@@ -141,7 +136,7 @@ class Estimate:
 
     @property
     def verdict(self) -> Verdict:
-        """Of a difference: a value whose interval holds 0 is a tie."""
+        """Of a difference: a tie if its interval contains 0."""
         if self.low is None or self.high is None:
             return "too few objects"
         if self.low > 0.0:
@@ -150,20 +145,14 @@ class Estimate:
 
 
 def skills(errors: ObjectErrors, config: BootstrapConfig | None = None) -> dict[str, Estimate]:
-    """Skill by modality, and `MEAN`.
-
-    Raises:
-        DatasetError: If the training mean is exact for a value, which leaves the skill open.
-    """
+    """Skill by modality, and `MEAN`; raises `DatasetError` where the training mean is exact."""
     config = config or BootstrapConfig()
-    weights = _weights(len(errors.objects), config)
-    return _estimates(
-        _skill(errors, np.ones((1, len(errors.objects)))), _skill(errors, weights), len(errors.objects), config
-    )
+    size = len(errors.objects)
+    return _estimates(_skill(errors, np.ones((1, size))), _skill(errors, _weights(size, config)), size, config)
 
 
 def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig | None = None) -> dict[str, Estimate]:
-    """Skill of `one` less that of `other`, by modality and `MEAN`, in the same draws.
+    """Skill of `one` minus that of `other`, by modality and `MEAN`, in the same draws.
 
     Raises:
         DatasetError: If they were not tested on the same grasps against the same training means.
@@ -179,7 +168,7 @@ def compare(one: ObjectErrors, other: ObjectErrors, config: BootstrapConfig | No
 
 
 def mean_over_objects(values: Float64, config: BootstrapConfig | None = None) -> Estimate:
-    """Mean of (O,) numbers, one an object, in the same kind of draws."""
+    """Mean of (O,) numbers, one per object, with an interval from the same kind of draws."""
     config = config or BootstrapConfig()
     weights = _weights(len(values), config)
     if not len(weights):
@@ -190,17 +179,17 @@ def mean_over_objects(values: Float64, config: BootstrapConfig | None = None) ->
 
 
 def _skill(errors: ObjectErrors, weights: Float64) -> Float64:
-    """(draws, 5): eq. 1 by modality, and the mean of the four."""
+    """(draws, 5): eq. 1 by modality, and the mean of the four skills."""
     reference = weights @ errors.reference
     if not np.all(reference > 0.0):
-        raise DatasetError("comparison: the training mean is exact, so no skill can be told")
+        raise DatasetError("comparison: the training mean is exact, so the skill is undefined")
     per_value = 1.0 - (weights @ errors.squared) / reference
     skill = np.stack([per_value[:, columns([name])].mean(axis=1) for name in MODALITIES], axis=1)
     return np.column_stack([skill, skill.mean(axis=1)])
 
 
 def _weights(size: int, config: BootstrapConfig) -> Float64:
-    """(draws, O): how often each object is taken; none where there are too few to draw from."""
+    """(draws, O): how often each object is drawn; no row where there are too few objects."""
     if size < LEAST_OBJECTS:
         return np.empty((0, size))
     rng = np.random.default_rng(config.seed)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good predictions are, per modality, and against a model that knows nothing.
+"""Errors of predictions by modality, in counts and as skill against the mean of the training labels.
 
-An error in counts says little alone: P1's published errors are larger than those of the mean of the
-training labels on the same data. `skill` compares with that mean and is 0 for it, 1 for a perfect model.
+An error in counts means little by itself: P1's published errors are larger than those of the mean of the
+training labels on the same data. `skill` compares with that mean: 0 equals it, 1 is perfect.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ __all__ = ["Score", "mean_skill", "score"]
 
 @dataclass(frozen=True)
 class Score:
-    """Of one modality.
+    """Errors of one modality.
 
     Attributes:
         rmse: Root of the mean squared error over all samples and electrodes [counts].
-        nrmse: The same over the width of the modality's range: what the papers print.
+        nrmse: `rmse` over the width of the modality's range, as published in the papers.
         skill: 1 - MSE / MSE of the training mean, per value, averaged over the modality's values.
     """
 
@@ -46,31 +46,31 @@ def score(
     Args:
         predicted: (S, 50) [counts].
         actual: (S, 50) labels [counts].
-        reference: (S, 50) mean of the labels that each sample's model was trained on [counts].
-        ranges: For `nrmse`.
-        modalities: Those to score; the columns of the others are not told of.
+        reference: (S, 50) mean of the training labels of each sample's model [counts].
+        ranges: Ranges for `nrmse`.
+        modalities: Modalities to score; the other columns must be finite, too.
 
     Raises:
-        DatasetError: If a shape is another, there is no sample, a value is not finite, or the training
-            mean is exact, which leaves the skill open.
+        DatasetError: If a shape is wrong, there is no sample, a value is not finite, or the training
+            mean is exact, which leaves the skill undefined.
     """
     _check(predicted, actual, reference)
     squared = (predicted - actual) ** 2
     baseline = ((reference - actual) ** 2).mean(axis=0)
     result = {}
     for name in modalities:
-        place = columns([name])
-        if not np.all(baseline[place] > 0.0):
-            raise DatasetError(f"{name}: the training mean is exact, so no skill can be told")
+        column = columns([name])
+        if not np.all(baseline[column] > 0.0):
+            raise DatasetError(f"{name}: the training mean is exact, so the skill is undefined")
         low, high = ranges.of(name)
-        rmse = float(np.sqrt(squared[:, place].mean()))
-        skill = float(np.mean(1.0 - squared[:, place].mean(axis=0) / baseline[place]))
+        rmse = float(np.sqrt(squared[:, column].mean()))
+        skill = float(np.mean(1.0 - squared[:, column].mean(axis=0) / baseline[column]))
         result[name] = Score(rmse, rmse / (high - low), skill)
     return result
 
 
 def mean_skill(scores: dict[str, Score]) -> float:
-    """Skill averaged over the four modalities: the one number that models are chosen by."""
+    """Skill averaged over the modalities: the number by which models are selected."""
     return float(np.mean([one.skill for one in scores.values()]))
 
 

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From predictions of held-out samples to a model's `Calibration`: what touches teach, and how wide to doubt.
+"""Calibration of a touch model from held-out predictions: online adaptation to touches, and intervals.
 
-Two conditions, told apart in prediction by the `unfamiliar` flag:
+Two conditions, distinguished in prediction by the `unfamiliar` flag:
 
-    known   objects that were trained on, at a time that was not: residuals of time-blocked folds
-    new     objects that were not: residuals of objects left out
+    known   objects in the training data, at another time: residuals of time-blocked folds
+    new     objects outside the training data: residuals of objects left out
 
 Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation of all
 calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects. With few
-objects that level exceeds what they hold; it is capped at 0.95, and then no finite-sample promise is made.
+objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample guarantee is given.
 """
 
 from __future__ import annotations
@@ -20,24 +20,31 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.errors import DatasetError
+from foretouch.learning.data.folds import Fold, make_folds, object_folds
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [
     "COVERAGE",
     "HeldOutPredictions",
+    "calibrate",
+    "calibration_folds",
     "conformal_level",
     "coverage_by_object",
     "fit_group",
+    "guarantee",
     "make_calibration",
-    "promise",
+    "rest_level",
+    "resting_labels",
 ]
 
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
-_PRIOR_OBJECTS: Final = 30.0  # as many objects' worth of belief that errors tell nothing of each other on new objects
-_LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: an object is never known to err by nothing
+_PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
+_LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
+_PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 Names = npt.NDArray[np.str_]
 
@@ -50,7 +57,7 @@ class HeldOutPredictions:
         predicted: (S, 50) [counts].
         labels: (S, 50) [counts].
         objects: (S,) names.
-        sessions: (S,) what a lasting part of the error belongs to: an object, or a stretch of its recording.
+        sessions: (S,) the unit that shares the lasting part of the error: an object, or a block of its recording.
     """
 
     predicted: Float64
@@ -59,100 +66,181 @@ class HeldOutPredictions:
     sessions: Names
 
     def take(self, chosen: npt.NDArray[np.bool_]) -> HeldOutPredictions:
-        """Those of the (S,) mask."""
+        """The samples of an (S,) mask."""
         return HeldOutPredictions(
             self.predicted[chosen], self.labels[chosen], self.objects[chosen], self.sessions[chosen]
         )
 
 
+def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
+    """Folds by which training samples are held out for a calibration, by condition.
+
+    Args:
+        samples: Training samples.
+        seed: Seed of random folds, which replace blocks of time where an object has fewer samples than blocks.
+
+    Returns:
+        `known` and `new`: folds, and (S,) sessions: blocks of the objects' recordings, or objects.
+
+    Raises:
+        DatasetError: If all samples are of one object.
+    """
+    objects = np.array([sample.object for sample in samples])
+    try:
+        time_folds = make_folds(samples, "time", seed)
+    except DatasetError:
+        time_folds = make_folds(samples, "random", seed)
+    blocks = objects.astype(object)
+    for fold in time_folds:
+        blocks[fold.test] = [f"{name}/{fold.name}" for name in objects[fold.test]]
+    return {"known": (time_folds, blocks.astype(np.str_)), "new": (object_folds(list(objects)), objects)}
+
+
+def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
+    """Sensor readings without contact, and whether they were measured.
+
+    Without any tare they are estimated from the labels, value by value: pressure from its low end, electrodes, which
+    contact lowers, from their high end.
+
+    Args:
+        samples: Labelled, at least one.
+
+    Returns:
+        (50,) [counts]; True if it is the mean of recorded tares.
+    """
+    tares = [sample.tare.vector() for sample in samples if sample.tare is not None]
+    if tares:
+        return np.mean(tares, axis=0), True
+    labels = np.array([sample.touch.vector() for sample in samples if sample.touch is not None])
+    rest = np.quantile(labels, _ELECTRODE_REST, axis=0)
+    pressure = columns(["PDC_TH", "PDC_MF"])
+    rest[pressure] = np.quantile(labels[:, pressure], _PDC_REST, axis=0)
+    return rest, False
+
+
+def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
+    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by each sample's tare, if it has one."""
+    shifted = labels.copy()
+    for k, sample in enumerate(samples):
+        if sample.tare is not None:
+            shifted[k] -= sample.tare.vector() - rest
+    return shifted
+
+
+def calibrate(
+    samples: Sequence[GraspSample], labels: Float64, held_out: Mapping[str, tuple[Float64, Names]]
+) -> tuple[Calibration, dict[str, Any]]:
+    """A calibration from held-out predictions, without a tare and, where tares were recorded, with one.
+
+    Args:
+        samples: Training samples.
+        labels: (S, 50) [counts].
+        held_out: By condition (see `calibration_folds`), (S, 50) predictions at rest level [counts] and (S,) sessions.
+
+    Returns:
+        As `make_calibration`; the facts also hold `rest`, the origin of the rest level.
+    """
+    rest, recorded = rest_level(samples)
+    resting = resting_labels(samples, labels, rest)
+    objects = np.array([sample.object for sample in samples])
+    found = {}
+    for name, (predicted, sessions) in held_out.items():
+        found[name] = HeldOutPredictions(predicted, labels, objects, sessions)
+        if recorded:
+            found[f"{name}_tare"] = HeldOutPredictions(predicted, resting, objects, sessions)
+    calibration, facts = make_calibration(rest, found)
+    return calibration, {**facts, "rest": "recorded tares" if recorded else "guessed from the labels"}
+
+
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:
-    """Covariances of the lasting part and of the rest, the worth of differences, and conformal half widths.
+    """Covariances of the lasting and the varying error, the slope of differences, and conformal half widths.
 
     B is estimated by the method of moments from the mean residual of each session; its correlations are shrunk to zero
-    by G / (G + 30) for G objects, for 8 objects cannot tell 1225 of them. Where no session holds two samples nothing tells
-    the lasting part from the rest: then all of the error counts as new with each grasp, and touches narrow nothing.
+    by G / (G + 30) for G objects, since 8 objects cannot determine 1225 of them. Where no session has two samples, the
+    lasting part cannot be separated: then all of the error counts as new with each grasp, and touches do not narrow the
+    intervals.
 
     Args:
         held_out: Predictions of one condition.
-        new: Whether it speaks of objects beyond these. Then the worth is shrunk by the same factor, for what differences
-            were worth on G objects is known of those alone.
+        new: Whether the group is for objects outside these. Then the slope is shrunk by the same factor, since it was
+            measured on G objects only.
     """
-    trusted = _trusted(held_out.objects)
+    shrinkage = _shrinkage(held_out.objects)
     residuals = held_out.labels - held_out.predicted
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
-    worth = _worth(differences, actual) * (trusted if new else 1.0)
+    worth = _slopes(differences, actual) * (shrinkage if new else 1.0)
     spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
     freedom = len(residuals) - len(owners)
     within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6) if freedom else spread
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
-    between = _shrunk(moments, within, trusted)
+    between = _shrunk(moments, within, shrinkage)
     return CalibrationGroup(between, within, worth, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 
 def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float64:
-    """(S, 50) less the mean of each session."""
+    """(S, 50) minus the mean of each session."""
     centred = values.copy()
     for mine in owners:
         centred[mine] -= values[mine].mean(axis=0)
     return centred
 
 
-def _worth(predicted: Float64, actual: Float64) -> Float64:
-    """(50,) least-squares slope of actual over predicted differences in standard units, one a modality, within [0, 1].
+def _slopes(predicted: Float64, actual: Float64) -> Float64:
+    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, within [0, 1].
 
-    1 where no difference was predicted, which is no reason to doubt one.
+    It is 1 where no difference was predicted.
     """
     unit = np.maximum(actual.std(axis=0), 1e-6)
-    worth = np.empty(TOUCH_SIZE)
+    slopes = np.empty(TOUCH_SIZE)
     for modality in MODALITIES:
-        place = columns([modality])
-        x, y = predicted[:, place] / unit[place], actual[:, place] / unit[place]
+        column = columns([modality])
+        x, y = predicted[:, column] / unit[column], actual[:, column] / unit[column]
         power = float((x * x).sum())
-        worth[place] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
-    return worth
+        slopes[column] = np.clip((x * y).sum() / power, 0.0, 1.0) if power > 1e-12 else 1.0
+    return slopes
 
 
-def _trusted(names: Names) -> float:
+def _shrinkage(names: Names) -> float:
     """G / (G + 30) of G objects."""
     objects = len(np.unique(names))
     return objects / (objects + _PRIOR_OBJECTS)
 
 
-def _shrunk(moments: Float64, within: Float64, trusted: float) -> Float64:
-    """The moments made positive definite, their correlations times `trusted`."""
+def _shrunk(moments: Float64, within: Float64, shrinkage: float) -> Float64:
+    """The moments made positive definite, their correlations times `shrinkage`."""
     deviation = np.sqrt(np.maximum(np.diag(moments), _LEAST_SHARE * within))
     values, vectors = np.linalg.eigh(moments / np.outer(deviation, deviation))
     correlation = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    # What was cut off has raised the diagonal; to lower it alone to 1, below, would make B indefinite.
+    # Clipping has raised the diagonal; to set it alone to 1, below, would make B indefinite.
     size = np.sqrt(np.maximum(np.diag(correlation), 1.0))
     correlation /= np.outer(size, size)
-    shrunk = trusted * correlation + (1.0 - trusted) * np.eye(TOUCH_SIZE)
+    shrunk = shrinkage * correlation + (1.0 - shrinkage) * np.eye(TOUCH_SIZE)
     np.fill_diagonal(shrunk, 1.0)
     return np.asarray(shrunk * np.outer(deviation, deviation), np.float64)
 
 
 def conformal_level(objects: int, coverage: float = COVERAGE) -> float:
-    """The quantile that G calibration objects have to be cut at for one more object to be covered."""
+    """The quantile of the scores of G calibration objects that covers one more object."""
     return min(coverage * (1.0 + 1.0 / objects), _HIGHEST_LEVEL)
 
 
 def _half_widths(residuals: Float64, names: Names, deviation: Float64) -> Float64:
-    """(50,) half widths [counts]: one factor a modality over the deviation of each value."""
+    """(50,) half widths [counts]: one factor per modality times the deviation of each value."""
     scores = np.abs(residuals) / deviation
     level = conformal_level(len(np.unique(names)))
     half = np.empty(TOUCH_SIZE)
     for modality in MODALITIES:
-        place = columns([modality])
-        half[place] = deviation[place] * _quantile_by_object(scores[:, place], names, level)
+        column = columns([modality])
+        half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
     return half
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
-    """Quantile of pooled (S, M) scores where every object weighs the same, however many samples it has."""
+    """Quantile of pooled (S, M) scores where every object weighs the same, whatever its number of samples."""
     unique, index, counts = np.unique(names, return_inverse=True, return_counts=True)
     weight = np.repeat(1.0 / (len(unique) * counts[index] * scores.shape[1]), scores.shape[1])
     flat = scores.reshape(-1)
@@ -162,15 +250,15 @@ def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
 
 
 def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) -> tuple[Calibration, dict[str, Any]]:
-    """A calibration, and what its card should tell.
+    """A calibration, and its facts for the card.
 
     Args:
-        rest: (50,) [counts].
-        held_out: By regime.
+        rest: (50,) rest level [counts].
+        held_out: By name of the group: `known` or `new`, with `_tare` behind it where a tare is used.
 
     Returns:
-        The trust, and facts: `level`, and by regime `objects`, `samples`, `cut` and `coverage` of objects left out of the
-        calibration, by modality and by object.
+        The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out of
+        the calibration, by modality and by object.
     """
     regimes = {name: fit_group(one, new=name.startswith("new")) for name, one in held_out.items()}
     facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}
@@ -185,26 +273,26 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
     return Calibration(rest, regimes), facts
 
 
-def promise(calibration: Mapping[str, Any]) -> str:
-    """One line for a card, from the facts of `make_calibration`: what that many objects can promise of the intervals."""
+def guarantee(calibration: Mapping[str, Any]) -> str:
+    """One line for a card, from the facts of `make_calibration`: the coverage that this many objects can guarantee."""
     new = calibration["regimes"]["new"]
     objects = new["objects"]
     found = ", ".join(f"{name} {table['mean']:.2f}" for name, table in new["coverage"].items())
     least = min(min(table.values()) for table in new["coverage"].values())
     return (
-        f"Intervals of {calibration['level']:.0%}: of {objects} objects, a distribution-free promise for one more cannot exceed "
-        f"{objects / (objects + 1):.0%}. Objects left out were covered on average: {found}; the worst of them {least:.2f}."
+        f"Intervals of {calibration['level']:.0%}: from {objects} objects, a distribution-free guarantee for one more cannot exceed "
+        f"{objects / (objects + 1):.0%}. Mean coverage of objects left out: {found}; of the worst of them {least:.2f}."
     )
 
 
 def coverage_by_object(held_out: HeldOutPredictions) -> dict[str, dict[str, float]]:
     """By modality: `mean` over objects, and each object's coverage by intervals calibrated on the others.
 
-    One object alone has nothing to be calibrated on, and gives no figures.
+    Empty for a single object, which leaves none to calibrate on.
     """
     found: dict[str, dict[str, float]] = {modality: {} for modality in MODALITIES}
-    everyone = np.unique(held_out.objects)
-    for name in everyone if len(everyone) > 1 else ():
+    names = np.unique(held_out.objects)
+    for name in names if len(names) > 1 else ():
         mine = held_out.take(held_out.objects == name)
         half = fit_group(held_out.take(held_out.objects != name)).half_width
         inside = np.abs(mine.labels - mine.predicted) <= half

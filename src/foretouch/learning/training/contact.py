@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError, DatasetError
-from foretouch.learning.data.folds import Fold, group_folds
+from foretouch.learning.data import Fold, Indices, labels_of, object_folds, predict_folds
+from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
+from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import OBJECT_FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
@@ -23,33 +26,29 @@ from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [
     "ContactConfig",
+    "ContactPredictor",
     "describe_objects",
     "describe_samples",
     "fit_contact",
-    "object_folds",
-    "rest_level",
-    "resting_labels",
 ]
 
 _FEWEST_SAMPLES: Final = 5
-_MOST_FOLDS: Final = 10
-_PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConfig(Settings):
-    """How a contact model is fitted."""
+    """Settings of the fit of a contact model."""
 
     trees: int = setting(150, "Trees of each forest", minimum=1, maximum=10_000)
     leaf: int = setting(3, "Fewest samples in a leaf", minimum=1, maximum=1000)
     feature_share: float = setting(1.0, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
-    decay: float = setting(2.0, "Of the kernel, over the mean distance per standardised feature", minimum=0.01)
+    decay: float = setting(2.0, "Decay of the kernel over the mean distance per standardised feature", minimum=0.01)
     ridges: tuple[float, ...] = setting(
         (0.3, 1.0, 3.0, 10.0),
-        "Noise over signal that the kernel may assume; chosen on objects left out",
+        "Candidates for the kernel's ratio of noise to signal; chosen on objects left out",
         minimum=1e-3,
     )
-    seed: int = setting(0, "Of the trees", minimum=0)
+    seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
 
     def __post_init__(self) -> None:
@@ -59,19 +58,19 @@ class ContactConfig(Settings):
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(FEATURES)) float64: each sample's own grasp on its own cloud.
+    """(S, len(FEATURES)) float64 features of each sample's grasp on its cloud.
 
     Raises:
-        DatasetError: If a cloud cannot be used; named by id.
+        DatasetError: If a cloud cannot be used; names the sample.
     """
     return np.concatenate([_scene(sample).describe([sample.grasp]) for sample in samples])
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(OBJECT_FEATURES)) float64: each sample's cloud, whatever its grasp.
+    """(S, len(OBJECT_FEATURES)) float64 features of each sample's cloud.
 
     Raises:
-        DatasetError: If a cloud cannot be used; named by id.
+        DatasetError: If a cloud cannot be used; names the sample.
     """
     return np.array([_scene(sample).object_features for sample in samples])
 
@@ -83,59 +82,17 @@ def _scene(sample: GraspSample) -> ContactScene:
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
-    """What the sensors read without contact, and whether tares tell it.
-
-    Without any tare it is guessed from the labels, channel by channel: pressure from its low end, electrodes, which
-    contact lowers, from their high end.
-
-    Args:
-        samples: Labelled, at least one.
-
-    Returns:
-        (50,) [counts]; True if it is the mean of recorded tares.
-    """
-    tares = [sample.tare.vector() for sample in samples if sample.tare is not None]
-    if tares:
-        return np.mean(tares, axis=0), True
-    labels = np.array([sample.touch.vector() for sample in samples if sample.touch is not None])
-    rest = np.quantile(labels, _ELECTRODE_REST, axis=0)
-    pressure = columns(["PDC_TH", "PDC_MF"])
-    rest[pressure] = np.quantile(labels[:, pressure], _PDC_REST, axis=0)
-    return rest, False
-
-
-def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
-    """(S, 50) labels as sensors at rest level `rest` would have read them: moved by each sample's tare, where it has one."""
-    moved = labels.copy()
-    for k, sample in enumerate(samples):
-        if sample.tare is not None:
-            moved[k] -= sample.tare.vector() - rest
-    return moved
-
-
-def object_folds(objects: Sequence[str]) -> list[Fold]:
-    """One object left out at a time, or a tenth of them where there are more than ten.
-
-    Raises:
-        DatasetError: If there is one object only.
-    """
-    if len(set(objects)) <= _MOST_FOLDS:
-        return group_folds(objects)
-    return group_folds(objects, _MOST_FOLDS, np.random.default_rng(0))
-
-
 def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: ContactConfig) -> ContactEstimator:
-    """Fit forests, kernel and novelty.
+    """Fit forests, kernel and novelty detection.
 
     Args:
         rows: (S, F) of `describe_samples`.
         labels: (S, 50) [counts].
         objects: (S,) names.
-        config: How.
+        config: Settings of the fit.
 
     Raises:
-        DatasetError: If there are fewer than five samples, or a label never changes.
+        DatasetError: If there are fewer than five samples, or a value of the labels is constant.
     """
     if len(rows) < _FEWEST_SAMPLES:
         raise DatasetError(f"contact model: {len(rows)} samples are fewer than {_FEWEST_SAMPLES}")
@@ -144,7 +101,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
     return ContactEstimator(
-        forests={name: _forest(rows, scaled[:, place], config) for name, place in _targets()},
+        forests={name: _forest(rows, scaled[:, column], config) for name, column in _targets()},
         kernel=_kernel(rows, scaled, objects, config),
         novelty=SizeNoveltyDetector.fit(rows[:, : len(OBJECT_FEATURES)]),
         mean=mean,
@@ -185,17 +142,17 @@ def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], config: Cont
 def _choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], config: ContactConfig) -> float:
     """The ridge of least squared error on objects left out, each modality weighing the same.
 
-    One for all values: chosen for each, it follows the accidents of a handful of objects. A single object tells nothing of
-    others, so the largest is taken.
+    One ridge for all values: chosen for each value, it overfits a handful of objects. With a single object the largest
+    is taken.
     """
     if len(set(objects)) < 2:
         return max(config.ridges)
     errors = np.zeros((len(config.ridges), TOUCH_SIZE))
     for fold in object_folds(objects):
         centre, scale = standardisation(rows[fold.train])
-        known, asked = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
+        known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
         mean = scaled[fold.train].mean(axis=0)
-        kernel, cross = laplacian(known, known, config.decay), laplacian(asked, known, config.decay)
+        kernel, cross = laplacian(known, known, config.decay), laplacian(test, known, config.decay)
         for k, ridge in enumerate(config.ridges):
             weight = _ridge_weights(kernel, scaled[fold.train] - mean, ridge)
             errors[k] += ((cross @ weight + mean - scaled[fold.test]) ** 2).sum(axis=0)
@@ -208,3 +165,110 @@ def _ridge_weights(kernel: Float64, scaled: Float64, ridge: float) -> Float64:
     from scipy.linalg import cho_factor, cho_solve
 
     return np.asarray(cho_solve(cho_factor(kernel + ridge * np.eye(len(kernel))), scaled), np.float64)
+
+
+class ContactPredictor:
+    """A contact model fitted to labelled grasps; it is calibrated only when intervals or touches require it.
+
+    Args:
+        train: Labelled samples.
+        labels: (S, 50) [counts].
+        config: Settings of the fit.
+
+    Attributes:
+        rest: (50,) rest level of its predictions [counts].
+        rest_recorded: Whether the rest level was measured by tares.
+        rows: (S, F) features of the training samples.
+    """
+
+    def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
+        self.rest, self.rest_recorded = rest_level(train)
+        self.rows = describe_samples(train)
+        self._train, self._labels, self._config = list(train), labels, config
+        self._resting = resting_labels(train, labels, self.rest)
+        self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample
+
+    @cached_property
+    def estimator(self) -> ContactEstimator:
+        """The model fitted to all training samples."""
+        return self.fit(np.arange(len(self._train)))
+
+    def fit(self, chosen: Indices) -> ContactEstimator:
+        """A model fitted to some of the training samples, at the rest level of all of them."""
+        objects = [self._train[k].object for k in chosen]
+        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config)
+
+    def predict(self, samples: Sequence[GraspSample]) -> Float64:
+        """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
+        return self._estimate(samples)[0]
+
+    def familiar(self, samples: Sequence[GraspSample]) -> npt.NDArray[np.bool_]:
+        """(S,) whether each sample's object is in the distribution of the training data."""
+        return self._estimate(samples)[1]
+
+    def predict_after(
+        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
+    ) -> Float64:
+        """Predictions after touches of the same object, as `TouchModel.predict` with a memory gives them.
+
+        Args:
+            touched: Labelled samples of the same object; may be empty.
+            samples: Samples to predict.
+            tare: Whether to use the tares of all of them.
+
+        Raises:
+            DatasetError: If `tare` is set and a sample has no tare.
+        """
+        if not touched:  # requires no calibration
+            return self._estimate(samples)[0] + self._shifts(samples, tare=tare)
+        return self.intervals_after(touched, samples, tare=tare)[0]
+
+    def intervals_after(
+        self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
+    ) -> tuple[Float64, Float64]:
+        """As `predict_after`, with the half widths of the intervals, both (S, 50) [counts].
+
+        Raises:
+            DatasetError: If `tare` is set and a sample has no tare, or the training samples are all of one object.
+        """
+        expected, familiar = self._estimate(samples)
+        means = None
+        if touched:  # at the rest level of training, since each sample has its own tare
+            readings = labels_of(touched) - self._shifts(touched, tare=tare)
+            means = self._estimate(touched)[0].mean(axis=0), readings.mean(axis=0)
+        counts, half = self.calibration[0].adapt(expected, familiar, tare=tare, touched=means, count=len(touched))
+        return counts + self._shifts(samples, tare=tare), half
+
+    @cached_property
+    def calibration(self) -> tuple[Calibration, dict[str, Any]]:
+        """The calibration, from time-blocked and object folds of the training samples, and its facts for a card.
+
+        Raises:
+            DatasetError: If all training samples are of one object.
+        """
+        held_out = {
+            name: (predict_folds(self._without, folds), sessions)
+            for name, (folds, sessions) in calibration_folds(self._train, self._config.seed).items()
+        }
+        return calibrate(self._train, self._labels, held_out)
+
+    def _without(self, fold: Fold) -> Float64:
+        return self.fit(fold.train).predict_rows(self.rows[fold.test])[0]
+
+    def _estimate(self, samples: Sequence[GraspSample]) -> tuple[Float64, npt.NDArray[np.bool_]]:
+        """Predictions before any touch and at rest level; each sample is described only once."""
+        new = [sample for sample in samples if sample.id not in self._predicted]
+        if new:
+            pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
+            self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
+        found = [self._predicted[sample.id] for sample in samples]
+        return np.array([counts for counts, _ in found]), np.array([familiar for _, familiar in found], np.bool_)
+
+    def _shifts(self, samples: Sequence[GraspSample], *, tare: bool) -> Float64:
+        """(S, 50) differences of the tares from the rest level, zeros where tares are not used."""
+        shifts = np.zeros((len(samples), TOUCH_SIZE))
+        for k, sample in enumerate(samples if tare else ()):
+            if sample.tare is None:
+                raise DatasetError(f"{sample.id}: tare: is missing")
+            shifts[k] = sample.tare.vector() - self.rest
+        return shifts

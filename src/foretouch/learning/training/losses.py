@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Losses of the supervised networks and of the SR-GAN, P2's equations 1 to 5 in three readings.
+"""Losses of the supervised networks and of the SR-GAN: P2's equations 1 to 5 in three readings.
 
 P2 prints for the discriminator (x_L labelled, x_U unlabelled, x_F fake, f features before the grasp joins)::
 
@@ -12,11 +12,11 @@ P2 prints for the discriminator (x_L labelled, x_U unlabelled, x_F fake, f featu
 Its text contradicts eq. 4 (L_fake "tries to make the features of the unlabeled data and the fake data as dissimilar
 as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the original SR-GAN work"). Hence `reading`:
 
-    as_printed  eqs. 3, 4, 5 to the letter: fake clouds touch no loss of the discriminator
+    as_printed  eqs. 3, 4, 5 to the letter: fake clouds enter no loss of the discriminator
     contrast    eqs. 3 and 5; L_fake pushes f(x_U) and f(x_F) apart by a contrast of bounded slope. The negative of
-                eq. 3's square is not offered: it has no floor, and ran off to 65 million within 60 steps
+                eq. 3's square is not offered: it is unbounded below, and diverged to 65 million within 60 steps
     srgan       Olmschenk et al. 2019, with Δ the difference of the batches' mean features: matching and generator
-                loss mean|Δ|, contrast -mean sqrt(|Δ| + 1). Its labelled loss is replaced by eq. 2, as P2 says
+                loss mean|Δ|, contrast -mean sqrt(|Δ| + 1). Its labelled loss is replaced by eq. 2, as in P2
 
 Shapes: B samples, F features, M outputs.
 """
@@ -32,7 +32,7 @@ from torch import Tensor
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.learning.training.device import ONE_RANK, DistributedContext
+from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext
 
 __all__ = [
     "Features",
@@ -50,14 +50,14 @@ _LEAST_ROOT: Final = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class SrganLossConfig(Settings):
-    """Which losses, and their weights; weights are P2's."""
+    """Reading of the losses, and P2's weights."""
 
     reading: str = setting(
-        "contrast", "Of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
+        "contrast", "Reading of P2's equations 3 to 5; see the module", choices=("as_printed", "contrast", "srgan")
     )
     distance: str = setting(
         "reading",
-        "Between the i-th samples of both batches (eqs. 3 to 5), or between the batches' means (SR-GAN)",
+        "Distance between the i-th samples of both batches (eqs. 3 to 5), or between the batches' means (SR-GAN)",
         choices=("reading", "per_sample", "batch_mean"),
     )
     across_features: str = setting(
@@ -65,20 +65,20 @@ class SrganLossConfig(Settings):
     )
     contrast: str = setting(
         "sqrt",
-        "What keeps unlabelled and fake apart in the reading `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
-        "-mean |Δ|, or -mean |Δ| / (|Δ| + 1), whose value is bounded too",
+        "Contrast of unlabelled and fake features in the reading `contrast`: -mean sqrt(|Δ| + 1), -mean log(|Δ| + 1), "
+        "-mean |Δ|, or -mean |Δ| / (|Δ| + 1), whose value is bounded, too",
         choices=("sqrt", "log", "abs", "ratio"),
     )
     weight_labeled: float = setting(1.0, "w_L", minimum=0.0, maximum=1e6)
     weight_unlabeled: float = setting(10.0, "w_U", minimum=0.0, maximum=1e6)
     weight_fake: float = setting(0.1, "w_F", minimum=0.0, maximum=1e6)
     gradient_penalty: float = setting(
-        0.0, "λ of the one-sided penalty of the SR-GAN, which P2 leaves out", minimum=0.0, maximum=1e6
+        0.0, "λ of the one-sided gradient penalty of the SR-GAN, which P2 omits", minimum=0.0, maximum=1e6
     )
 
     @property
     def pairs(self) -> bool:
-        """Whether samples are compared in pairs, not the batches' means."""
+        """Whether samples are compared in pairs rather than by the batches' means."""
         if self.distance == "reading":
             return self.reading != "srgan"
         return self.distance == "per_sample"
@@ -86,12 +86,7 @@ class SrganLossConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """f(x) of the three sources.
-
-    Attributes:
-        labeled, unlabeled: (B, F) each.
-        fake: (B, F); may be None for the reading `as_printed`, which does not look at it.
-    """
+    """Features f(x) of the three sources, (B, F) each; `fake` may be None for the reading `as_printed`."""
 
     labeled: Tensor
     unlabeled: Tensor
@@ -100,49 +95,48 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """A loss and what it is made of.
-
-    Attributes:
-        total: Scalar, to be differentiated.
-        parts: Scalars by name, before their weights.
-    """
+    """A scalar loss to differentiate, and its parts by name, before their weights."""
 
     total: Tensor
     parts: dict[str, Tensor] = field(default_factory=dict)
 
     def numbers(self) -> dict[str, float]:
-        """Total and parts as plain numbers."""
+        """Total and parts as floats."""
         return {"total": float(self.total.detach())} | {k: float(v.detach()) for k, v in self.parts.items()}
 
 
 def safe_root(mean_square: Tensor) -> Tensor:
     """The square root, with a finite slope at zero.
 
-    Departure from eq. 2, whose slope there is infinite and turns a perfect batch into NaN weights: below 1e-6 the
+    Departure from eq. 2, whose slope at zero is infinite and turns a perfect batch into NaN weights: below 1e-6 the
     root is replaced by its chord, m / 1e-6. Zero stays zero; from 1e-6 on, far below any real error, it is exact.
     """
     least = _LEAST_ROOT**2
-    # The clamp keeps the branch that `where` drops from giving 0 · inf.
+    # Without the clamp, the branch that `where` discards would give 0 · inf.
     return torch.where(mean_square > least, mean_square.clamp(min=least).sqrt(), mean_square / _LEAST_ROOT)
 
 
 def labeled_loss(
-    scaled: Tensor, target: Tensor, sizes: Sequence[int], kind: str = "rmse", ranks: DistributedContext = ONE_RANK
+    scaled: Tensor,
+    target: Tensor,
+    sizes: Sequence[int],
+    kind: str = "rmse",
+    context: DistributedContext = SINGLE_PROCESS,
 ) -> Tensor:
-    """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not drown one pressure.
+    """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
     Args:
         scaled: (B, M) predictions.
         target: (B, M) labels on the same scale.
-        sizes: Values of each modality; they add up to M. P2 has one modality a network.
+        sizes: Number of values of each modality; they add up to M. P2 has one modality per network.
         kind: `rmse`, or `mse` without the root.
-        ranks: Those that share the batch out. Squares and their number are summed over all of them before the root:
-            the mean of each rank's own root is another loss.
+        context: The processes that share the batch. Squares and their number are summed over all of them before the root:
+            the mean of each process's own root is a different loss.
     """
     means = []
     for part in torch.split(scaled - target, list(sizes), dim=1):
-        count = ranks.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
-        means.append(ranks.shared_sum(part.square().sum()) / count)
+        count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
+        means.append(context.shared_sum(part.square().sum()) / count)
     stacked = torch.stack(means)
     return stacked.mean() if kind == "mse" else safe_root(stacked).mean()
 
@@ -152,25 +146,22 @@ def discriminator_loss(
     features: Features,
     config: SrganLossConfig,
     penalty: Tensor | None = None,
-    ranks: DistributedContext = ONE_RANK,
+    context: DistributedContext = SINGLE_PROCESS,
 ) -> Loss:
     """Eq. 1.
 
     Args:
-        labeled: Of `labeled_loss`.
-        features: Of the discriminator; those of the fake clouds detached from the generator.
+        labeled: Result of `labeled_loss`.
+        features: Features of the discriminator; those of the fake clouds detached from the generator.
         config: Reading and weights.
-        penalty: Of `gradient_penalty`, if there is one.
-        ranks: Those that share the batch out.
-
-    Returns:
-        Parts `labeled`, `unlabeled`, `fake` and, if given, `penalty`.
+        penalty: Result of `gradient_penalty`, if it is used.
+        context: The processes that share the batch.
 
     Raises:
-        DatasetError: If samples are to be compared in pairs and the batches differ in size.
+        DatasetError: If samples are compared in pairs and the batches differ in size.
     """
-    unlabeled = _matching(features.labeled, features.unlabeled, config, ranks)
-    fake = unlabeled if config.reading == "as_printed" else _contrast(features, config, ranks)  # eq. 4 is eq. 3
+    unlabeled = _matching(features.labeled, features.unlabeled, config, context)
+    fake = unlabeled if config.reading == "as_printed" else _contrast(features, config, context)  # eq. 4 is eq. 3
     parts = {"labeled": labeled, "unlabeled": unlabeled, "fake": fake}
     total = config.weight_labeled * labeled + config.weight_unlabeled * unlabeled + config.weight_fake * fake
     if penalty is not None:
@@ -180,7 +171,7 @@ def discriminator_loss(
 
 
 def generator_loss(
-    fake: Tensor, unlabeled: Tensor, config: SrganLossConfig, ranks: DistributedContext = ONE_RANK
+    fake: Tensor, unlabeled: Tensor, config: SrganLossConfig, context: DistributedContext = SINGLE_PROCESS
 ) -> Loss:
     """Eq. 5, or the SR-GAN's mean|Δ|.
 
@@ -188,15 +179,9 @@ def generator_loss(
         fake: (B, F) features that depend on the generator.
         unlabeled: (B, F) features of real clouds, detached.
         config: Reading and distance.
-        ranks: Those that share the batch out.
-
-    Returns:
-        Part `generator`.
-
-    Raises:
-        DatasetError: As of `discriminator_loss`.
+        context: The processes that share the batch.
     """
-    total = _matching(fake, unlabeled, config, ranks)
+    total = _matching(fake, unlabeled, config, context)
     return Loss(total, {"generator": total})
 
 
@@ -205,23 +190,23 @@ def gradient_penalty(
     unlabeled: Tensor,
     fake: Tensor,
     rng: torch.Generator,
-    ranks: DistributedContext = ONE_RANK,
+    context: DistributedContext = SINGLE_PROCESS,
 ) -> Tensor:
     """Mean of max(‖∇‖ - 1, 0)², one-sided, of the norm of the features at clouds between real and fake ones.
 
-    After Olmschenk et al. 2019; P2 leaves it out for want of effect and for its time. Point k of a real cloud is
+    After Olmschenk et al. 2019; P2 omits it, as it had no effect and took time. Point k of a real cloud is
     mixed with point k of a fake one, though neither has an order: any pairing gives clouds in between.
 
     Args:
-        features: (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty goes
-            through the statistics of the batch and starts in the millions.
+        features: Maps (B, N, C) clouds to (B, F). Its batch norm must be frozen: in training mode the penalty includes
+            the statistics of the batch and starts in the millions.
         unlabeled: (B, N, C) real clouds.
         fake: (B, N', C) fake clouds; both are cut to the smaller number of points.
-        rng: Draws a place between the two for each cloud.
-        ranks: Those that share the batch out; the clouds are this rank's.
+        rng: Draws the mixing weight of each pair of clouds.
+        context: The processes that share the batch; the clouds are those of this process.
     """
     points = min(unlabeled.shape[1], fake.shape[1])
-    share = ranks.share(torch.rand(len(unlabeled) * ranks.size, 1, 1, generator=rng)).to(unlabeled)
+    share = context.shard(torch.rand(len(unlabeled) * context.world_size, 1, 1, generator=rng)).to(unlabeled)
     between = share * unlabeled[:, :points].detach() + (1.0 - share) * fake[:, :points].detach()
     between.requires_grad_()
     norms = safe_root(features(between).square().sum(dim=1))
@@ -230,20 +215,20 @@ def gradient_penalty(
     return (steepness - 1.0).clamp(min=0.0).square().mean()
 
 
-def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, ranks: DistributedContext) -> Tensor:
-    """What draws two batches of features together: squared distance (eqs. 3 and 5), or mean|Δ| of the SR-GAN."""
-    delta = _difference(a, b, config, ranks)
+def _matching(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
+    """Feature matching of two batches: squared distance (eqs. 3 and 5), or mean|Δ| of the SR-GAN."""
+    delta = _difference(a, b, config, context)
     if config.reading == "srgan":
         return delta.abs().mean()
     squared = delta.square()
     return (squared.sum(dim=1) if config.across_features == "sum" else squared.mean(dim=1)).mean()
 
 
-def _contrast(features: Features, config: SrganLossConfig, ranks: DistributedContext) -> Tensor:
-    """What drives unlabelled and fake features apart; its slope in each feature is at most one."""
+def _contrast(features: Features, config: SrganLossConfig, context: DistributedContext) -> Tensor:
+    """Contrast of unlabelled and fake features; its slope in each feature is at most one."""
     if features.fake is None:
-        raise DatasetError(f"losses: the reading {config.reading} needs the features of fake clouds")
-    far = _difference(features.unlabeled, features.fake, config, ranks).abs()
+        raise DatasetError(f"losses: the reading {config.reading} requires the features of fake clouds")
+    far = _difference(features.unlabeled, features.fake, config, context).abs()
     kind = "sqrt" if config.reading == "srgan" else config.contrast
     if kind == "sqrt":
         return -(far + 1.0).sqrt().mean()
@@ -254,16 +239,16 @@ def _contrast(features: Features, config: SrganLossConfig, ranks: DistributedCon
     return (1.0 / (far + 1.0)).mean() - 1.0  # -|Δ| / (|Δ| + 1), without inf / inf
 
 
-def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, ranks: DistributedContext) -> Tensor:
+def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
     if config.pairs:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
-    return _mean(a, ranks) - _mean(b, ranks)
+    return _mean(a, context) - _mean(b, context)
 
 
-def _mean(features: Tensor, ranks: DistributedContext) -> Tensor:
-    """(1, F) mean over the batches of all ranks."""
-    count = ranks.sum(torch.tensor(float(len(features)), dtype=features.dtype, device=features.device))
-    return ranks.shared_sum(features.sum(dim=0, keepdim=True)) / count
+def _mean(features: Tensor, context: DistributedContext) -> Tensor:
+    """(1, F) mean over the batches of all processes."""
+    count = context.sum(torch.tensor(float(len(features)), dtype=features.dtype, device=features.device))
+    return context.shared_sum(features.sum(dim=0, keepdim=True)) / count

@@ -1,70 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One training from a configuration to a model on disk, resumable at every epoch (`run_folder` tells what is there).
+"""One training from settings to a run folder with weights, calibration and card, resumable at every epoch.
 
-Of several processes (`torchrun`) the first alone writes; all of them read a state that is resumed.
+With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from foretouch.learning.data.collection import Collection
-from foretouch.learning.data.division import Division, divide
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.contact_run import fit_and_save
-from foretouch.learning.training.run_card import add_scores, run_facts
-from foretouch.learning.training.run_config import RunConfig
-from foretouch.learning.training.run_folder import BOARD_FOLDER, RunFolder
-from foretouch.learning.training.srgan import SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, predict_set
-from foretouch.learning.training.tensorboard_logger import open_tensorboard
-from foretouch.learning.training.trainer import Trainer
-from foretouch.models.network.checkpoint import save_network
-from foretouch.models.novelty import LengthRangeCheck
-from foretouch.tactile import columns
+from foretouch import __version__
+from foretouch.errors import DatasetError
+from foretouch.learning.data import SPLITS, Dataset, Fold, duplicate_labels, make_folds
+from foretouch.learning.evaluation.evaluate import MODEL, cross_validate, evaluate_model
+from foretouch.learning.evaluation.metrics import mean_skill
+from foretouch.learning.training.calibration import calibration_folds, guarantee
+from foretouch.learning.training.device import DistributedContext
+from foretouch.learning.training.learners import Learner, RunConfig, find_learner
+from foretouch.learning.training.run_folder import RunFolder
+from foretouch.models.card import card_text, read_card, write_text
+from foretouch.types import Float64
 
-__all__ = ["train_run"]
+__all__ = ["compare_splits", "make_learner", "train_run"]
 
-Say = Callable[[Mapping[str, Any]], None]
+Report = Callable[[Mapping[str, Any]], None]
+Scores = dict[str, dict[str, Any]]
 
-
-@dataclass
-class _Best:
-    """The best epoch so far, by validation; none without.
-
-    Attributes:
-        epoch: Its number, -1 for none.
-        error: Root mean square of its scaled errors.
-        weights: Of the network, by name; empty for none.
-    """
-
-    epoch: int
-    error: float
-    weights: dict[str, Tensor]
-
-    @classmethod
-    def none(cls) -> _Best:
-        """Before the first validation."""
-        return cls(-1, float("inf"), {})
+_SPLIT_WORDS: Final = {
+    "random": "5 random folds: other grasps of the same sessions",
+    "time": "5 consecutive blocks of time within each object, each left out once",
+    "object": "one object left out: objects never touched, and other days",
+}
+_CONDITIONS: Final = {"known": "time", "new": "object"}
+"""The split whose held-out predictions calibrate each condition."""
 
 
-def train_run(config: RunConfig, data: Collection, out: Path, say: Say, *, resume: bool = False) -> Path:
+def train_run(
+    config: RunConfig, data: Dataset, out: Path, report: Report, *, resume: bool = False, workers: int = 1
+) -> Path:
     """Train a model.
 
     Args:
-        config: Resolved.
-        data: The samples.
+        config: Resolved settings.
+        data: The dataset.
         out: Folder of the run.
-        say: Called with each epoch's record, and with the result.
-        resume: Go on in `out`, if something stands there.
+        report: Called with each epoch's record, and with the result.
+        resume: Continue the run in `out`, if there is one.
+        workers: Processes for cross-validation and calibration; the result does not depend on it.
 
     Returns:
         Path of the model's card. Killed at any time and resumed, the weights are those of an uninterrupted run.
@@ -72,116 +59,157 @@ def train_run(config: RunConfig, data: Collection, out: Path, say: Say, *, resum
     Raises:
         FileError: If `out` holds a run and `resume` is off, its state is damaged or of another architecture, or it cannot be
             written.
-        ConfigError: If the run that stands there has another configuration or other data.
-        DatasetError: If the data do not fit the configuration, or a loss stops being finite. The last good state stays.
+        ConfigError: If the run in `out` has other settings or other data.
+        DatasetError: If the dataset does not fit the settings, or a loss becomes infinite or NaN. The last good state stays.
     """
-    division = divide(config, data)
-    folder = RunFolder(out)
-    # Where the data lie is no part of what they are.
+    learner = make_learner(config, data)
+    folder = RunFolder(out, report)
+    context = DistributedContext.of_process_group()
+    # The path of a dataset is no part of its identity.
     resolved = {**config.replace(data=None).to_mapping(), "data_sha256": data.sha256}
-    if config.method == "contact":
-        folder.open(resolved, resume=resume)  # a contact model takes minutes, so a run that was killed starts anew
-        return _told(fit_and_save(config, data, division, out), config, data, division, say, epochs=0)
-    prepared = TrainingSet.build(data.samples, config.model, unlabelled=True)
-    trainer = _trainer(config, prepared, division)
-    best = _Best.none()
-    if _opened(folder, resolved, trainer, resume=resume):
-        best = _restored(folder, trainer)
-    _epochs(config, prepared, division.validation, trainer, best, folder, say)
-    if best.weights:
-        trainer.net.load_state_dict(best.weights)
-    trainer.net.cpu().eval()
-    if not trainer.place.first:
+    found = context.rank == 0 and folder.open(resolved, type(config)().to_mapping(), resume=resume)
+    folder.resumed = context.any(found, config.device)
+    learner.fit(run=folder)
+    if context.rank > 0:
         return out / f"{config.name}.json"
-    facts = _network_facts(config, data, prepared, division, best)
-    return _told(save_network(out, config.name, trainer.net, facts), config, data, division, say, epochs=trainer.epoch)
+    skill, predicted = compare_splits(learner, SPLITS, report, workers) if config.release else ({}, None)
+    facts = _facts(learner, data)
+    calibration = None
+    if config.calibrates:
+        try:
+            calibration = learner.calibrate(predicted, workers=workers)
+            facts["limits"] = [guarantee(calibration[1]), f"Rest level: {calibration[1]['rest']}."]
+        except DatasetError as err:  # of one object
+            facts["limits"] = [f"No calibration: {err}."]
+    if calibration is not None and skill:
+        facts |= _release_facts(learner, data, skill, calibration[1])
+    card = learner.save(out, config.name, facts, calibration)
+    result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": learner.epochs, "data_sha256": data.sha256}
+    if len(learner.split.test):
+        result |= _add_scores(card, config, data)
+    report(result)
+    return card
 
 
-def _epochs(
-    config: RunConfig,
-    prepared: TrainingSet,
-    held: Indices,
-    trainer: Trainer,
-    best: _Best,
-    folder: RunFolder,
-    say: Say,
-) -> None:
-    """Train to the last epoch, or until the patience is over; each epoch is on the disk before it is told."""
-    first = trainer.place.first
-    if first:
-        folder.keep_log(trainer.epoch)
-    board = open_tensorboard(folder.path / BOARD_FOLDER) if config.tensorboard and first else None
-    while trainer.epoch < trainer.epochs and not _patience_over(config, trainer, best):
-        losses = trainer.run_epoch()
-        record: dict[str, Any] = {"epoch": trainer.epoch - 1, "epochs": trainer.epochs, "losses": losses}
-        if len(held):
-            record["validation"] = _validate(trainer, prepared, held, best)
-        if first:
-            # The log first, for a line without its state is forgotten, and a state without its line would shift them.
-            folder.log(record)
-            _store(folder, trainer, best)
-            say(record)
-        if board is not None:
-            board.write(record)
-    if board is not None:
-        board.close()
+def compare_splits(
+    learner: Learner[Any], splits: Sequence[str], report: Report, workers: int = 1
+) -> tuple[dict[str, Scores], dict[str, Float64]]:
+    """Score a training method and the baselines on the training samples by cross-validation.
+
+    Args:
+        learner: The method; it is fitted to each fold.
+        splits: Out of `SPLITS`.
+        report: Called with the mean skill of each predictor on each split.
+        workers: Number of processes.
+
+    Returns:
+        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50) held-out
+        predictions [counts], as far as the splits give them.
+    """
+    seed = learner.config.seed
+    results, predicted = {}, {}
+    for split in splits:
+        start = time.monotonic()
+        folds = _folds(learner, split)
+        scores, predicted[split] = cross_validate(
+            learner.samples, learner.labels, learner.predict_fold, folds, learner.ranges, seed=seed, workers=workers
+        )
+        for name, one in scores.items():
+            skills = {modality: round(score.skill, 3) for modality, score in one.items()}
+            report({"split": split, "who": name, "mean_skill": round(mean_skill(one), 3), "skill": skills})
+        report({"split": split, "seconds": round(time.monotonic() - start, 1)})
+        results[split] = {name: {key: asdict(score) for key, score in one.items()} for name, one in scores.items()}
+    return results, {name: predicted[split] for name, split in _CONDITIONS.items() if split in predicted}
 
 
-def _trainer(config: RunConfig, prepared: TrainingSet, division: Division) -> Trainer:
-    if config.method == "srgan":
-        return SrganTrainer(prepared, division.train, division.unlabelled, config.srgan)
-    return SupervisedTrainer(prepared, division.train, config.train)
+def _folds(learner: Learner[Any], split: str) -> list[Fold]:
+    """The folds of a split; those that also calibrate are the calibration's own."""
+    for condition, name in _CONDITIONS.items():
+        if name == split:
+            return calibration_folds(learner.samples, learner.config.seed)[condition][0]
+    return make_folds(learner.samples, split, learner.config.seed)
 
 
-def _opened(folder: RunFolder, resolved: Mapping[str, Any], trainer: Trainer, *, resume: bool) -> bool:
-    """As `RunFolder.open`, which the first process does for all; the others wait for its answer."""
-    place = trainer.place
-    there = place.first and folder.open(resolved, resume=resume)
-    return bool(place.ranks.sum(torch.tensor(float(there), device=place.device)) > 0)
+def make_learner(config: RunConfig, data: Dataset) -> Learner[Any]:
+    """The learner of the configured method for the configured part of a dataset."""
+    split = data.partition(config.split, config.validation, config.seed)
+    return find_learner(config.method)(config, data, split)
 
 
-def _store(folder: RunFolder, trainer: Trainer, best: _Best) -> None:
-    error = best.error if best.weights else None  # JSON knows no infinity
-    folder.store(trainer, best.weights, {"epoch": best.epoch, "error": error})
-
-
-def _restored(folder: RunFolder, trainer: Trainer) -> _Best:
-    weights, facts = folder.restore(trainer)
-    return _Best(facts["epoch"], facts["error"], weights) if weights else _Best.none()
-
-
-def _validate(trainer: Trainer, prepared: TrainingSet, held: Indices, best: _Best) -> float:
-    """Root mean square of the scaled errors; keeps the weights where it is the least so far."""
-    net = trainer.net.eval()
-    place = columns(prepared.config.outputs)
-    error = (predict_set(net, prepared, held) - prepared.labels[np.ix_(held, place)]) / net.target_scale.cpu().numpy()
-    value = float(np.sqrt(np.mean(error**2)))
-    if value < best.error:
-        best.epoch, best.error = trainer.epoch - 1, value
-        best.weights = {name: tensor.to("cpu", copy=True) for name, tensor in net.state_dict().items()}
-    return value
-
-
-def _patience_over(config: RunConfig, trainer: Trainer, best: _Best) -> bool:
-    return config.patience is not None and best.epoch >= 0 and trainer.epoch - 1 - best.epoch >= config.patience
-
-
-def _network_facts(
-    config: RunConfig, data: Collection, prepared: TrainingSet, division: Division, best: _Best
-) -> dict[str, Any]:
-    learned = np.concatenate([division.train, division.unlabelled])
+def _facts(learner: Learner[Any], data: Dataset) -> dict[str, Any]:
+    """`summary`, `data`, `split`, `limits` and `version` of the card."""
+    config, count = learner.config, len(learner.samples)
+    duplicates = [list(pair) for pair in duplicate_labels(learner.samples)]
     return {
-        **run_facts(config, data, division),
-        "limits": ["Bounds are null: no calibration exists."],
-        "familiar": LengthRangeCheck.fit(prepared.lengths[learned]).to_card(),
-        "training": {**config.replace(data=None).to_mapping(), "best_epoch": best.epoch if best.weights else None},
+        "summary": f"{', '.join(config.outputs)}, {config.method}, from {count} labelled samples of {data.name}",
+        "data": {
+            "name": data.name, "sha256": data.sha256, "samples": len(data.samples), "duplicate_labels": duplicates
+        },
+        "split": {"name": config.split, **learner.split.sizes()},
+        "limits": ["Bounds are null: the model was trained with calibrate=false."],
+        "version": __version__,
+    }  # fmt: skip
+
+
+def _release_facts(
+    learner: Learner[Any], data: Dataset, results: Mapping[str, Scores], calibration: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What a release adds to the card: skills and baselines by split, the origin of the data, and the limits."""
+    rounded = {
+        split: {
+            name: {key: {"rmse": round(s["rmse"], 2), "nrmse": round(s["nrmse"], 4), "skill": round(s["skill"], 4)}
+                   for key, s in one.items()}
+            for name, one in scores.items()
+        }
+        for split, scores in results.items()
+    }  # fmt: skip
+    skill = {split: scores.pop(MODEL) for split, scores in rounded.items()}
+    baselines = {name: {split: rounded[split][name] for split in rounded} for name in rounded[SPLITS[0]]}
+    origin = {key: value for key, value in data.origin.items() if key != "limits"}
+    objects = [sample.object for sample in learner.samples]
+    base = _facts(learner, data)
+    return {
+        "summary": f"{', '.join(learner.config.outputs)} from {len(objects)} grasps of {data.name}; read skill and limits first",
+        "data": {
+            **base["data"],
+            **origin,
+            "sha256": data.aliases[0] if data.aliases else data.sha256,
+            "objects": {name: objects.count(name) for name in sorted(set(objects))},
+        },
+        "split": {**base["split"], **_SPLIT_WORDS, "shipped": "trained on all samples"},
+        "skill": skill,
+        "baselines": baselines,
+        "limits": _limits(skill, baselines, data, calibration),
     }
 
 
-def _told(card: Path, config: RunConfig, data: Collection, division: Division, say: Say, *, epochs: int) -> Path:
-    """Judge the model where the division tests samples, and tell the result."""
-    result: dict[str, Any] = {"status": "done", "card": str(card), "epochs": epochs, "data_sha256": data.sha256}
-    if len(division.test):
-        result |= add_scores(card, config, data)
-    say(result)
-    return card
+def _limits(
+    skill: Mapping[str, Any], baselines: Mapping[str, Any], data: Dataset, calibration: Mapping[str, Any]
+) -> list[str]:
+    """Known limits of the data, the guarantee of the intervals, and the skills beside the best baseline."""
+    limits = list(data.origin.get("limits", []))
+    if calibration["rest"] != "recorded tares":
+        limits.append("The rest level that a tare is compared with is guessed from the labels: no tare was recorded.")
+    limits.append(guarantee(calibration))
+    for split in skill:
+        ours = _mean(skill[split])
+        best, value = max(((name, _mean(table[split])) for name, table in baselines.items()), key=lambda pair: pair[1])
+        limits.append(f"Split {split}: mean skill {ours:.2f}; that of the best baseline, {best}, is {value:.2f}.")
+        if ours <= 0.0:
+            limits.append(f"Split {split}: no better than the training mean; do not rely on it there.")
+    return limits
+
+
+def _mean(table: Mapping[str, Mapping[str, float]]) -> float:
+    return float(np.mean([row["skill"] for row in table.values()]))
+
+
+def _add_scores(card_path: Path, config: RunConfig, data: Dataset) -> dict[str, Any]:
+    """Evaluate a model on the test samples of its run's split, and enter the scores in its card."""
+    split = str(config.split)
+    result = evaluate_model(card_path, data, data.parts(split), seed=config.seed)
+    card = read_card(card_path)
+    card["skill"] = {split: result["scores"][MODEL]}
+    card["baselines"] = {name: table for name, table in result["scores"].items() if name != MODEL}
+    write_text(card_path, card_text(card))
+    return result

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a training on disk: one safetensors file, tensors and JSON, replaced as a whole or not at all.
+"""The folder of a run: its files, and the check that it stays the same run.
 
-The folder of a run: what stands in it, and that it stays the run that it began as.
+RUN/config.yaml        resolved settings
+RUN/log.jsonl          one line per epoch
+RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
+RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end; RUN/<name>.trust.safetensors its calibration
+RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboard`
 
-RUN/config.yaml        as resolved
-RUN/log.jsonl          one line an epoch
-RUN/state.safetensors  of the last epoch that was finite, from which --resume goes on
-RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
-RUN/tensorboard        the same figures as the log's, only where `tensorboard` asks for them
+The state is one safetensors file, tensors and JSON, that is replaced as a whole or not at all.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,32 +28,24 @@ from foretouch.learning.training.trainer import Trainer
 from foretouch.models.card import write_text
 from foretouch.models.files import replace_files
 
-__all__ = ["BOARD_FOLDER", "LOG_FILE", "STATE_FILE", "RunFolder", "read_state", "write_state"]
+__all__ = ["CONFIG_FILE", "LOG_FILE", "STATE_FILE", "TENSORBOARD_FOLDER", "RunFolder", "read_state", "write_state"]
 
+CONFIG_FILE: Final = "config.yaml"
+LOG_FILE: Final = "log.jsonl"
+TENSORBOARD_FOLDER: Final = "tensorboard"
+STATE_FILE: Final = "state.safetensors"
 
-_KEY = "foretouch-training"
+_KEY: Final = "foretouch-training"
+_BEST: Final = "best/"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-    """Replace the state on disk; the one before survives any failure.
-
-    Args:
-        path: Of the file.
-        tensors: By name.
-        plain: What JSON holds.
-
-    Raises:
-        FileError: If it cannot be written, such as on a full disk.
-    """
+    """Replace the state on disk by tensors and plain data; raises `FileError`, and keeps the previous state, on failure."""
     replace_files({path: save(dict(tensors), {_KEY: json.dumps(plain)})})
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and plain data of `write_state`.
-
-    Raises:
-        FileError: If there is none, or it is damaged.
-    """
+    """Tensors and plain data of `write_state`; raises `FileError` if there are none, or they are damaged."""
     try:
         with safe_open(path, framework="pt") as file:
             plain = json.loads(file.metadata()[_KEY])
@@ -65,56 +57,49 @@ def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     return tensors, plain
 
 
-CONFIG_FILE: Final = "config.yaml"
-LOG_FILE: Final = "log.jsonl"
-BOARD_FOLDER: Final = "tensorboard"
-STATE_FILE: Final = "state.safetensors"
-
-_BEST: Final = "best/"
-
-
 class RunFolder:
-    """Where one run is kept.
+    """The files of one run.
 
-    Args:
+    Attributes:
         path: The folder; made by `open`.
+        report: Called with a record of each epoch.
+        resumed: Whether there is a state to resume from; set once the folder is open.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, report: Callable[[Mapping[str, Any]], None] = lambda _: None) -> None:
         self.path = path
+        self.report = report
+        self.resumed = False
 
-    def open(self, resolved: Mapping[str, Any], *, resume: bool) -> bool:
-        """Begin a run, or check that the one that stands here is this very one.
+    def open(self, resolved: Mapping[str, Any], defaults: Mapping[str, Any], *, resume: bool) -> bool:
+        """Begin a run, or check that the folder holds this very run.
 
-        A folder without weights of any kind holds nothing that could be lost, and a run begins in it; so what was refused
-        or stopped before its first epoch can be mended and started again.
+        In a folder without any weights nothing can be lost, and a run begins in it; so a run that was refused
+        or stopped before its first epoch can be corrected and started again.
 
         Args:
-            resolved: The configuration, and the hash of the data.
-            resume: Whether a run may stand here.
+            resolved: The settings, and the hash of the data.
+            defaults: Values of settings that did not exist when the run began.
+            resume: Whether the folder may hold a run.
 
         Returns:
-            Whether there is a state to go on from.
+            Whether there is a state to resume from.
 
         Raises:
             FileError: If there are weights and `resume` is off, or the folder cannot be written.
-            ConfigError: If the run here has another configuration or other data; names the first field that differs.
+            ConfigError: If the run in the folder has other settings or other data; names the first field that differs.
         """
         file = self.path / CONFIG_FILE
         if any(self.path.glob("*.safetensors")):
             if not resume:
-                raise FileError(self.path, "holds a run already; --resume goes on with it")
-            _require_same(load_yaml(file), resolved, file)
+                raise FileError(self.path, "holds a run already; --resume continues it")
+            _require_same({**_leaves(defaults), **_leaves(load_yaml(file))}, _leaves(resolved), file)
             return (self.path / STATE_FILE).exists()
         write_text(file, yaml.safe_dump(dict(resolved), sort_keys=False))
         return False
 
     def keep_log(self, epochs: int) -> None:
-        """Forget the lines after so many epochs: those whose state was not written before a kill.
-
-        Raises:
-            FileError: If the log cannot be read or written.
-        """
+        """Remove the lines after so many epochs: those whose state was not written before a kill."""
         file = self.path / LOG_FILE
         if not file.exists():
             return
@@ -125,11 +110,7 @@ class RunFolder:
         write_text(file, "".join(f"{line}\n" for line in lines[:epochs]))
 
     def log(self, record: Mapping[str, Any]) -> None:
-        """Append an epoch's line.
-
-        Raises:
-            FileError: If it cannot be written, such as on a full disk.
-        """
+        """Append an epoch's line; raises `FileError` if it cannot be written, such as on a full disk."""
         file = self.path / LOG_FILE
         try:
             with file.open("a", encoding="utf-8") as lines:
@@ -138,22 +119,13 @@ class RunFolder:
             raise FileError(file, f"cannot be written: {err.strerror or err}") from err
 
     def store(self, trainer: Trainer, best: Mapping[str, Tensor], facts: Mapping[str, Any]) -> None:
-        """Replace the state.
-
-        Args:
-            trainer: What is trained.
-            best: Weights of the best epoch so far, by name; empty without validation.
-            facts: What is told of that epoch, as JSON holds it.
-
-        Raises:
-            FileError: If it cannot be written; the one before is kept.
-        """
+        """Replace the state by that of a trainer, with weights of and plain data about the best epoch so far."""
         tensors, plain = trainer.snapshot()
         tensors |= {_BEST + name: value for name, value in best.items()}
         write_state(self.path / STATE_FILE, tensors, {**plain, "best": dict(facts)})
 
     def restore(self, trainer: Trainer) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Let a trainer go on from the state; weights and facts of the best epoch, as they were stored.
+        """Let a trainer continue from the state; returns weights and facts of the best epoch, as they were stored.
 
         Raises:
             FileError: If the state is damaged, or of another architecture.
@@ -168,8 +140,7 @@ class RunFolder:
             raise FileError(file, f"is not the state of this training: {err}") from err
 
 
-def _require_same(old: Mapping[str, Any], new: Mapping[str, Any], file: Path) -> None:
-    before, now = _leaves(old), _leaves(new)
+def _require_same(before: Mapping[str, Any], now: Mapping[str, Any], file: Path) -> None:
     for key in now:
         if before.get(key) != now[key]:
             raise ConfigError(f"{file}: {key}: {before.get(key)!r} is not {now[key]!r}; a run resumes as it began")

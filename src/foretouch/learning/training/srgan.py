@@ -6,16 +6,16 @@
     noise ─ G ──┘                    └─ L_G                      (the generator's step)
 
 f(x) is taken where P2 takes it, before g1, g2 and R are concatenated. The grasp of a fake cloud, which P2
-computes with GeoGrasp, could touch no loss from there; so none is computed.
+computes with GeoGrasp, enters no loss from there; so none is computed.
 
-Departures from P2, which says nothing of either:
+Departures from P2, which specifies neither:
 
 - Batch norm. With the three sources in one batch, or each in its own, the features of a cloud would depend on the
-  clouds beside it. `frozen`: statistics are taken once, over real clouds, before the first step, and stay: features
+  clouds beside it. `frozen`: statistics are computed once, over real clouds, before the first step: features
   are a function of the cloud alone, in training as in prediction. `per_source`: each source is normalised
   by its own batch, and prediction by running statistics of the labelled clouds; kept to show the difference.
 - An epoch is one pass over the labelled samples, so that a supervised network with the same batches takes as many
-  steps. Unlabelled samples are shuffled and dealt out anew in each epoch, several times where they are fewer.
+  steps. Unlabelled samples are shuffled again in each epoch, and repeated where they are fewer.
 
 Shapes: B samples, N points, C channels, F features.
 """
@@ -26,6 +26,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, islice, repeat
 
 import numpy as np
 import torch
@@ -33,9 +34,8 @@ from torch import Tensor, nn
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import ONE_RANK, Place, PlaceConfig
+from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import (
     Features,
     SrganLossConfig,
@@ -45,7 +45,14 @@ from foretouch.learning.training.losses import (
     labeled_loss,
 )
 from foretouch.learning.training.supervised import set_target_scaling
-from foretouch.learning.training.trainer import OPTIMISERS, SCHEDULES, Stepper, StepRule, Trainer, shuffled_batches
+from foretouch.learning.training.trainer import (
+    OPTIMISERS,
+    SCHEDULES,
+    OptimiserRule,
+    ScheduledOptimiser,
+    Trainer,
+    shuffled_batches,
+)
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
 from foretouch.tactile import columns, modality_size
@@ -56,28 +63,28 @@ _CALIBRATION_BATCHES = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class SrganConfig(PlaceConfig):
-    """How an SR-GAN is trained; the defaults are P2's where P2 tells.
+class SrganConfig(DeviceConfig):
+    """Settings of the training of an SR-GAN; the defaults are P2's where P2 specifies them.
 
     Raises:
-        ConfigError: If a setting is out of its bounds, or a gradient penalty is asked for without frozen batch norm.
+        ConfigError: If a setting is out of its bounds, or a gradient penalty is set without frozen batch norm.
     """
 
     epochs: int = setting(30, "Passes over the labelled samples", minimum=1, maximum=100_000)
-    batch_size: int = setting(10, "Samples of each source in one step", minimum=2, maximum=4096)
-    optimiser: str = setting("adam", "Rule of the steps", choices=OPTIMISERS)
-    learning_rate: float = setting(0.01, "Largest step of the regressor", minimum=1e-7, maximum=10.0)
+    batch_size: int = setting(10, "Samples of each source per step", minimum=2, maximum=4096)
+    optimiser: str = setting("adam", "Optimiser", choices=OPTIMISERS)
+    learning_rate: float = setting(0.01, "Largest learning rate of the regressor", minimum=1e-7, maximum=10.0)
     generator_learning_rate: float | None = setting(
-        None, "Largest step of the generator; the regressor's by default", minimum=1e-7, maximum=10.0
+        None, "Largest learning rate of the generator; by default the regressor's", minimum=1e-7, maximum=10.0
     )
-    weight_decay: float = setting(0.0, "Pull of the weights to zero", minimum=0.0, maximum=10.0)
-    schedule: str = setting("constant", "Course of the learning rate", choices=SCHEDULES)
+    weight_decay: float = setting(0.0, "Weight decay", minimum=0.0, maximum=10.0)
+    schedule: str = setting("constant", "Schedule of the learning rate", choices=SCHEDULES)
     target_scaling: str = setting(
-        "ranges", "Of the labels, as in supervised training", choices=("standardised", "ranges")
+        "ranges", "Scaling of the labels, as in supervised training", choices=("standardised", "ranges")
     )
-    points: int | None = setting(None, "Points a cloud in training; as many as in prediction by default", minimum=8)
-    batch_norm: str = setting("frozen", "Whose statistics normalise; see the module", choices=("frozen", "per_source"))
-    seed: int = setting(0, "Of weights, order, points and noise", minimum=0)
+    points: int | None = setting(None, "Points per cloud in training; by default as in prediction", minimum=8)
+    batch_norm: str = setting("frozen", "Statistics of batch norm; see the module", choices=("frozen", "per_source"))
+    seed: int = setting(0, "Seed of weights, order, points and noise", minimum=0)
     generator: GeneratorConfig = GeneratorConfig()
     loss: SrganLossConfig = SrganLossConfig()
 
@@ -90,19 +97,16 @@ class SrganConfig(PlaceConfig):
 
 
 class SrganTrainer(Trainer):
-    """A regressor and a generator, one step each a batch.
+    """Trains a regressor and a generator, one step each per batch.
 
     Args:
-        data: All samples, labelled and not; it knows the regressor's configuration.
+        data: All samples, labelled and not, prepared for the regressor's configuration.
         labelled: (T,) samples to learn from with their labels.
-        unlabelled: (U,) samples to learn from without; labels that they have are not looked at.
-        config: How.
-
-    Attributes:
-        generator: The generator.
+        unlabelled: (U,) samples to learn from without labels; labels that they have are not used.
+        config: Settings of the training.
 
     Raises:
-        DatasetError: If either kind is fewer than one batch.
+        DatasetError: If there are fewer samples of either kind than one batch.
     """
 
     generator: CloudGenerator
@@ -114,23 +118,23 @@ class SrganTrainer(Trainer):
                     f"training: {len(index)} {kind} samples are fewer than one batch of {config.batch_size}"
                 )
         self.config = config
-        super().__init__(data, config.seed, config.epochs, Place.of(config, config.batch_size))
+        super().__init__(data, config.seed, config.epochs, TrainingDevice.of(config, config.batch_size))
         self._labelled, self._unlabelled = labelled, unlabelled
         self._sizes = [modality_size(name) for name in data.config.outputs]
-        place = columns(data.config.outputs)
-        set_target_scaling(self.net, data.labels[np.ix_(labelled, place)], config.target_scaling)
-        self._labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
-        self._fed = torch.from_numpy(data.grasps)
+        outputs = columns(data.config.outputs)
+        set_target_scaling(self.net, data.labels[np.ix_(labelled, outputs)], config.target_scaling)
+        self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
+        self._grasp_inputs = torch.from_numpy(data.grasps)
         steps = config.epochs * (len(labelled) // config.batch_size)
         rate = config.learning_rate if config.generator_learning_rate is None else config.generator_learning_rate
         for name, module, largest in (("net", self.net, config.learning_rate), ("generator", self.generator, rate)):
-            rule = StepRule(config.optimiser, largest, config.weight_decay, config.schedule)
-            self.steppers[name] = Stepper(module, rule, steps, self.place.ranks)
+            rule = OptimiserRule(config.optimiser, largest, config.weight_decay, config.schedule)
+            self.optimisers[name] = ScheduledOptimiser(module, rule, steps, self.training_device.context)
         if config.batch_norm == "frozen":
-            # Every process by itself and over whole batches, so that none differs from another by a rounding.
-            dataclasses.replace(self.place, ranks=ONE_RANK).settle(self.net)
+            # Each process for itself and over whole batches, so that processes do not differ by rounding.
+            dataclasses.replace(self.training_device, context=SINGLE_PROCESS).prepare(self.net)
             calibrate(self.net, self._calibration())
-            self.place.settle(self.net)
+            self.training_device.prepare(self.net)
 
     def _make_modules(self) -> dict[str, nn.Module]:
         self.generator = CloudGenerator(self.config.generator, self.data.config)
@@ -143,29 +147,29 @@ class SrganTrainer(Trainer):
         else:
             self.net.train()
         size = self.config.batch_size
-        dealt = _dealt(self._unlabelled, size, len(self._labelled) // size, self.rng)
-        pairs = zip(shuffled_batches(self._labelled, size, self.rng), dealt, strict=True)
+        repeated = _repeated_batches(self._unlabelled, size, len(self._labelled) // size, self.rng)
+        pairs = zip(shuffled_batches(self._labelled, size, self.rng), repeated, strict=True)
         for number, (labelled, unlabelled) in enumerate(pairs):
             real = self._points(unlabelled)
             losses = self._regressor_step(number, labelled, unlabelled, real)
             yield losses | self._generator_step(number, unlabelled, real)
 
     def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
-        ranks = self.place.ranks
+        context = self.training_device.context
         with torch.no_grad():
             fake = self._fake(len(unlabelled))
         features = self._all_features(self._points(labelled), real, fake)
         scaled = self.net.regress(features.labeled, self._grasps(labelled))
-        error = scaled - self.net.to_scaled(self.place.share(self._labels[labelled]))
+        error = scaled - self.net.to_scaled(self.training_device.shard(self._labels[labelled]))
         penalty = None
         if self.config.loss.gradient_penalty > 0.0:
-            penalty = gradient_penalty(self.net.features, real, fake, torch.default_generator, ranks)
-        labeled = labeled_loss(error, torch.zeros_like(error), self._sizes, ranks=ranks)
-        loss = discriminator_loss(labeled, features, self.config.loss, penalty, ranks)
-        self.require_finite({"labeled": labeled}, number, ranks.share(labelled), error, features.labeled)
+            penalty = gradient_penalty(self.net.features, real, fake, torch.default_generator, context)
+        labeled = labeled_loss(error, torch.zeros_like(error), self._sizes, context=context)
+        loss = discriminator_loss(labeled, features, self.config.loss, penalty, context)
+        self.require_finite({"labeled": labeled}, number, context.shard(labelled), error, features.labeled)
         parts = loss.parts | {"total": loss.total}
-        self.require_finite(parts, number, ranks.share(unlabelled), features.unlabeled)
-        self.steppers["net"].step(loss.total)
+        self.require_finite(parts, number, context.shard(unlabelled), features.unlabeled)
+        self.optimisers["net"].step(loss.total)
         return loss.numbers()
 
     def _generator_step(self, number: int, unlabelled: Indices, real: Tensor) -> dict[str, float]:
@@ -173,15 +177,15 @@ class SrganTrainer(Trainer):
             with torch.no_grad():
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
-            loss = generator_loss(made, aim, self.config.loss, self.place.ranks)
-            self.require_finite(loss.parts, number, self.place.ranks.share(unlabelled), aim)
-            self.steppers["generator"].step(loss.total)
+            loss = generator_loss(made, aim, self.config.loss, self.training_device.context)
+            self.require_finite(loss.parts, number, self.training_device.context.shard(unlabelled), aim)
+            self.optimisers["generator"].step(loss.total)
         return {"generator": float(loss.total.detach())}
 
     def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> Features:
-        """f(x) of the three sources; in one pass where that gives the same, for it is faster.
+        """f(x) of the three sources; in one pass, which is faster, where that gives the same features.
 
-        Where fake clouds touch no loss (`as_printed`), their features are not computed.
+        Where fake clouds enter no loss (`as_printed`), their features are not computed.
         """
         if self.config.loss.reading == "as_printed":
             if self.config.batch_norm == "frozen":
@@ -198,36 +202,31 @@ class SrganTrainer(Trainer):
 
     def _fake(self, count: int) -> Tensor:
         noise = draw_noise(count, self.config.generator, torch.default_generator)
-        return self.generator.clouds(self.place.share(noise))
+        return self.generator.clouds(self.training_device.shard(noise))
 
     def _points(self, batch: Indices) -> Tensor:
-        return self.place.share(torch.from_numpy(self.data.points(batch, self.rng, self.config.points)))
+        return self.training_device.shard(torch.from_numpy(self.data.points(batch, self.rng, self.config.points)))
 
     def _grasps(self, batch: Indices) -> Tensor | None:
-        return self.place.share(self._fed[batch]) if self.data.config.use_grasp else None
+        return self.training_device.shard(self._grasp_inputs[batch]) if self.data.config.use_grasp else None
 
     def _calibration(self) -> Iterator[Inputs]:
         """Batches of real clouds, labelled or not."""
         everything = np.union1d(self._labelled, self._unlabelled)
-        for batch in _dealt(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng):
-            points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(self.place.device)
-            yield points, self._fed[batch].to(self.place.device) if self.data.config.use_grasp else None
+        device = self.training_device.device
+        for batch in _repeated_batches(everything, self.config.batch_size, _CALIBRATION_BATCHES, self.rng):
+            points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points)).to(device)
+            yield points, self._grasp_inputs[batch].to(device) if self.data.config.use_grasp else None
 
 
-def _dealt(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """`count` batches; all samples are dealt out before one comes again, but for the rest of a shuffle."""
-    given = 0
-    while given < count:
-        for batch in shuffled_batches(index, size, rng):
-            if given == count:
-                return
-            given += 1
-            yield batch
+def _repeated_batches(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:
+    """`count` batches from as many shuffles of the samples as they take."""
+    return islice(chain.from_iterable(shuffled_batches(index, size, rng) for _ in repeat(None)), count)
 
 
 @contextmanager
 def _fixed(net: nn.Module) -> Iterator[None]:
-    """Within, no gradient is computed for the weights, which a step of the other network does not need."""
+    """Within, no gradients are computed for the weights, as for a step of the other network."""
     for parameter in net.parameters():
         parameter.requires_grad = False
     try:

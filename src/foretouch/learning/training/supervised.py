@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Augmentation: turn an object and the hand together about the camera's viewing axis.
+"""Supervised training of a touch network, with augmentation by rotations about the camera's viewing axis.
 
-Seen from above, that axis stands on the table, so gravity and contact stay the same and so does the touch.
-It does not hold for a camera that looks from the side.
-
-Supervised training of a touch network from a configuration.
-
-P2's own recipe (Adam, constant rate 0.01, RMSE on labels scaled by their ranges) is expressible, but fails to
+P2's own recipe (Adam, constant rate 0.01, RMSE on labels scaled by their ranges) can be configured, but fails to
 optimise on the public recordings. The defaults depart from it: AdamW at 1e-3 with a cosine schedule, mean
 squared error, labels standardised per value.
+
+The augmentation turns object and hand together. For a camera that looks down, the viewing axis is normal to the table, so
+gravity and contact stay the same and so does the touch. This does not hold for a camera that looks from the side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +20,17 @@ from torch import Tensor
 
 from foretouch.config import setting
 from foretouch.errors import DatasetError
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import Place, PlaceConfig
+from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
-from foretouch.learning.training.trainer import OPTIMISERS, SCHEDULES, Stepper, StepRule, Trainer, shuffled_batches
+from foretouch.learning.training.trainer import (
+    OPTIMISERS,
+    SCHEDULES,
+    OptimiserRule,
+    ScheduledOptimiser,
+    Trainer,
+    shuffled_batches,
+)
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.regressor import TouchNet
 from foretouch.tactile import columns, modality_size
@@ -60,10 +64,7 @@ def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) 
         points: (B, N, C), as fed to the network.
         grasp: (B, G), as fed to the head; G may be 0.
         rotations: (B, 3, 3).
-        config: Tells what the channels are.
-
-    Returns:
-        New (B, N, C) and (B, G).
+        config: The network configuration, which defines the channels.
     """
     back = rotations.transpose(1, 2)
     parts = [points[..., :3] @ back, points[..., 3:]]
@@ -77,50 +78,43 @@ def turn(points: Tensor, grasp: Tensor, rotations: Tensor, config: ModelConfig) 
     return torch.cat(parts, dim=-1), torch.cat(turned, dim=1)
 
 
-Report = Callable[[int, float], None]
-
-_LEAST_DEVIATION = 1.0  # [counts], so that an output that never moves does not divide by zero
+_LEAST_DEVIATION = 1.0  # [counts], so that a constant output does not divide by zero
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig(PlaceConfig):
-    """How a network is trained."""
+class TrainConfig(DeviceConfig):
+    """Settings of supervised training."""
 
     epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
-    batch_size: int = setting(32, "Samples of one step", minimum=2, maximum=4096)
-    optimiser: str = setting("adamw", "Rule of the steps", choices=OPTIMISERS)
-    learning_rate: float = setting(1e-3, "Largest step", minimum=1e-7, maximum=10.0)
-    weight_decay: float = setting(1e-2, "Pull of the weights to zero", minimum=0.0, maximum=10.0)
-    schedule: str = setting("cosine", "Course of the learning rate", choices=SCHEDULES)
+    batch_size: int = setting(32, "Samples per step", minimum=2, maximum=4096)
+    optimiser: str = setting("adamw", "Optimiser", choices=OPTIMISERS)
+    learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
+    weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
+    schedule: str = setting("cosine", "Schedule of the learning rate", choices=SCHEDULES)
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
     target_scaling: str = setting(
         "standardised",
-        "Labels by their mean and deviation, or by the ranges as in the papers",
+        "Scaling of the labels by their mean and deviation, or by the ranges as in the papers",
         choices=("standardised", "ranges"),
     )
     points: int | None = setting(
-        None, "Points a cloud in training, chosen anew each time; as many as in prediction by default", minimum=8
+        None, "Points per cloud in training, drawn again each time; by default as in prediction", minimum=8
     )
     turn_deg: float = setting(
         0.0,
-        "Turn cloud and grasp about the viewing axis by up to this much; for cameras that look down",
+        "Rotate cloud and grasp about the viewing axis by up to this angle; for cameras that look down",
         minimum=0.0,
         maximum=180.0,
         unit="deg",
     )
-    seed: int = setting(0, "Of weights, order and points", minimum=0)
+    seed: int = setting(0, "Seed of weights, order and points", minimum=0)
 
 
 class SupervisedTrainer(Trainer):
-    """Labelled samples alone: the papers' PointNets and our own.
-
-    Args:
-        data: All samples; it knows the network's configuration.
-        index: (T,) those to train on.
-        config: How.
+    """Trains on the labelled samples `index` alone: the papers' PointNets and our own.
 
     Attributes:
-        sizes: Values of each modality.
+        sizes: Number of values of each modality.
 
     Raises:
         DatasetError: If there are fewer samples than one batch.
@@ -129,74 +123,67 @@ class SupervisedTrainer(Trainer):
     def __init__(self, data: TrainingSet, index: Indices, config: TrainConfig) -> None:
         if len(index) < config.batch_size:
             raise DatasetError(f"training: {len(index)} samples are fewer than one batch of {config.batch_size}")
-        super().__init__(data, config.seed, config.epochs, Place.of(config, config.batch_size))
+        super().__init__(data, config.seed, config.epochs, TrainingDevice.of(config, config.batch_size))
         self.config = config
         self._index = index
-        place = columns(data.config.outputs)
-        set_target_scaling(self.net, data.labels[np.ix_(index, place)], config.target_scaling)
-        self._labels = torch.from_numpy(data.labels[:, place].astype(np.float32))
-        self._fed = torch.from_numpy(data.grasps)
-        rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
-        self.steppers["net"] = Stepper(self.net, rule, config.epochs * self.batch_count, self.place.ranks)
+        outputs = columns(data.config.outputs)
+        set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
+        self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
+        self._grasp_inputs = torch.from_numpy(data.grasps)
+        rule = OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
+        steps = config.epochs * self.batch_count
+        self.optimisers["net"] = ScheduledOptimiser(self.net, rule, steps, self.training_device.context)
         self.sizes = [modality_size(name) for name in data.config.outputs]
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()
         for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.place.ranks)
-            self.require_finite({"loss": loss}, number, self.place.ranks.share(batch), scaled - target)
-            self.steppers["net"].step(loss)
+            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.training_device.context)
+            self.require_finite({"loss": loss}, number, self.training_device.context.shard(batch), scaled - target)
+            self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}
 
     @property
     def batch_count(self) -> int:
-        """Steps of an epoch."""
+        """Steps per epoch."""
         return len(self._index) // self.config.batch_size
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
-        """Of one epoch: samples, and this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
+        """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
         for batch in shuffled_batches(self._index, self.config.batch_size, self.rng):
             points, grasps = self._inputs(batch)
-            yield batch, points, grasps, self.net.to_scaled(self.place.share(self._labels[batch]))
+            yield batch, points, grasps, self.net.to_scaled(self.training_device.shard(self._labels[batch]))
 
     def _inputs(self, batch: Indices) -> tuple[Tensor, Tensor]:
         points = torch.from_numpy(self.data.points(batch, self.rng, self.config.points))
-        grasps = self._fed[batch]
+        grasps = self._grasp_inputs[batch]
         if self.config.turn_deg > 0.0:
             rotations = viewing_axis_rotations(len(batch), self.config.turn_deg, self.rng).astype(np.float32)
             points, grasps = turn(points, grasps, torch.from_numpy(rotations), self.data.config)
-        return self.place.share(points), self.place.share(grasps)
+        return self.training_device.shard(points), self.training_device.shard(grasps)
 
 
-def train_network(data: TrainingSet, index: Indices, config: TrainConfig, report: Report | None = None) -> TouchNet:
-    """Train a network on some samples.
-
-    Args:
-        data: All samples; it knows the network's configuration.
-        index: (T,) those to train on.
-        config: How.
-        report: Called after each epoch with its number and mean loss.
+def train_network(data: TrainingSet, index: Indices, config: TrainConfig) -> TouchNet:
+    """Train a network on the samples `index`.
 
     Returns:
         The network in evaluation mode. The same arguments give the same weights on the same machine.
 
     Raises:
-        DatasetError: If there are fewer samples than one batch, or the loss stops being finite.
+        DatasetError: If there are fewer samples than one batch, or the loss becomes infinite or NaN.
     """
     trainer = SupervisedTrainer(data, index, config)
     while trainer.epoch < trainer.epochs:
-        losses = trainer.run_epoch()
-        if report is not None:
-            report(trainer.epoch - 1, losses["loss"])
+        trainer.run_epoch()
     return trainer.net.cpu().eval()
 
 
 def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
-    """Fix the affine map of the targets from (T, M) training labels [counts]: `ranges` or `standardised`."""
-    place = columns(net.config.outputs)
+    """Set the affine map of the targets from (T, M) training labels [counts]: `ranges` or `standardised`."""
+    outputs = columns(net.config.outputs)
     if kind == "ranges":
-        low, high = net.config.ranges.low[place], net.config.ranges.high[place]
+        low, high = net.config.ranges.low[outputs], net.config.ranges.high[outputs]
         mean, scale = low, high - low
     else:
         mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)
@@ -205,7 +192,7 @@ def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
 
 @torch.inference_mode()
 def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
-    """(T, M) predictions [counts] of some samples, each on the points that prediction would choose."""
+    """(T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
     device = net.target_mean.device
     grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
     rows = []

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One network's optimiser and the course of its rate, whose state is tensors and plain data.
-
-What every training has in common: epochs, randomness of its own, and a state from which it goes on bit for bit.
-"""
+"""Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit."""
 
 from __future__ import annotations
 
@@ -17,34 +14,25 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
-from foretouch.learning.training.device import ONE_RANK, DistributedContext, Place
+from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.models.network.regressor import TouchNet
 
-__all__ = ["OPTIMISERS", "SCHEDULES", "StepRule", "Stepper", "Trainer", "shuffled_batches"]
+__all__ = ["OPTIMISERS", "SCHEDULES", "OptimiserRule", "ScheduledOptimiser", "Trainer", "shuffled_batches"]
 
-
-OPTIMISERS: Final = ("adamw", "adam", "sgd")
 SCHEDULES: Final = ("cosine", "constant")
 
-_KINDS: Final[dict[str, type[torch.optim.Optimizer]]] = {
+_OPTIMISERS: Final[dict[str, type[torch.optim.Optimizer]]] = {
     "adamw": torch.optim.AdamW,
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,
 }
+OPTIMISERS: Final = tuple(_OPTIMISERS)
 
 
 @dataclass(frozen=True)
-class StepRule:
-    """How weights move.
-
-    Attributes:
-        optimiser: Out of `OPTIMISERS`.
-        learning_rate: Largest step.
-        weight_decay: Pull of the weights to zero.
-        schedule: Out of `SCHEDULES`.
-    """
+class OptimiserRule:
+    """One of `OPTIMISERS`, its largest learning rate, its weight decay, and one of `SCHEDULES`."""
 
     optimiser: str
     learning_rate: float
@@ -52,22 +40,17 @@ class StepRule:
     schedule: str
 
 
-class Stepper:
-    """Moves the weights of one network.
+class ScheduledOptimiser:
+    """The optimiser of one network with its learning-rate schedule, which ends after `steps` steps."""
 
-    Args:
-        module: Whose weights.
-        rule: How.
-        steps: That will be taken in all; the cosine schedule ends with them.
-        ranks: Those that share each batch out.
-    """
-
-    def __init__(self, module: nn.Module, rule: StepRule, steps: int, ranks: DistributedContext = ONE_RANK) -> None:
-        # One kernel for all weights: a small network's step takes as long as its number of calls.
+    def __init__(
+        self, module: nn.Module, rule: OptimiserRule, steps: int, context: DistributedContext = SINGLE_PROCESS
+    ) -> None:
+        # One kernel for all weights: the time of a small network's step is its number of calls.
         options: dict[str, Any] = {"lr": rule.learning_rate, "weight_decay": rule.weight_decay, "fused": True}
         self._weights = list(module.parameters())
-        self._ranks = ranks
-        self._optimiser = _KINDS[rule.optimiser](self._weights, **options)
+        self._context = context
+        self._optimiser = _OPTIMISERS[rule.optimiser](self._weights, **options)
         self._schedule: torch.optim.lr_scheduler.LRScheduler
         if rule.schedule == "cosine":
             self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, T_max=steps)
@@ -75,25 +58,25 @@ class Stepper:
             self._schedule = torch.optim.lr_scheduler.ConstantLR(self._optimiser, factor=1.0)
 
     def step(self, loss: Tensor) -> None:
-        """Differentiate a scalar and take one step."""
+        """Differentiate a scalar loss and take one step."""
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        self._ranks.average_gradients(self._weights)
+        self._context.average_gradients(self._weights)
         self._optimiser.step()
         self._schedule.step()
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name and the rest as plain data; together all that `restore` needs."""
+        """Tensors by name and the rest as plain data, together all that `restore` requires."""
         state = self._optimiser.state_dict()
         tensors = {
             f"{number}.{name}": value for number, values in state["state"].items() for name, value in values.items()
         }
-        # SGD keeps None where it has no momentum; what is absent is None again after `restore`.
+        # SGD keeps None where it has no momentum; an absent tensor is None again after `restore`.
         tensors = {name: value for name, value in tensors.items() if isinstance(value, Tensor)}
         return tensors, {"groups": state["param_groups"], "schedule": self._schedule.state_dict()}
 
     def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-        """Go on as if nothing had been in between."""
+        """Continue from the result of `state`, bit for bit."""
         state: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
             number, name = key.split(".", 1)
@@ -109,25 +92,25 @@ _CUDA_RNG = "cuda_rng"
 class Trainer(ABC):
     """Trains a network epoch by epoch.
 
-    Weights, order, points and dropout follow the seed alone: torch's global generator is used within an
-    epoch, and is left as it was found.
+    Weights, order, points and dropout depend only on the seed: torch's global generator is used within an
+    epoch, and restored afterwards.
 
     Args:
-        data: All samples; it knows the network's configuration.
-        seed: Of everything random.
-        epochs: That will be run in all.
-        place: Where.
+        data: All samples, prepared for the network's configuration.
+        seed: Seed of all random numbers.
+        epochs: Total number of epochs.
+        training_device: Device, precision and processes.
 
     Attributes:
-        net: The network, in training mode or not as the last epoch left it; on the device of the place.
-        epoch: Epochs that are done.
-        rng: Order and points.
-        modules, steppers: All that is trained, by name; `net` is among them.
+        net: The network on the training device, in the mode that the last epoch left.
+        epoch: Number of completed epochs.
+        rng: Generator of order and points.
+        modules, optimisers: All trained networks and their optimisers by name; `net` is one of them.
     """
 
-    def __init__(self, data: TrainingSet, seed: int, epochs: int, place: Place) -> None:
+    def __init__(self, data: TrainingSet, seed: int, epochs: int, training_device: TrainingDevice) -> None:
         self.data = data
-        self.place = place
+        self.training_device = training_device
         self.epochs = epochs
         self.epoch = 0
         self._randomness: dict[str, Tensor] = {}
@@ -138,8 +121,8 @@ class Trainer(ABC):
             extra = self._make_modules()
         self.modules: dict[str, nn.Module] = {"net": self.net, **extra}
         for module in self.modules.values():
-            place.settle(module)
-        self.steppers: dict[str, Stepper] = {}
+            training_device.prepare(module)
+        self.optimisers: dict[str, ScheduledOptimiser] = {}
 
     def run_epoch(self) -> dict[str, float]:
         """One pass over the training samples.
@@ -148,7 +131,7 @@ class Trainer(ABC):
             Mean of each loss over the batches.
 
         Raises:
-            DatasetError: If a loss or a weight stops being finite; names epoch, batch and sample.
+            DatasetError: If a loss or a weight becomes infinite or NaN; names epoch, batch and sample.
         """
         with self._own_randomness():
             batches = list(self._epoch())
@@ -157,19 +140,19 @@ class Trainer(ABC):
         return self._means(batches)
 
     def snapshot(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name and the rest as plain data: all that `restore` needs; the tensors are copies."""
+        """Copies of all tensors by name and the rest as plain data: all that `restore` requires."""
         tensors = dict(self._randomness)
         plain: dict[str, Any] = {"epoch": self.epoch, "rng": self.rng.bit_generator.state, "steppers": {}}
         for name, module in self.modules.items():
             tensors |= _prefixed(name, module.state_dict())
-        for name, stepper in self.steppers.items():
-            moments, plain["steppers"][name] = stepper.state()
+        for name, optimiser in self.optimisers.items():
+            moments, plain["steppers"][name] = optimiser.state()
             tensors |= _prefixed(f"{name}-steps", moments)
-        # To the CPU, so that a run may go on elsewhere; `to` copies there and back alone.
+        # To the CPU, so that a run may be resumed on another device; with `copy`, also from a CPU.
         return {name: value.detach().to("cpu", copy=True).contiguous() for name, value in tensors.items()}, plain
 
     def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-        """Go on from a snapshot as if nothing had been in between.
+        """Continue from a snapshot, bit for bit.
 
         Raises:
             ModelError: If it is of another architecture or damaged; names the first tensor that does not fit.
@@ -179,8 +162,8 @@ class Trainer(ABC):
                 own = _under(name, tensors)
                 _require_shapes(name, module.state_dict(), own)
                 module.load_state_dict(own)
-            for name, stepper in self.steppers.items():
-                stepper.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
+            for name, optimiser in self.optimisers.items():
+                optimiser.restore(_under(f"{name}-steps", tensors), plain["steppers"][name])
             self._randomness = {name: tensors[name] for name in (_TORCH_RNG, _CUDA_RNG) if name in tensors}
             self.rng.bit_generator.state = plain["rng"]
             self.epoch = int(plain["epoch"])
@@ -188,13 +171,13 @@ class Trainer(ABC):
             raise ModelError(f"is damaged or of another training: {' '.join(str(err).split())}") from err
 
     def require_finite(self, losses: Mapping[str, Tensor], number: int, batch: Indices, *rows: Tensor) -> None:
-        """Stop before a step that would spoil the weights.
+        """Check the losses before a step that would ruin the weights.
 
         Args:
             losses: Scalars by name.
-            number: Of the batch.
+            number: Number of the batch.
             batch: (B,) its samples.
-            rows: (B, ...) what the losses were computed from, by which the sample is found.
+            rows: (B, ...) values that the losses were computed from, which locate the sample.
 
         Raises:
             DatasetError: Names loss, epoch, batch and the first sample that is not finite, or else the most extreme.
@@ -203,7 +186,7 @@ class Trainer(ABC):
         if not bad:
             return
         size = torch.stack([row.detach().abs().flatten(1).amax(dim=1) for row in rows]).amax(dim=0)
-        # argmax takes a NaN for the largest of all.
+        # argmax treats NaN as the largest value.
         sample = self.data.ids[int(batch[int(size.argmax())])]
         raise DatasetError(
             f"training: {bad[0]}: the loss is not finite in epoch {self.epoch}, batch {number}, sample {sample}; "
@@ -212,16 +195,17 @@ class Trainer(ABC):
 
     @abstractmethod
     def _epoch(self) -> Iterator[Mapping[str, float]]:
-        """Train on each batch of an epoch; the losses of each."""
+        """Train on each batch of an epoch; yields its losses."""
 
     def _make_modules(self) -> dict[str, nn.Module]:
-        """Further networks, made after the first from the same seed."""
+        """Further networks, initialised after the first from the same seed."""
         return {}
 
     @contextmanager
     def _own_randomness(self) -> Iterator[None]:
-        """Within, torch's generators go on from where they were left here; outside, nobody notices."""
-        cuda = self.place.device if self.place.device.type == "cuda" else None
+        """Within, torch's generators continue from this trainer's state; outside, they are unchanged."""
+        device = self.training_device.device
+        cuda = device if device.type == "cuda" else None
         with torch.random.fork_rng(devices=[] if cuda is None else [cuda]):
             if self._randomness:
                 torch.set_rng_state(self._randomness[_TORCH_RNG])
@@ -238,9 +222,9 @@ class Trainer(ABC):
         means = torch.tensor(
             [float(np.mean([batch[name] for batch in batches])) for name in names], dtype=torch.float64
         )
-        ranks = self.place.ranks
-        if ranks.size > 1:
-            means = ranks.sum(means.to(self.place.device)).cpu() / ranks.size
+        context = self.training_device.context
+        if context.world_size > 1:
+            means = context.sum(means.to(self.training_device.device)).cpu() / context.world_size
         return dict(zip(names, means.tolist(), strict=True))
 
     def _require_finite_weights(self) -> None:
@@ -254,14 +238,14 @@ class Trainer(ABC):
 
 
 def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """Whole batches of shuffled samples; the rest of an epoch waits for a later shuffle."""
+    """Whole batches of shuffled samples; the remainder is left out of this epoch."""
     shuffled = rng.permutation(index)
     for start in range(0, len(shuffled) - size + 1, size):
         yield shuffled[start : start + size]
 
 
 def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
-    """Check that a module's tensors are all there and fit; torch's own message lists every one that does not."""
+    """Check names and shapes of a module's tensors, and name the first mismatch; torch would list all of them."""
     for key, value in wanted.items():
         if key not in found:
             raise ModelError(f"{name}/{key}: is missing, so it is of another architecture")

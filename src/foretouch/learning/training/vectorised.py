@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many supervised trainings of one shape at once: other seeds, samples or modalities, one stack of weights.
+"""Many supervised trainings of one shape at once, with different seeds, samples or modalities, as one stack of weights.
 
 Each run keeps its own weights, order, points and scaling; a step is one batched product for all of them. The result
-of a run is that of `train_network` alone, but for rounding. On a CPU this pays only where a step is too short for its
-calls (see benchmarks/training); it is meant for GPUs, where small runs one after the other leave most of it idle.
+of a run equals that of `train_network` up to rounding. On a CPU this is faster only for the smallest networks
+(see benchmarks/training); it is meant for GPUs, which small runs one after the other leave mostly idle.
 
 Shapes: R runs, B samples, N points, C channels, G grasp numbers, M outputs.
 """
@@ -18,11 +18,10 @@ from torch import Tensor, nn
 from torch.func import functional_call, stack_module_state
 
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data.folds import Indices
-from foretouch.learning.data.training_set import TrainingSet
+from foretouch.learning.data import Indices, TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
-from foretouch.learning.training.trainer import Stepper, StepRule
+from foretouch.learning.training.trainer import OptimiserRule, ScheduledOptimiser
 from foretouch.models.network.pointnet import Layer
 from foretouch.models.network.regressor import TouchNet
 
@@ -32,19 +31,19 @@ __all__ = ["train_many"]
 def train_many(
     data: Sequence[TrainingSet], indices: Sequence[Indices], configs: Sequence[TrainConfig]
 ) -> list[TouchNet]:
-    """Train one network a run.
+    """Train one network per run.
 
     Args:
         data: (R,) samples; their networks differ at most in which modalities of the same size they predict.
-        indices: (R,) samples to train on, of equally many whole batches.
-        configs: (R,) how; equal but for the seed.
+        indices: (R,) training samples, of equally many whole batches.
+        configs: (R,) settings, equal except for the seed.
 
     Returns:
         (R,) networks on the CPU, in evaluation mode.
 
     Raises:
-        ConfigError: If the runs are not of one shape, or drop out values, which each run would have to draw alone.
-        DatasetError: If a run has fewer samples than one batch, or its loss stops being finite.
+        ConfigError: If the runs are not of one shape, or use dropout, whose masks each run would have to draw itself.
+        DatasetError: If a run has fewer samples than one batch, or its loss becomes infinite or NaN.
     """
     runs = [SupervisedTrainer(one, index, config) for one, index, config in zip(data, indices, configs, strict=True)]
     if not runs:
@@ -59,11 +58,7 @@ def train_many(
 
 
 class _Stack:
-    """The weights of all runs, each (R, ...), and one optimiser for them.
-
-    Args:
-        runs: Of one shape.
-    """
+    """The weights of all runs, each (R, ...), and one optimiser for them; the runs must be of one shape."""
 
     def __init__(self, runs: Sequence[SupervisedTrainer]) -> None:
         self._nets = [run.net.train() for run in runs]
@@ -76,10 +71,10 @@ class _Stack:
         first = runs[0]
         config = first.config
         self._kind, self._sizes, self._grasp = config.loss, first.sizes, first.data.config.use_grasp
-        rule = StepRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
+        rule = OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
         steps = config.epochs * first.batch_count
-        # The rules of the steps work value by value, so that those of a stack are those of its networks.
-        self._stepper = Stepper(nn.ParameterList([*self._weights.values()]), rule, steps)
+        # The optimisers work value by value, so a step of the stack is a step of each of its networks.
+        self._optimiser = ScheduledOptimiser(nn.ParameterList([*self._weights.values()]), rule, steps)
         self._losses = torch.vmap(self._loss)
 
     def step(self, points: Tensor, grasps: Tensor, targets: Tensor, where: str) -> None:
@@ -90,12 +85,12 @@ class _Stack:
             raise DatasetError(
                 f"training: run {int((~finite).int().argmax())}: the loss is not finite in {where}; lower learning_rate"
             )
-        self._stepper.step(losses.sum())  # each weight is in one summand alone
+        self._optimiser.step(losses.sum())  # each weight is in only one summand
 
     def networks(self) -> list[TouchNet]:
-        """The runs' own networks with the weights as they are now."""
-        for place, net in enumerate(self._nets):
-            values = {name: value[place].detach() for name, value in [*self._weights.items(), *self._buffers.items()]}
+        """The networks of the runs with their current weights."""
+        for k, net in enumerate(self._nets):
+            values = {name: value[k].detach() for name, value in [*self._weights.items(), *self._buffers.items()]}
             net.load_state_dict(values)
         return [net.cpu().eval() for net in self._nets]
 
@@ -121,6 +116,6 @@ def _require_one_shape(runs: Sequence[SupervisedTrainer]) -> None:
         if model != first.data.config or run.sizes != first.sizes or run.batch_count != first.batch_count:
             raise ConfigError(f"train_many: run {number}: is of another shape than run 0")
     if first.data.config.head_dropout > 0.0:
-        raise ConfigError("train_many: ModelConfig.head_dropout: must be 0, for each run draws its own")
-    if first.place.ranks.size > 1:
-        raise ConfigError("train_many: runs in one process alone")
+        raise ConfigError("train_many: ModelConfig.head_dropout: must be 0, since each run would draw its own masks")
+    if first.training_device.context.world_size > 1:
+        raise ConfigError("train_many: requires a single process")

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.samples import only_finite, open_samples
+from foretouch.dataset.store import sample_digest
+from foretouch.dataset.vision2tactile import folder_sha256
+from foretouch.errors import DatasetError
+from foretouch.learning.data.folds import Indices
+from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
+from foretouch.types import GraspSample
+
+__all__ = ["DataSplit", "Dataset", "load_dataset"]
+
+_VISION2TACTILE: Final = {
+    "source": "github.com/yayaneath/vision2tactile, recorded for P1",
+    "licence": "none stated, so the data are not redistributed",
+    "limits": [
+        "One pair of fingers, one hand, one camera at 1.1 to 1.3 m seen from above: other fingers have other ranges.",
+        "Recorded without a tare, each object on different days: object, day and drift cannot be separated.",
+        "Skills are averages; whether they differ significantly is reported in docs/results.",
+    ],
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DataSplit:
+    """Indices of samples; each sample is in at most one part.
+
+    Attributes:
+        train: Samples to learn from with their labels, sorted.
+        unlabelled: Samples to learn from without labels.
+        validation: Samples by which the best epoch is chosen.
+        test: Samples to evaluate on; empty where no split is configured.
+    """
+
+    train: Indices
+    unlabelled: Indices
+    validation: Indices
+    test: Indices
+
+    def sizes(self) -> dict[str, int]:
+        """Number of samples by part, for a card."""
+        return {part: len(index) for part, index in vars(self).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All samples of a recorded dataset, a training store or the vision2tactile folders.
+
+    Attributes:
+        name: Name of the file or folder.
+        samples: In order; without those that the operator discarded.
+        sha256: Hash over the samples in order: that of the training store they make.
+        splits: The parts of each kind of split.
+        aliases: Other hashes by which cards may name the same samples.
+        omitted: By kind of split, why these samples do not have it.
+        origin: `source`, `licence` and known `limits` of public data, for a card.
+    """
+
+    name: str
+    samples: tuple[GraspSample, ...]
+    sha256: str
+    splits: dict[str, list[SplitPart]]
+    aliases: tuple[str, ...] = ()
+    omitted: dict[str, str] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict)
+
+    def parts(self, split: str) -> list[SplitPart]:
+        """The parts of a split.
+
+        Args:
+            split: `KIND`, such as "time", or `KIND/PART`, such as "labels/T50".
+
+        Raises:
+            DatasetError: If the dataset has no such split; gives the reason, or the splits that exist.
+        """
+        kind, _, name = split.partition("/")
+        if kind in self.omitted:
+            raise DatasetError(f"{self.name}: split: {kind!r} cannot be made of these samples: {self.omitted[kind]}")
+        if kind not in self.splits:
+            raise DatasetError(f"{self.name}: split: {kind!r} is none of {', '.join(self.splits) or 'none'}")
+        parts = [part for part in self.splits[kind] if name in ("", part.name)]
+        if not parts:
+            known = ", ".join(f"{kind}/{part.name}" for part in self.splits[kind])
+            raise DatasetError(f"{self.name}: split: {split!r} is none of {known}")
+        return parts
+
+    def index(self, ids: Sequence[str]) -> Indices:
+        """(S,) indices of the samples with these ids, in order of the ids.
+
+        Raises:
+            DatasetError: If a sample does not exist.
+        """
+        position = {sample.id: k for k, sample in enumerate(self.samples)}
+        missing = [name for name in ids if name not in position]
+        if missing:
+            raise DatasetError(f"{self.name}: {missing[0]}: is in the split and not among the samples")
+        return np.array([position[name] for name in ids], np.intp)
+
+    def partition(self, split: str | None, validation: float = 0.0, seed: int = 0) -> DataSplit:
+        """Split the samples for one training.
+
+        Args:
+            split: `KIND/PART`; None trains on all labelled samples and tests on none.
+            validation: Share of the labelled training samples to set aside for validation.
+            seed: Seed of the choice of the validation samples.
+
+        Raises:
+            DatasetError: If the dataset has no such split, the split has several parts, no training sample is labelled, or
+                the validation share amounts to no sample.
+        """
+        train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
+        unlabelled = np.setdiff1d(np.arange(len(self.samples), dtype=np.intp), train)
+        test = np.empty(0, np.intp)
+        if split is not None:
+            parts = self.parts(split)
+            if len(parts) != 1:
+                raise DatasetError(
+                    f"{self.name}: split: {split!r} has {len(parts)} parts; choose one: {split}/{parts[0].name}"
+                )
+            train, test, unlabelled = (self.index(ids) for ids in (parts[0].train, parts[0].test, parts[0].unlabelled))
+        if not len(train):
+            raise DatasetError(f"{self.name}: no sample to learn from is labelled")
+        chosen = np.random.default_rng(seed).permutation(train)[: round(validation * len(train))]
+        if validation > 0.0 and not len(chosen):
+            raise DatasetError(f"{self.name}: validation: {validation} of {len(train)} samples is none")
+        return DataSplit(np.setdiff1d(train, chosen), unlabelled, np.sort(chosen), test)
+
+
+def load_dataset(path: str | Path) -> Dataset:
+    """Read all samples of a dataset.
+
+    Args:
+        path: A recorded dataset, a training store, or folders of vision2tactile. The splits are those stored with the
+            dataset, or else are made with seed 0.
+
+    Raises:
+        FileError: If there are no samples, or a file is damaged.
+        DatasetError: If two samples have the same id.
+    """
+    path = Path(path)
+    with open_samples(path) as opened:
+        samples = tuple(only_finite(record.sample) for record in opened.records())
+    if len({sample.id for sample in samples}) != len(samples):
+        raise DatasetError(f"{path}: two samples have one id")
+    content = hashlib.sha256()
+    for sample in samples:
+        content.update(sample_digest(sample))
+    if (path / SPLITS_FILE).is_file():
+        splits = read_splits(path)
+    else:
+        facts = [SampleFacts(s.id, s.object, s.stamp_ns, s.touch is not None) for s in samples]
+        splits = parse_splits(make_splits(facts))
+    public = opened.kind == "vision2tactile"
+    return Dataset(
+        path.name,
+        samples,
+        content.hexdigest(),
+        splits.parts,
+        (folder_sha256(path),) if public else (),
+        splits.omitted,
+        _VISION2TACTILE if public else {},
+    )

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Score touch models and baselines on the same samples.
+
+`cross_validate` trains a model and the baselines on each fold. `evaluate_model` takes a trained model and fits only the
+baselines, to the training side of each part of a split; where the model was trained on these very samples, its scores are
+training scores, which `same_data` reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.errors import DatasetError, ModelError
+from foretouch.learning.data import Dataset, Fold, HoldOut, SplitPart, TrainingSet, labels_of, predict_folds
+from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
+from foretouch.learning.evaluation.metrics import Score, score
+from foretouch.models.card import read_card
+from foretouch.models.registry import find_card, load_model
+from foretouch.tactile import MODALITIES, TactileRanges, columns
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+
+__all__ = ["MODEL", "cross_validate", "evaluate_model"]
+
+MODEL: Final = "model"
+"""Key of the model itself, beside the names of the baselines."""
+
+
+def cross_validate(
+    samples: Sequence[GraspSample],
+    labels: Float64,
+    model: HoldOut,
+    folds: Sequence[Fold],
+    ranges: TactileRanges,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    baselines: Mapping[str, Baseline] = BASELINES,
+) -> tuple[dict[str, dict[str, Score]], Float64]:
+    """Score a model and the baselines on the same folds.
+
+    Args:
+        samples: All samples.
+        labels: (S, 50) [counts].
+        model: Must be picklable where there are several workers.
+        folds: Together they test each sample once.
+        ranges: Ranges for the normalised error.
+        seed: Seed of the baselines.
+        workers: Number of processes; the scores do not depend on it.
+        baselines: By name.
+
+    Returns:
+        Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
+    """
+    predictors: dict[str, HoldOut] = {MODEL: model}
+    for name, baseline in baselines.items():
+        predictors[name] = partial(_baseline, samples, labels, baseline, seed)
+    predicted = {name: predict_folds(predictor, folds, workers) for name, predictor in predictors.items()}
+    reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
+    scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
+    return scores, predicted[MODEL]
+
+
+def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
+    train = [samples[i] for i in fold.train]
+    return baseline(train, labels[fold.train], [samples[i] for i in fold.test], seed)
+
+
+def evaluate_model(
+    model: str | Path,
+    data: Dataset,
+    parts: Sequence[SplitPart],
+    *,
+    seed: int = 0,
+    baselines: Mapping[str, Baseline] = BASELINES,
+) -> dict[str, Any]:
+    """Score a trained model and the baselines on the test samples of some parts.
+
+    Args:
+        model: Name, card, weights or folder of a run; it may predict only some of the modalities.
+        data: The dataset.
+        parts: Parts of one split; the baselines beside each test sample were fitted without it.
+        seed: Seed of the baselines.
+        baselines: By name.
+
+    Returns:
+        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None without
+        intervals). `samples`: their number. `unfamiliar`: how many of them the model flags as out of distribution.
+        `same_data`: whether the model's card names this dataset as its training data.
+
+    Raises:
+        DatasetError: If the parts test no sample, or a sample is unlabelled.
+        ModelError: If the model is damaged.
+    """
+    chosen = np.concatenate([data.index(part.test) for part in parts]) if parts else np.empty(0, np.intp)
+    if not len(chosen):
+        raise DatasetError(f"{data.name}: the split tests no sample")
+    tested = [data.samples[k] for k in chosen]
+    found = _predict(find_card(model), tested)
+    labels = labels_of(tested)
+    reference = _fitted(data, parts, training_mean, seed)
+    # The columns that the model does not predict are not scored, but must be finite.
+    values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
+    values |= {name: _fitted(data, parts, baseline, seed) for name, baseline in baselines.items()}
+    scores: dict[str, dict[str, dict[str, float | None]]] = {}
+    for name, value in values.items():
+        scored = score(value, labels, reference, found.ranges, found.modalities)
+        scores[name] = {key: {**asdict(one), "coverage90": None} for key, one in scored.items()}
+    if found.half_width is not None:
+        inside = np.abs(labels - found.counts) <= found.half_width
+        for key, row in scores[MODEL].items():
+            row["coverage90"] = float(inside[:, columns([key])].mean())
+    same = not found.trained_on.isdisjoint((data.sha256, *data.aliases))
+    return {"scores": scores, "samples": len(tested), "unfamiliar": found.unfamiliar, "same_data": same}
+
+
+@dataclass(frozen=True, eq=False)
+class _Predictions:
+    """Predictions of a model for S samples."""
+
+    counts: Float64  # (S, 50), NaN for modalities that it does not predict [counts]
+    half_width: Float64 | None  # (S, 50) of its intervals [counts]
+    unfamiliar: int  # samples flagged as out of distribution
+    modalities: Sequence[str]
+    ranges: TactileRanges
+    trained_on: frozenset[str]  # hashes of its training data
+
+
+def _predict(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+    card = read_card(card_path)
+    if card["kind"] in ("network", "ensemble") and card.get("calibration") is None:
+        return _by_networks(card_path, card, samples)
+    return _by_model(card_path, samples)
+
+
+def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
+    """Predict as everywhere else, each sample on its own, with its tare where it has one."""
+    model = load_model(card_path)
+    counts, half = np.full((2, len(samples), TOUCH_SIZE), np.nan)
+    unfamiliar = 0
+    for k, sample in enumerate(samples):
+        tare = sample.tare if model.calibration is not None else None
+        (one,) = model.predict(sample.cloud, [sample.grasp], tare=tare)
+        if one.value is None:
+            raise ModelError(f"{sample.id}: {one.reason}")
+        counts[k] = one.value.vector()
+        if one.lower is not None and one.upper is not None:
+            half[k] = (one.upper.vector() - one.lower.vector()) / 2.0
+        unfamiliar += "unfamiliar" in one.flags
+    trained_on = frozenset([str(model.card["data"].get("sha256"))])
+    half_width = None if np.isnan(half).any() else half
+    return _Predictions(counts, half_width, unfamiliar, list(MODALITIES), model.ranges, trained_on)
+
+
+def _by_networks(card_path: Path, card: Mapping[str, Any], samples: Sequence[GraspSample]) -> _Predictions:
+    """Predict by networks that may cover only some of the modalities, all samples of one network at once."""
+    from foretouch.learning.training.supervised import predict_set
+    from foretouch.models.network.checkpoint import load_network
+
+    members = [card_path]
+    if card["kind"] == "ensemble":
+        members = [card_path.with_name(Path(str(name)).name) for name in card["members"]]
+    loaded = [load_network(member) for member in members]
+    counts = np.full((len(samples), TOUCH_SIZE), np.nan)
+    for net, _ in loaded:
+        prepared = TrainingSet.build(samples, net.config)
+        counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
+    named = {output for net, _ in loaded for output in net.config.outputs}
+    trained_on = frozenset(str(member["data"].get("sha256")) for _, member in loaded)
+    modalities = [name for name in MODALITIES if name in named]
+    return _Predictions(counts, None, 0, modalities, loaded[0][0].config.ranges, trained_on)
+
+
+def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
+    """(S, 50) predictions of a baseline for the test samples of each part, in order."""
+    rows = []
+    for part in parts:
+        train, test = ([data.samples[k] for k in data.index(ids)] for ids in (part.train, part.test))
+        rows.append(baseline(train, labels_of(train), test, seed))
+    return np.concatenate(rows)
