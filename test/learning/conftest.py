@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from foretouch.dataset.build import SampleFacts
-from foretouch.dataset.store_writer import StoreWriter
+from foretouch.dataset.store_writer import SampleFacts, StoreWriter
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.data.splits import SPLITS_FILE, make_splits
 from foretouch.models.network.config import ModelConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.splits import RATIOS, SPLITS_FILE, SplitPart, label_ratios, make_splits, read_splits
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from foretouch.cloud.geometry.unit_sphere import UnitSphereFrame
+from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.learning.training.supervised import turn, viewing_axis_rotations
 from foretouch.models.network.preparation import prepare_grasps
 from foretouch.types import Grasp

@@ -78,7 +78,7 @@ def test_after_three_touches_they_are_narrower_and_hold_as_many(worth: float) ->
         for name in np.unique(new.objects):
             one = new.take(new.objects == name)
             means = one.predicted[:3].mean(axis=0), one.labels[:3].mean(axis=0)
-            after = regime.after(one.predicted[3:], *means, 3)
+            after = regime.counts_after(one.predicted[3:], *means, 3)
             covered.append((np.abs(one.labels[3:] - after) <= regime.half_width_after(3)).mean())
         narrowed.append((regime.half_width_after(3) / regime.half_width).mean())
     assert 0.86 <= np.mean(covered) <= 0.96
@@ -207,7 +207,7 @@ def test_one_object_alone_has_an_interval_and_no_coverage() -> None:
     assert coverage_by_object(one) == {}
     regime = fit_group(one)
     assert np.isfinite(regime.half_width_after(3)).all()
-    assert np.isfinite(regime.after(one.predicted, one.predicted[0], one.labels[0], 1)).all()
+    assert np.isfinite(regime.counts_after(one.predicted, one.predicted[0], one.labels[0], 1)).all()
 
 
 def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:

@@ -36,7 +36,7 @@ def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, 
         for felt in held[:touches]:
             shift = sample.tare.vector() - felt.tare.vector() if tare else 0.0
             memory.add(felt.cloud, felt.grasp, type(felt.touch).from_vector(felt.touch.vector() + shift))
-        (told,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
+        (told,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
         np.testing.assert_allclose(told.value.vector(), row, atol=1e-6)
         np.testing.assert_allclose(told.upper.vector() - told.value.vector(), width, rtol=1e-9)
 

@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import DatasetError
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
-from foretouch.models.contact.checkpoint import add_calibration, save_contact
+from foretouch.models.calibration import add_calibration
+from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
@@ -45,7 +46,7 @@ def as_shipped(
     for one in touched:
         reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
         memory.add(one.cloud, one.grasp, reading)
-    (found,) = model.predict(sample.cloud, [sample.grasp], memory=memory)
+    (found,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
     return found.value.vector(), found.upper.vector() - found.value.vector()
 
 

@@ -48,7 +48,7 @@ def test_settings_of_another_method_are_refused(given: dict, field: str) -> None
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])
 def test_one_object_cannot_be_kept_apart(data, tmp_path, method: str) -> None:
-    from foretouch.dataset.build import SampleFacts
+    from foretouch.dataset.store_writer import SampleFacts
     from foretouch.learning.data.splits import make_splits, parse_splits
 
     alone = tuple(sample for sample in data.samples if sample.object == "box0")

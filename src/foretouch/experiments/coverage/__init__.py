@@ -31,7 +31,7 @@ from foretouch.learning.data import labels_of, make_folds, object_folds
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "CoverageSettings", "coverage_rows"]

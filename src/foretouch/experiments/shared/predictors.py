@@ -28,7 +28,7 @@ from foretouch.learning.evaluation.baselines import (
     training_mean,
 )
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
-from foretouch.tactile.modalities import MODALITIES, columns
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 __all__ = [

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.build import SampleFacts
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import sample_digest
+from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
 from foretouch.learning.data.folds import Indices

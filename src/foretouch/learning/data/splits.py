@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.build import SampleFacts
+from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
 
