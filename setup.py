@@ -20,6 +20,6 @@ setup(
         "console_scripts": [
             "foretouch = foretouch.cli.main:main",
             *(f"foretouch_{node} = foretouch.ros.executables:{node}" for node in NODES),
-        ],
+        ]
     },
 )

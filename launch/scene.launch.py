@@ -13,12 +13,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import (
-    argument_values,
-    foretouch_node,
-    include_perception,
-    shared_arguments,
-)
+from foretouch_launch_helpers import argument_values, foretouch_node, include_perception, shared_arguments
 
 ARGUMENTS = [
     DeclareLaunchArgument("scene", description="Scene file (YAML)"),

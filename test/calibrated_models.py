@@ -11,10 +11,10 @@ from sklearn.ensemble import ExtraTreesRegressor
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, add_calibration
 from foretouch.models.contact.checkpoint import save_contact
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
+from foretouch.models.contact.features import FEATURES
 from foretouch.models.contact.forest import Forest
-from foretouch.models.contact.kernel_regression import KernelRegression, standardisation
-from foretouch.models.novelty import SizeNoveltyDetector
+from foretouch.models.contact.kernel_regression import KernelRegression
+from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, columns
 
 FACTS = {

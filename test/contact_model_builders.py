@@ -10,7 +10,8 @@ from experiment_samples import make_samples
 
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES
+from foretouch.models.contact.features import FEATURES
+from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
 
 FEW_TREES = ContactConfig(trees=4)

@@ -12,13 +12,7 @@ from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
 
 CAN = {"name": "can", "shape": "can", "size_m": [0.07, 0.07, 0.1], "pose": {"rest": "side"}}
-SPONGE = {
-    "name": "sponge",
-    "shape": "sponge",
-    "size_m": [0.07, 0.11, 0.05],
-    "young_pa": 2e5,
-    "thickness_m": 0.02,
-}
+SPONGE = {"name": "sponge", "shape": "sponge", "size_m": [0.07, 0.11, 0.05], "young_pa": 2e5, "thickness_m": 0.02}
 EVERY_CAMERA_FAULT = {"z_step_m": 0.001, "noise": {}, "stereo": {}, "flying_pixels": {}, "holes": {}}
 EVERY_FINGER_EFFECT = {
     "timeline": {},

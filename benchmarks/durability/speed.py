@@ -20,13 +20,7 @@ import numpy as np
 from kill import IDENTITY, made_sample
 
 from foretouch.dataset.bag_writer import serialize_cloud
-from foretouch.dataset.recording import (
-    RecordedDataset,
-    RecordingConfig,
-    RecordingWriter,
-    SampleRecord,
-    verify_dataset,
-)
+from foretouch.dataset.recording import RecordedDataset, RecordingConfig, RecordingWriter, SampleRecord, verify_dataset
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
 from foretouch.types import Cloud

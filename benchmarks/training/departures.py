@@ -15,10 +15,11 @@ from datasets.abc import Iterator
 from torch import Tensor
 
 from foretouch.learning.data import Dataset, TrainingSet, load_dataset
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training import losses
 from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.generator import GeneratorConfig
@@ -34,12 +35,7 @@ SLIM = ModelConfig(
 )
 OURS = TrainConfig(epochs=20, batch_size=10, device="cpu")
 PAPER = OURS.replace(
-    optimiser="adam",
-    learning_rate=0.01,
-    weight_decay=0.0,
-    schedule="constant",
-    loss="rmse",
-    target_scaling="ranges",
+    optimiser="adam", learning_rate=0.01, weight_decay=0.0, schedule="constant", loss="rmse", target_scaling="ranges"
 )
 SRGAN = SrganConfig(
     epochs=20,

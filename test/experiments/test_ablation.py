@@ -14,7 +14,8 @@ from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVar
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.comparison import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
+from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES
+from foretouch.models.novelty import OBJECT_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)
 

@@ -54,10 +54,7 @@ def test_the_pointnet_is_the_srgan_without_unsupervised_weights(presampled: Pres
 def test_both_models_begin_with_the_same_network(presampled: PresampledSet) -> None:
     nets = [
         kind(presampled, np.arange(8), np.arange(8, 24), configured(BASE, model, trial, 8, updates=1, seed=4)).net
-        for kind, model, trial in (
-            (PointnetTrainer, "pointnet", "rate 0.003"),
-            (SrganTrainer, "srgan", "0.3/1/1"),
-        )
+        for kind, model, trial in ((PointnetTrainer, "pointnet", "rate 0.003"), (SrganTrainer, "srgan", "0.3/1/1"))
     ]
     for one, other in zip(nets[0].state_dict().values(), nets[1].state_dict().values(), strict=True):
         assert torch.equal(one, other)

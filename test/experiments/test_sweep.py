@@ -52,11 +52,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, numbers, trace) -> No
     words += ["-o", str(tmp_path / "cut"), "--data", str(numbers), "--workers", "1", "--json", "pause_s=0.3"]
     words += [f"trace={trace}"]
     process = subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(TESTS)},
-        start_new_session=True,
+        words, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(TESTS)}, start_new_session=True
     )
     for _ in range(2):
         assert json.loads(process.stdout.readline())["status"] == "done"
@@ -77,10 +73,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, numbers, trace) -> No
 def test_failures_are_named_and_the_others_go_on(tmp_path, numbers, trace) -> None:
     hurt = {"broken": (1,), "dies": (3,), "dies_once": (4,), "trace": str(trace)}
     result = sweep(tmp_path / "out", numbers, settings=hurt, workers=2)
-    assert result.failures == {
-        "cell1": "cell 1: is broken",
-        "cell3": "its process died (killed, or out of memory)",
-    }
+    assert result.failures == {"cell1": "cell 1: is broken", "cell3": "its process died (killed, or out of memory)"}
     assert sorted({row["number"] for row in result.rows}) == [0, 2, 4, 5]
     again = sweep(tmp_path / "out", numbers, settings=hurt, resume=True)
     assert again.reused == 4

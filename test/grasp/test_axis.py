@@ -51,18 +51,12 @@ def test_sign_does_not_hang_on_the_sign_of_the_planes_normal():
         np.testing.assert_array_equal(*axes)
 
 
-@pytest.mark.parametrize(
-    ("axis", "coordinate"),
-    [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)],
-)
+@pytest.mark.parametrize(("axis", "coordinate"), [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)])
 def test_sides_in_top_view_lie_across_the_axis(axis, coordinate, top_view):
     assert side_coordinate(np.array(axis), top_view) == coordinate
 
 
-@pytest.mark.parametrize(
-    ("axis", "coordinate"),
-    [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)],
-)
+@pytest.mark.parametrize(("axis", "coordinate"), [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)])
 def test_sides_in_side_view(axis, coordinate):
     assert side_coordinate(np.array(axis), SIDE_VIEW) == coordinate
 

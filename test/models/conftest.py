@@ -13,12 +13,7 @@ from foretouch.types import Cloud, Grasp
 
 torch.set_num_threads(1)  # networks this small only lose time to more
 
-SMALL = ModelConfig(
-    n_points=64,
-    trunk_widths=(8, 16, 32),
-    tnet_widths=(8, 8, 16, 8, 8),
-    head_widths=(16, 8),
-)
+SMALL = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SizeNoveltyDetector detection: training objects are in distribution, objects of another size are not, wherever they lie."""
+"""Novelty detection: training objects are in distribution, objects of another size are not, wherever they lie."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.novelty import LengthRangeCheck, SizeNoveltyDetector
+from foretouch.models.network.length_check import LengthRangeCheck
+from foretouch.models.novelty import SizeNoveltyDetector
 
 HERE = np.array([0.0, 0.0, 1.2])
 SIDES = np.array([[0.05, 0.08, 0.1], [0.06, 0.06, 0.15], [0.1, 0.12, 0.05]])

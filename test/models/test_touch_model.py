@@ -15,8 +15,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
+from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.novelty import LengthRangeCheck, grasp_lengths
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Cloud, Grasp, Touch

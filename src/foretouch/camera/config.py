@@ -87,11 +87,7 @@ class TimeoutConfig(Settings):
         10.0, "Longest pause between attempts; each is twice the last", unit="s", minimum=0.01, maximum=600.0
     )
     give_up_s: float = setting(
-        0.0,
-        "Iteration fails after this time without a frame; 0 never",
-        unit="s",
-        minimum=0.0,
-        maximum=86400.0,
+        0.0, "Iteration fails after this time without a frame; 0 never", unit="s", minimum=0.0, maximum=86400.0
     )
 
     def __post_init__(self) -> None:

@@ -23,10 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")
     parser.add_argument(
-        "--plane",
-        type=four_numbers,
-        metavar="a,b,c,d",
-        help="table ax+by+cz+d=0 of clouds that hold one object each",
+        "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
     )
     parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")

@@ -51,10 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--count", type=int, metavar="N", help="end after N answered clouds")
     parser.add_argument(
-        "--plane",
-        type=four_numbers,
-        metavar="a,b,c,d",
-        help="table ax+by+cz+d=0 of clouds that hold one object each",
+        "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
     )
     parser.add_argument("--model", help="name of a released model, or path of a checkpoint")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
@@ -130,12 +127,7 @@ def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
     """Parameters of the replay for the options `--topic`, `--rate` and `--plane`."""
-    given = {
-        "path": path,
-        "topic": arguments.topic or None,
-        "rate_hz": arguments.rate,
-        "table": arguments.plane,
-    }
+    given = {"path": path, "topic": arguments.topic or None, "rate_hz": arguments.rate, "table": arguments.plane}
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -172,12 +172,7 @@ def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterat
     """Assemble samples as the recorder does, and a sample without a touch of every other cloud with grasps."""
     roles, live = topics.roles(), _is_live(bag, topics)
     assembler = SampleAssembler(
-        AssemblerConfig(
-            pairing=topics.pairing,
-            object=topics.object,
-            unlabelled_s=0.0,
-            check_clock=live,
-        ),
+        AssemblerConfig(pairing=topics.pairing, object=topics.object, unlabelled_s=0.0, check_clock=live),
         _tactile_reader(bag, topics),
     )
     now_s = 0.0

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SizeNoveltyDetector detection: whether a cloud and a grasp resemble those that a model was trained on.
+"""Novelty detection: whether a cloud and a grasp resemble those that a model was trained on.
 
 Two tests are combined. `SizeNoveltyDetector` looks at the object alone: the distance of a cloud's sizes from the nearest
 training clouds, relative to the usual distances within the training objects. On the public recordings it detects nine in
 ten grasps on an object that was left out, at one false alarm in twenty; it cannot detect an object of the same size and
-shape as one of the training objects. `LengthRangeCheck` compares five lengths of a cloud and a grasp with their ranges in
+shape as one of the training objects. `network.length_check.LengthRangeCheck` compares five lengths of a cloud and a grasp with their ranges in
 training. It finds gross errors (a house instead of a can, metres mistaken for millimetres, a grasp beside the object) and
 passes objects of another make and of usual size. Networks use both; a contact model uses the first alone.
 
@@ -15,7 +15,7 @@ needs no fallback, because its kernel fades to that mean by itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -24,25 +24,35 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.features import OBJECT_FEATURES, SHAPE_FEATURES
-from foretouch.models.contact.kernel_regression import standardisation
 from foretouch.models.files import TensorRecord
-from foretouch.models.network.preparation import PreparedCloud
-from foretouch.types import TOUCH_SIZE, Float32, Float64, Grasp
+from foretouch.types import TOUCH_SIZE, Float32, Float64
 
-__all__ = ["IN_DISTRIBUTION", "LENGTHS", "Fallback", "LengthRangeCheck", "SizeNoveltyDetector", "grasp_lengths"]
+__all__ = ["IN_DISTRIBUTION", "OBJECT_FEATURES", "Fallback", "SizeNoveltyDetector", "standardisation"]
 
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
 
-LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
-"""Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
-other, of their midpoint from the centroid, and of the farther contact from the nearest point that the model uses."""
+OBJECT_FEATURES: Final = (
+    *("x", "y", "z"),
+    *("extent_x", "extent_y", "extent_z"),
+    *("spread_1", "spread_2", "spread_3"),
+    *("radius", "log_points"),
+    *("axis_x", "axis_y", "axis_z"),
+    *("radius_q25", "radius_q50", "radius_q75"),
+)
+SHAPE_FEATURES: Final = OBJECT_FEATURES[3:11]
+"""Sizes alone, which distinguish objects independently of pose and position."""
 
+_CONSTANT: Final = 1e-9  # [m or 1]; a smaller deviation of a column is rounding
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
 _NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
-_MARGIN: Final = 0.1  # of a length's range, by which a grasp may leave it
+
+
+def standardisation(rows: Float64) -> tuple[Float64, Float64]:
+    """Mean and deviation of each column; 1 where a column is constant."""
+    deviation = rows.std(axis=0)
+    return rows.mean(axis=0), np.where(deviation > _CONSTANT, deviation, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,71 +98,6 @@ class SizeNoveltyDetector(TensorRecord):
             raise ModelError("scale: a value is not above 0")
         if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")
-
-
-@dataclass(frozen=True, eq=False)
-class LengthRangeCheck:
-    """Ranges of the five lengths over the training samples, widened by a tenth on both sides.
-
-    Attributes:
-        low, high: (5,) float64 [m], in the order of `LENGTHS`.
-    """
-
-    low: Float64
-    high: Float64
-
-    @classmethod
-    def fit(cls, lengths: Float64) -> LengthRangeCheck:
-        """From (S, 5) lengths of the training samples."""
-        return cls(lengths.min(axis=0), lengths.max(axis=0))
-
-    @classmethod
-    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> LengthRangeCheck:
-        """From `to_card`.
-
-        Raises:
-            ModelError: If a length is missing or its range is not [low, high].
-        """
-        try:
-            table = np.array([ranges[name] for name in LENGTHS], np.float64)
-        except (KeyError, TypeError, ValueError) as err:
-            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
-        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
-            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
-        return cls(table[:, 0], table[:, 1])
-
-    def to_card(self) -> dict[str, list[float]]:
-        """Plain data for the card's field `familiar`."""
-        return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
-
-    def within(self, lengths: Float64) -> npt.NDArray[np.bool_]:
-        """(K,) whether all five of each of (K, 5) lengths are in their ranges."""
-        margin = _MARGIN * (self.high - self.low)
-        inside = (lengths >= self.low - margin) & (lengths <= self.high + margin)
-        return np.asarray(inside.all(axis=1), np.bool_)
-
-
-def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
-    """(K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
-    if not grasps:
-        return np.empty((0, len(LENGTHS)))
-    frame = prepared.frame
-    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
-    offset = np.linalg.norm(contacts.mean(axis=1) - frame.centre, axis=1)
-    width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
-    cloud = [float(np.linalg.norm(frame.centre)), frame.scale]
-    gap = _nearest(prepared, contacts.reshape(-1, 3)).reshape(-1, 2).max(axis=1)
-    return np.column_stack([np.tile(cloud, (len(grasps), 1)), width, offset, gap])
-
-
-def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
-    """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
-    frame = prepared.frame
-    moved = frame.apply_points(targets).astype(np.float32)
-    points = prepared.points[:, :3]
-    # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
-    squared = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
-    return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)) * frame.scale, np.float64)
 
 
 @dataclass(frozen=True, eq=False)

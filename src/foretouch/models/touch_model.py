@@ -204,6 +204,3 @@ class ObjectResiduals:
         """(50,) mean of the predictions and of the readings [counts]; zeros before the first touch."""
         count = max(self.count, 1)
         return self._expected / count, self._read / count
-
-
-__all__ += ["ObjectResiduals"]

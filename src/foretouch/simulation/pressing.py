@@ -7,14 +7,7 @@ import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError, SimulationError
 from foretouch.simulation.body import Body
-from foretouch.simulation.contact import (
-    Command,
-    ContactProblem,
-    Layer,
-    PadConfig,
-    PadWindow,
-    gap_field,
-)
+from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, PadWindow, gap_field
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.types import Float64

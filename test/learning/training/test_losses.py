@@ -73,8 +73,7 @@ def test_contrast_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "value"),
-    [("log", -(math.log(4) + math.log(9)) / 4), ("abs", -11 / 4), ("ratio", -(3 / 4 + 8 / 9) / 4)],
+    ("kind", "value"), [("log", -(math.log(4) + math.log(9)) / 4), ("abs", -11 / 4), ("ratio", -(3 / 4 + 8 / 9) / 4)]
 )
 def test_other_contrasts_by_hand(kind: str, value: float) -> None:
     assert parts(SrganLossConfig(contrast=kind))["fake"] == pytest.approx(value)

@@ -10,9 +10,10 @@ import torch
 
 from foretouch.errors import ConfigError, DatasetError, ModelError
 from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.models.network.batch_norm import freeze
 from foretouch.models.network.generator import GeneratorConfig
 

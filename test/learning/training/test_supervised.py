@@ -10,15 +10,16 @@ from numpy.testing import assert_allclose
 
 from foretouch.errors import DatasetError
 from foretouch.learning.data import Dataset, TrainingSet, duplicate_labels, labels_of, make_folds
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.evaluation.baselines import object_mean, training_mean
 from foretouch.learning.evaluation.evaluate import cross_validate
 from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set, train_network
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
-from foretouch.models.novelty import LengthRangeCheck
+from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import MODALITIES, modality_size
 from foretouch.types import Touch

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.features import SHAPE_FEATURES, ContactScene
-from foretouch.models.novelty import SizeNoveltyDetector
+from foretouch.models.contact.features import ContactScene
+from foretouch.models.novelty import SHAPE_FEATURES, SizeNoveltyDetector
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES, columns
 from foretouch.types import Cloud, Grasp
 

@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import CloudError
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SHAPE_FEATURES, SLOPE_FEATURES, ContactScene
+from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES, ContactScene
+from foretouch.models.novelty import OBJECT_FEATURES, SHAPE_FEATURES
 from foretouch.types import Grasp
 
 HERE = np.array([0.05, -0.02, 1.2])

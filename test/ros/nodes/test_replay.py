@@ -215,8 +215,7 @@ def test_a_recording_that_breaks_off_is_a_failure_with_its_reason(graph, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
-    [({"path": ""}, "path: is empty"), ({"path": "/nowhere"}, "/nowhere: does not exist")],
+    ("parameters", "told"), [({"path": ""}, "path: is empty"), ({"path": "/nowhere"}, "/nowhere: does not exist")]
 )
 def test_a_source_that_is_none_refuses_to_configure(graph, capfd, parameters, told):
     (node,) = graph.add("replay", **parameters)

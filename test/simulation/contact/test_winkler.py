@@ -41,10 +41,7 @@ def test_hand_worked_bed():
     assert solution.area_m2 == pytest.approx(2e-6)
 
 
-@given(
-    gap=arrays(np.float64, (5, 5), elements=st.floats(0, 1e-3)),
-    force=st.floats(1e-6, 10),
-)
+@given(gap=arrays(np.float64, (5, 5), elements=st.floats(0, 1e-3)), force=st.floats(1e-6, 10))
 def test_force_is_met_on_any_gap(gap, force):
     problem = ContactProblem(gap - gap.min(), 1e-3, (Layer(modulus_pa=1e6, poisson=0.3, thickness_m=0.01),))
     solution = solve_winkler(problem, Command(force_n=force), LOOSE)

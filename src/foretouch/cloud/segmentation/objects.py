@@ -147,9 +147,7 @@ class TargetConfig(Settings):
     """Which objects get grasps."""
 
     mode: TargetMode = setting(
-        "nearest",
-        "nearest to the camera, largest in points, the one at a point, or all",
-        choices=get_args(TargetMode),
+        "nearest", "nearest to the camera, largest in points, the one at a point, or all", choices=get_args(TargetMode)
     )
     point: tuple[float, ...] = setting((), "x, y, z for mode point, in the cloud's frame", unit="m")
     tolerance_m: float = setting(

@@ -121,11 +121,7 @@ class McapFile:
             schema = Schema(id=len(self._schemas) + 1, data=definition.encode(), encoding="ros2msg", name=type_name)
         number = len(self._channels) + 1
         channel = Channel(
-            id=number,
-            topic=topic,
-            message_encoding="cdr",
-            metadata={"offered_qos_profiles": qos},
-            schema_id=schema.id,
+            id=number, topic=topic, message_encoding="cdr", metadata={"offered_qos_profiles": qos}, schema_id=schema.id
         )
         self._commit([*([_encode(schema)] if new else []), _encode(channel)])
         self._schemas[type_name] = schema

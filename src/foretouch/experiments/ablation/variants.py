@@ -19,8 +19,8 @@ from foretouch.learning.training.calibration import calibrate, calibration_folds
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, SLOPE_FEATURES
-from foretouch.models.novelty import IN_DISTRIBUTION
+from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES
+from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 

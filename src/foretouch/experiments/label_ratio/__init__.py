@@ -173,10 +173,7 @@ def _chosen(ratios: Sequence[int]) -> dict[str, dict[str, list[str]]]:
             "pressure": ("rate 0.001, decay 0.3", "rate 0.0003, decay 0.3"),
             "electrodes": ("rate 0.003", "rate 0.001, decay 1"),
         },
-        "srgan": {
-            "pressure": ("0.3/1/1", "0.3/1/1, rate 0.001, decay 0.3"),
-            "electrodes": ("0.3/1/1", "0.3/1/0.3"),
-        },
+        "srgan": {"pressure": ("0.3/1/1", "0.3/1/1, rate 0.001, decay 0.3"), "electrodes": ("0.3/1/1", "0.3/1/0.3")},
     }
     return {
         model: {
@@ -196,14 +193,7 @@ EXPERIMENT = Experiment(
     presets={
         "paper": _chosen(RATIOS),
         "quick": {**QUICK, **_chosen(RATIOS), "seeds": [0, 1, 2]},
-        "smoke": {
-            **SMOKE,
-            **_chosen((50, 90)),
-            "samples": 200,
-            "ratios": [50, 90],
-            "seeds": [0, 1],
-            "draws": 500,
-        },
+        "smoke": {**SMOKE, **_chosen((50, 90)), "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },
     load=load_frozen,
     cells=_cells,

@@ -26,9 +26,9 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.label_ratio.data import LabelSplit
 from foretouch.learning.data import TrainingSet
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import predict_set
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.batch_norm import freeze
 from foretouch.tactile import columns, modality_size

@@ -24,13 +24,7 @@ from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.shared.folds import by_object, split_by_fold, split_objects
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
-from foretouch.experiments.shared.real_grasps import (
-    ALL_OBJECTS,
-    RealGraspSettings,
-    error_rows,
-    labelled,
-    score_table,
-)
+from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, RealGraspSettings, error_rows, labelled, score_table
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.shared.skill import skill_tables
 from foretouch.learning.data import labels_of, make_folds

@@ -5,19 +5,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, DatasetError, ModelError
+from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
-from foretouch.models.novelty import grasp_lengths
 from foretouch.tactile import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
-__all__ = ["TrainingSet", "duplicate_labels", "labels_of"]
+if TYPE_CHECKING:
+    from foretouch.models.network.regressor import TouchNet
+
+__all__ = ["TrainingSet", "duplicate_labels", "labels_of", "predict_set"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,3 +122,18 @@ def _label(sample: GraspSample) -> Float64:
     if not check.valid:
         raise DatasetError(f"{sample.id}: touch: {check.faults[0]}")
     return sample.touch.vector()
+
+
+def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
+    """(T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
+    import torch
+
+    device = net.target_mean.device
+    grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
+    rows = []
+    for i in index:
+        one = np.array([i])
+        points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed))).to(device)
+        with torch.inference_mode():
+            rows.append(net.counts(points, None if grasps is None else grasps[one]))
+    return torch.cat(rows).cpu().numpy().astype(np.float64)

@@ -159,7 +159,7 @@ def _by_model(card_path: Path, samples: Sequence[GraspSample]) -> _Predictions:
 
 def _by_networks(card_path: Path, card: Mapping[str, Any], samples: Sequence[GraspSample]) -> _Predictions:
     """Predict by networks that may cover only some of the modalities, all samples of one network at once."""
-    from foretouch.learning.training.supervised import predict_set
+    from foretouch.learning.data.training_set import predict_set
     from foretouch.models.network.checkpoint import load_network
 
     members = [card_path]

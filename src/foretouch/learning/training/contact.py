@@ -17,20 +17,14 @@ from foretouch.learning.data import Fold, Indices, labels_of, object_folds, pred
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
-from foretouch.models.contact.features import OBJECT_FEATURES, ContactScene
+from foretouch.models.contact.features import ContactScene
 from foretouch.models.contact.forest import Forest
-from foretouch.models.contact.kernel_regression import KernelRegression, laplacian, standardisation
-from foretouch.models.novelty import SizeNoveltyDetector
+from foretouch.models.contact.kernel_regression import KernelRegression, laplacian
+from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = [
-    "ContactConfig",
-    "ContactPredictor",
-    "describe_objects",
-    "describe_samples",
-    "fit_contact",
-]
+__all__ = ["ContactConfig", "ContactPredictor", "describe_objects", "describe_samples", "fit_contact"]
 
 _FEWEST_SAMPLES: Final = 5
 

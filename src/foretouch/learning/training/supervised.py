@@ -21,6 +21,7 @@ from torch import Tensor
 from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.trainer import (
@@ -188,16 +189,3 @@ def set_target_scaling(net: TouchNet, labels: Float64, kind: str) -> None:
     else:
         mean, scale = labels.mean(axis=0), np.maximum(labels.std(axis=0), _LEAST_DEVIATION)
     net.set_scaling(torch.from_numpy(mean).float(), torch.from_numpy(scale).float())
-
-
-@torch.inference_mode()
-def predict_set(net: TouchNet, data: TrainingSet, index: Indices) -> Float64:
-    """(T, M) predictions [counts] of some samples, each on the points that prediction chooses."""
-    device = net.target_mean.device
-    grasps = torch.from_numpy(data.grasps).to(device) if data.config.use_grasp else None
-    rows = []
-    for i in index:
-        one = np.array([i])
-        points = torch.from_numpy(data.points(one, np.random.default_rng(data.config.sampler_seed))).to(device)
-        rows.append(net.counts(points, None if grasps is None else grasps[one]))
-    return torch.cat(rows).cpu().numpy().astype(np.float64)

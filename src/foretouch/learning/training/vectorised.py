@@ -95,12 +95,7 @@ class _Stack:
         return [net.cpu().eval() for net in self._nets]
 
     def _loss(
-        self,
-        weights: dict[str, Tensor],
-        buffers: dict[str, Tensor],
-        points: Tensor,
-        grasp: Tensor,
-        target: Tensor,
+        self, weights: dict[str, Tensor], buffers: dict[str, Tensor], points: Tensor, grasp: Tensor, target: Tensor
     ) -> Tensor:
         inputs = (points, grasp) if self._grasp else (points,)
         scaled: Tensor = functional_call(self._shape, (weights, buffers), inputs)

@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.features import FEATURES, OBJECT_FEATURES, ContactScene
+from foretouch.models.contact.features import FEATURES, ContactScene
 from foretouch.models.contact.forest import Forest
 from foretouch.models.contact.kernel_regression import KernelRegression
 from foretouch.models.files import TensorRecord, read_part
-from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
+from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp

@@ -20,26 +20,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from foretouch.errors import CloudError
+from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Float64, Grasp
 
-__all__ = ["FEATURES", "OBJECT_FEATURES", "SHAPE_FEATURES", "SLOPE_FEATURES", "ContactScene"]
+__all__ = ["FEATURES", "SLOPE_FEATURES", "ContactScene"]
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]
 _FEWEST: Final = 4  # points that determine a slope
 _MINIMUM_POINTS: Final = 8
 _LOW_HIGH: Final = (0.01, 0.99)
-
-OBJECT_FEATURES: Final = (
-    *("x", "y", "z"),
-    *("extent_x", "extent_y", "extent_z"),
-    *("spread_1", "spread_2", "spread_3"),
-    *("radius", "log_points"),
-    *("axis_x", "axis_y", "axis_z"),
-    *("radius_q25", "radius_q50", "radius_q75"),
-)
-SHAPE_FEATURES: Final = OBJECT_FEATURES[3:11]
-"""Sizes alone, which distinguish objects independently of pose and position."""
 
 _GRASP_FEATURES: Final = (
     *(f"{point}_{axis}" for point in ("g1", "g2", "mid") for axis in "xyz"),

@@ -8,7 +8,6 @@ Williams 2006, eq. 2.25], whose samples are as rough as tactile readings.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -17,9 +16,7 @@ from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import Float32, Float64
 
-__all__ = ["KernelRegression", "laplacian", "standardisation"]
-
-_CONSTANT: Final = 1e-9  # [m or 1]; a smaller deviation of a column is rounding
+__all__ = ["KernelRegression", "laplacian"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +58,3 @@ class KernelRegression(TensorRecord):
 def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
     """(K, S) float64 kernel of (K, F) and (S, F) standardised rows."""
     return np.asarray(np.exp(-decay / rows.shape[1] * cdist(rows, known, "cityblock")), np.float64)
-
-
-def standardisation(rows: Float64) -> tuple[Float64, Float64]:
-    """Mean and deviation of each column; 1 where a column is constant."""
-    deviation = rows.std(axis=0)
-    return rows.mean(axis=0), np.where(deviation > _CONSTANT, deviation, 1.0)

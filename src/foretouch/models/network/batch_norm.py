@@ -119,14 +119,7 @@ class _BatchAffine(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        x: Tensor,
-        weight: Tensor,
-        bias: Tensor,
-        gamma: Tensor,
-        beta: Tensor,
-        eps: float,
-        total: Total | None,
+        ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor, beta: Tensor, eps: float, total: Total | None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         mean, covariance, count = _moments(x, total)
         w = weight.double()

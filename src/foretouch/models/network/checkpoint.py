@@ -18,8 +18,9 @@ from foretouch.models.files import packed, read_tensors, replace_files
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
+from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.regressor import TouchNet
-from foretouch.models.novelty import Fallback, LengthRangeCheck
+from foretouch.models.novelty import Fallback
 from foretouch.models.touch_model import TouchModel
 
 __all__ = ["load_ensemble", "load_model", "load_network", "save_ensemble", "save_network"]
@@ -46,12 +47,7 @@ def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[st
     empty: dict[str, Any] = {"summary": "", "data": {}, "split": {}, "skill": {}, "baselines": {}, "limits": []}
     empty |= {"familiar": None, "calibration": None}
     card = new_card(
-        name,
-        "network",
-        weights=weights.name,
-        sha256=sha256,
-        config=net.config.to_mapping(),
-        **{**empty, **facts},
+        name, "network", weights=weights.name, sha256=sha256, config=net.config.to_mapping(), **{**empty, **facts}
     )
     replace_files({weights: content, card_path: card_text(card).encode()})
     return card_path

@@ -16,8 +16,9 @@ import numpy as np
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import ContactScene
 from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import PreparedCloud, prepare_cloud, prepare_grasps
-from foretouch.models.novelty import Fallback, LengthRangeCheck, grasp_lengths
+from foretouch.models.novelty import Fallback
 from foretouch.models.touch_model import Estimate
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp

@@ -100,12 +100,7 @@ def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
 
 
 def _electrodes(
-    header: Header,
-    namespace: str,
-    grasp: Grasp,
-    contact: Float64,
-    values: list[Interval],
-    limits: tuple[float, float],
+    header: Header, namespace: str, grasp: Grasp, contact: Float64, values: list[Interval], limits: tuple[float, float]
 ) -> Marker:
     """Draw 24 spheres; the lowest electrodes, on the surface of the pad, are at the contact."""
     marker = _marker(header, namespace, 0, Marker.SPHERE_LIST, ColorRGBA(a=1.0))

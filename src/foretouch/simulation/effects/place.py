@@ -95,11 +95,5 @@ def _about_z(angle: float) -> Float64:
 
 EFFECTS = (
     Effect("object", _object, always("objects"), writes=keys("bodies")),
-    Effect(
-        "clutter",
-        _clutter,
-        called_for("clutter"),
-        off="no clutter",
-        modifies=keys("bodies"),
-    ),
+    Effect("clutter", _clutter, called_for("clutter"), off="no clutter", modifies=keys("bodies")),
 )

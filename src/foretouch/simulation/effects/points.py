@@ -44,13 +44,7 @@ def _colour(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect(
-        "cloud",
-        _cloud,
-        always("camera"),
-        reads=keys("depth", "labels", "window"),
-        writes=keys("cloud", "pixels"),
-    ),
+    Effect("cloud", _cloud, always("camera"), reads=keys("depth", "labels", "window"), writes=keys("cloud", "pixels")),
     Effect(
         "colour",
         _colour,

@@ -233,10 +233,6 @@ EFFECTS = (
     Effect("scan_hold", _scan, called_for("fingers.scan"), off="no fingers.scan", modifies=_SERIES, again=True),
     Effect("dead_electrodes", _dead, called_for("fingers.dead"), off="no fingers.dead", modifies=_SERIES),
     Effect(
-        "counts",
-        _counts,
-        always("fingers"),
-        reads=keys("series", "load", "hold_row"),
-        writes=keys("touch", "tare"),
+        "counts", _counts, always("fingers"), reads=keys("series", "load", "hold_row"), writes=keys("touch", "tare")
     ),
 )

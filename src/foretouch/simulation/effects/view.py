@@ -139,13 +139,7 @@ _DEPTH_EFFECTS = (
         off="no camera.flying_pixels",
         modifies=keys("depth"),
     ),
-    Effect(
-        "depth_noise",
-        _noise,
-        called_for("camera.noise"),
-        off="no camera.noise",
-        modifies=keys("depth"),
-    ),
+    Effect("depth_noise", _noise, called_for("camera.noise"), off="no camera.noise", modifies=keys("depth")),
     Effect(
         "stereo_shadow",
         _shadow,
@@ -162,13 +156,7 @@ _DEPTH_EFFECTS = (
         reads=keys("normals", "labels", "window"),
         modifies=keys("depth"),
     ),
-    Effect(
-        "depth_steps",
-        _quantise,
-        called_for("camera.z_step_m"),
-        off="no camera.z_step_m",
-        modifies=keys("depth"),
-    ),
+    Effect("depth_steps", _quantise, called_for("camera.z_step_m"), off="no camera.z_step_m", modifies=keys("depth")),
 )
 # From a window to measured depth, for any window.
 
@@ -178,8 +166,5 @@ EFFECTS = (
 )
 """What a sample needs: the part of the image about its object."""
 
-FRAME_EFFECTS = (
-    Effect("window", _whole_window, always("camera"), writes=keys("window")),
-    *_DEPTH_EFFECTS,
-)
+FRAME_EFFECTS = (Effect("window", _whole_window, always("camera"), writes=keys("window")), *_DEPTH_EFFECTS)
 """A camera image: the whole frame."""

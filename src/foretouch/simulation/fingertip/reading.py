@@ -73,11 +73,7 @@ def rest_reading(finger: Finger) -> Reading:
 
 
 def read_contact(
-    config: FingertipConfig,
-    pad: PadConfig,
-    finger: Finger,
-    window: PadWindow,
-    solution: ContactSolution,
+    config: FingertipConfig, pad: PadConfig, finger: Finger, window: PadWindow, solution: ContactSolution
 ) -> Reading:
     """What the fingertip reads in contact; without force, its rest to the bit.
 

@@ -99,10 +99,7 @@ def revolved(profile: npt.ArrayLike, segments: int = _SEGMENTS) -> TriangleMesh:
     angle = np.arange(segments) * (2.0 * np.pi / segments)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     rings = np.concatenate(
-        [
-            radius[1:-1, None, None] * circle,
-            np.broadcast_to(height[1:-1, None, None], (len(height) - 2, segments, 1)),
-        ],
+        [radius[1:-1, None, None] * circle, np.broadcast_to(height[1:-1, None, None], (len(height) - 2, segments, 1))],
         axis=2,
     )
     poles = np.array([[0.0, 0.0, height[0]], [0.0, 0.0, height[-1]]])

@@ -13,13 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import TactileError
-from foretouch.tactile.messages.table import (
-    ARRIVAL_STAMPED,
-    TactileConfig,
-    TactileReader,
-    TactileReading,
-    named_index,
-)
+from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, named_index
 from foretouch.types import ELECTRODES
 
 __all__ = ["FINGERS", "make_reader"]

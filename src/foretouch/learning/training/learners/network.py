@@ -14,17 +14,19 @@ from torch import Tensor
 
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import Dataset, DataSplit, Indices, TrainingSet
+from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.contact import describe_objects
 from foretouch.learning.training.device import DistributedContext
 from foretouch.learning.training.learners.learner import CardCalibration, Learner, RunConfig, register
 from foretouch.learning.training.run_folder import TENSORBOARD_FOLDER, RunFolder
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
-from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, predict_set
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.calibration import add_calibration
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.novelty import Fallback, LengthRangeCheck
+from foretouch.models.network.length_check import LengthRangeCheck
+from foretouch.models.novelty import Fallback
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
 

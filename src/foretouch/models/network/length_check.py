@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Five lengths of a cloud and a grasp, and whether they are within their ranges in training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ModelError
+from foretouch.models.network.preparation import PreparedCloud
+from foretouch.types import Float64, Grasp
+
+__all__ = ["LENGTHS", "LengthRangeCheck", "grasp_lengths"]
+
+LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
+"""Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
+other, of their midpoint from the centroid, and of the farther contact from the nearest point that the model uses."""
+
+_MARGIN: Final = 0.1  # of a length's range, by which a grasp may leave it
+
+
+@dataclass(frozen=True, eq=False)
+class LengthRangeCheck:
+    """Ranges of the five lengths over the training samples, widened by a tenth on both sides.
+
+    Attributes:
+        low, high: (5,) float64 [m], in the order of `LENGTHS`.
+    """
+
+    low: Float64
+    high: Float64
+
+    @classmethod
+    def fit(cls, lengths: Float64) -> LengthRangeCheck:
+        """From (S, 5) lengths of the training samples."""
+        return cls(lengths.min(axis=0), lengths.max(axis=0))
+
+    @classmethod
+    def from_card(cls, ranges: Mapping[str, Sequence[float]]) -> LengthRangeCheck:
+        """From `to_card`.
+
+        Raises:
+            ModelError: If a length is missing or its range is not [low, high].
+        """
+        try:
+            table = np.array([ranges[name] for name in LENGTHS], np.float64)
+        except (KeyError, TypeError, ValueError) as err:
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}") from err
+        if table.shape != (len(LENGTHS), 2) or not np.all(table[:, 0] <= table[:, 1]):
+            raise ModelError(f"familiar: must give [low, high] for each of {', '.join(LENGTHS)}")
+        return cls(table[:, 0], table[:, 1])
+
+    def to_card(self) -> dict[str, list[float]]:
+        """Plain data for the card's field `familiar`."""
+        return {name: [float(a), float(b)] for name, a, b in zip(LENGTHS, self.low, self.high, strict=True)}
+
+    def within(self, lengths: Float64) -> npt.NDArray[np.bool_]:
+        """(K,) whether all five of each of (K, 5) lengths are in their ranges."""
+        margin = _MARGIN * (self.high - self.low)
+        inside = (lengths >= self.low - margin) & (lengths <= self.high + margin)
+        return np.asarray(inside.all(axis=1), np.bool_)
+
+
+def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
+    """(K, 5) float64 [m]: the `LENGTHS` of each grasp on a cloud."""
+    if not grasps:
+        return np.empty((0, len(LENGTHS)))
+    frame = prepared.frame
+    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
+    offset = np.linalg.norm(contacts.mean(axis=1) - frame.centre, axis=1)
+    width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+    cloud = [float(np.linalg.norm(frame.centre)), frame.scale]
+    gap = _nearest(prepared, contacts.reshape(-1, 3)).reshape(-1, 2).max(axis=1)
+    return np.column_stack([np.tile(cloud, (len(grasps), 1)), width, offset, gap])
+
+
+def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
+    """(T,) distance of (T, 3) points from the nearest sampled point [m]."""
+    frame = prepared.frame
+    moved = frame.apply_points(targets).astype(np.float32)
+    points = prepared.points[:, :3]
+    # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
+    squared = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
+    return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)) * frame.scale, np.float64)
