@@ -11,11 +11,11 @@ import numpy as np
 from pair_builders import REST, level
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch.types import Cloud, Grasp
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, RecorderStatus
 
 MS = 1_000_000

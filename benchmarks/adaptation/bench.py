@@ -22,7 +22,7 @@ prepare_environment()
 from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch  # noqa: E402
 from foretouch.models import load_model  # noqa: E402
 from foretouch.models.touch_model import ObjectResiduals, TouchModel  # noqa: E402
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject  # noqa: E402
+from foretouch.pipeline import FoundObject  # noqa: E402
 from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
 from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
@@ -30,7 +30,7 @@ from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
 from foretouch.tactile import offsets, restore  # noqa: E402
 from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
-from foretouch.types import Cloud, Grasp, TouchPrediction  # noqa: E402
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
 
 PERIOD_NS = 10_000_000

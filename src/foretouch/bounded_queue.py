@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bounded queue between threads that counts every item it drops."""
 
-from __future__ import annotations
-
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from typing import Generic, Literal, TypeVar
-
-__all__ = ["BoundedQueue"]
 
 _Item = TypeVar("_Item")
 

@@ -11,8 +11,6 @@ The fields contain the description, unit, bounds and whether a running node may 
 command line, the YAML reader and the ROS parameters are all derived from this declaration.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import typing
@@ -25,8 +23,6 @@ import yaml
 from foretouch.errors import ConfigError
 
 _S = typing.TypeVar("_S", bound="Settings")
-
-__all__ = ["SettingInfo", "Settings", "load_yaml", "parse_overrides", "setting", "setting_infos"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

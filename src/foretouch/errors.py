@@ -9,22 +9,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = [
-    "CameraError",
-    "CloudError",
-    "ConfigError",
-    "ContactError",
-    "ConvergenceError",
-    "DatasetError",
-    "FileError",
-    "ForetouchError",
-    "GraspError",
-    "MissingDependencyError",
-    "ModelError",
-    "SimulationError",
-    "TactileError",
-]
-
 
 class ForetouchError(Exception):
     """A known failure, described in one line."""

@@ -5,13 +5,9 @@ Both wheels link against `libusb-1.0.so.0`, which minimal systems lack. The whee
 library; loaded globally beforehand, it satisfies both.
 """
 
-from __future__ import annotations
-
 import ctypes
 
 from foretouch.errors import MissingDependencyError
-
-__all__ = ["ensure_libusb"]
 
 
 def ensure_libusb() -> None:

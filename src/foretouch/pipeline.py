@@ -7,8 +7,6 @@ Each step is one method over the public function of its package, so that the sam
 bit-equal output wherever it is run.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, TargetConfig, segment, select_targets
+from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import ObjectResiduals
 from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
-
-__all__ = [
-    "ASSUMED_TABLE",
-    "FoundObject",
-    "Pipeline",
-    "PipelineConfig",
-    "PipelineResult",
-    "SegmentedScene",
-    "TargetResult",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

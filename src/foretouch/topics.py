@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Default names of the topics that samples are made of, for nodes, commands and the import of bags alike."""
 
-from __future__ import annotations
-
 from typing import Final
-
-__all__ = ["CLOUD_TOPIC", "EXECUTED_TOPIC", "GRASPS_TOPIC", "NAMESPACE", "TACTILE_TOPIC", "full_name"]
 
 NAMESPACE: Final = "/foretouch"
 """Namespace of the nodes; names below without a slash are relative to it."""

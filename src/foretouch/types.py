@@ -16,21 +16,6 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError, GraspError, TactileError
 
-__all__ = [
-    "ASSUMED_TABLE",
-    "ELECTRODES",
-    "TOUCH_SIZE",
-    "Cloud",
-    "Float32",
-    "Float64",
-    "Grasp",
-    "GraspSample",
-    "Plane",
-    "Reference",
-    "Touch",
-    "TouchPrediction",
-]
-
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]

@@ -14,7 +14,8 @@ import pytest
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import find_card
-from foretouch.pipeline import ASSUMED_TABLE, Pipeline
+from foretouch.pipeline import Pipeline
+from foretouch.types import ASSUMED_TABLE
 
 Call = Callable[..., Any]
 

@@ -8,11 +8,13 @@ import pytest
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.messages.conversions import grasp_from_msg, plane_from_msg, stamp_ns
+from foretouch.ros.messages.conversions import plane_from_msg
 from foretouch.ros.runtime.diagnostics import InputSummary
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPredictionArray
 

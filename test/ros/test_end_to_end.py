@@ -26,9 +26,9 @@ from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.regressor import TouchNet
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.nodes.replay import ReplayNode
 from foretouch.simulation.recording import SceneRecordingConfig, record_scenes, scene_clouds
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Status, TouchPredictionArray
 

@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros import executables
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -15,8 +15,8 @@ pytest.importorskip("libusb_package", reason="the camera's libraries are not ins
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, scene
 
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.clouds import cloud_from_msg
 from foretouch.ros.nodes.camera import CameraNodeConfig
 from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import FrameMaker

@@ -1,22 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the RealSense camera and of the library's filters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-
-__all__ = [
-    "DecimationConfig",
-    "FilterConfig",
-    "HoleFillingConfig",
-    "RealSenseConfig",
-    "SpatialConfig",
-    "TemporalConfig",
-    "TimeoutConfig",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

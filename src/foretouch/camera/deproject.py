@@ -17,8 +17,6 @@ import numpy.typing as npt
 from foretouch.errors import CameraError
 from foretouch.types import Float32, Float64
 
-__all__ = ["Deprojector", "pinhole_matrix"]
-
 _MODELS = ("brown_conrady", "inverse_brown_conrady")
 _ITERATIONS = 10  # as in librealsense
 

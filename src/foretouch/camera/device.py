@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sources of a device: the USB bus, a recording, or a program that feeds the library's software device."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from pathlib import Path
@@ -11,8 +9,6 @@ from typing import Any
 from foretouch.camera.config import RealSenseConfig
 from foretouch.errors import CameraError, FileError, MissingDependencyError
 from foretouch.libusb import ensure_libusb
-
-__all__ = ["DeviceSource", "FileSource", "LiveSource", "describe", "list_devices", "realsense", "source_of"]
 
 
 @functools.cache

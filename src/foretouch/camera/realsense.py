@@ -21,8 +21,6 @@ from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
 
-__all__ = ["CameraState", "CameraStatus", "RealSenseCamera", "Watchdog", "open_camera"]
-
 _LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _START_OF_PLAY_S = 1.0

@@ -7,8 +7,6 @@ frames also wait in our own queues: from Python, the library's `frame_queue` is 
 the interpreter lock, so a full queue that waits for its reader (a recording read at the reader's pace) never ends.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -23,8 +21,6 @@ from foretouch.camera.deproject import Deprojector
 from foretouch.camera.device import realsense
 from foretouch.errors import CameraError
 from foretouch.types import Cloud
-
-__all__ = ["ColourBuffer", "FilterChain", "FrameStream", "Frames", "lens_of"]
 
 _Frame = TypeVar("_Frame")
 _DEPTH_FRAMES = 1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show

@@ -4,8 +4,6 @@
 Everything behind it, from the library's filters and recorder to the cloud, is the code that a real camera uses.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -17,8 +15,6 @@ import numpy.typing as npt
 from foretouch.camera.device import DeviceSource, realsense
 from foretouch.errors import CameraError
 from foretouch.types import Float64
-
-__all__ = ["SyntheticCamera", "SyntheticFrame"]
 
 _BASELINE_MM = 55.0  # of the D415; the library's disparity filters require it
 _DEPTH_UNIT_M = 0.001

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
-__all__ = ["Adaptation", "add_adaptation_arguments", "read_adaptation", "read_tare"]
 
 _OWN = "sample"
 _UNKNOWN = "unknown"  # the recorder's label of an object without a name

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch dataset`: inspect, verify, repair, edit and convert datasets. The actions are in `dataset_actions`."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 
 from foretouch.dataset.formats import export_formats, readable_formats
 from foretouch.tactile.messages import TACTILE_TYPES
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
-
-__all__ = ["add_arguments", "run"]
 
 _SHEET_SAMPLES = 12
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from foretouch.dataset.samples import SampleSet
     from foretouch.types import GraspSample
 
-__all__ = ["ACTIONS"]
-
 
 def _info(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.info import PAIRING_EDGES_MS, describe

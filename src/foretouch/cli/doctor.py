@@ -4,8 +4,6 @@
 The required versions are read from the metadata of the installed package, so that they are declared only in setup.cfg.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform
@@ -19,8 +17,6 @@ from importlib import metadata
 from typing import Literal
 
 from foretouch.cli.output import print_json, print_table
-
-__all__ = ["Finding", "add_arguments", "examine", "run"]
 
 State = Literal["ok", "mismatch", "missing", "broken", "optional"]
 _REQUIREMENT = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?==([^;\s]+)(?:\s*;\s*extra == ['\"](\w+)['\"])?")

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch evaluate`: score a model and the baselines on a dataset."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from typing import Any
 
 from foretouch.cli.output import print_json, print_table, warn
-
-__all__ = ["add_arguments", "run", "show_scores"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from foretouch.experiments import Experiment
     from foretouch.experiments.framework.executors import CellResult
 
-__all__ = ["add_arguments", "run"]
 
 _ENVIRONMENT = "FORETOUCH_DATA"
 

@@ -21,8 +21,6 @@ from foretouch.cli.output import print_table
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""

@@ -16,18 +16,6 @@ if TYPE_CHECKING:
     from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
     from foretouch.types import Grasp
 
-__all__ = [
-    "Record",
-    "add_input_arguments",
-    "add_plan_arguments",
-    "four_numbers",
-    "grasp_record",
-    "pipeline_config",
-    "positive_number",
-    "process_inputs",
-    "six_numbers",
-    "target_objects",
-]
 
 Record = dict[str, Any]
 
@@ -93,8 +81,8 @@ def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pi
     Raises:
         CloudError: If a scene has no target.
     """
-    from foretouch.pipeline import ASSUMED_TABLE, FoundObject
-    from foretouch.types import Plane
+    from foretouch.pipeline import FoundObject
+    from foretouch.types import ASSUMED_TABLE, Plane
 
     if arguments.plane is not None:
         return [FoundObject("1", item.cloud, Plane.from_coefficients(arguments.plane))]

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.monitor import NodeView, View
     from foretouch_msgs.msg import Interval, TouchPrediction
 
-__all__ = ["live_panel"]
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")

@@ -5,8 +5,6 @@ A command is a module `foretouch.cli.<name>` with `add_arguments(parser)` and `r
 Heavy libraries are imported inside `run`, so that `--help` is fast.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os
@@ -15,8 +13,6 @@ from collections.abc import Sequence
 
 from foretouch import __version__
 from foretouch.errors import ForetouchError
-
-__all__ = ["COMMANDS", "main"]
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",

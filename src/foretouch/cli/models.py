@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch models`: list touch models with their skill, coverage and limits, and verify their files."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +8,6 @@ from typing import Any
 
 from foretouch.cli.output import print_json, print_table
 from foretouch.errors import ModelError
-
-__all__ = ["add_arguments", "model_files", "run"]
 
 _SPLITS = ("random", "time", "object")
 _MEAN = "mean"

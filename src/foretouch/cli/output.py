@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output of the commands: JSON lines or tables on stdout, progress bars and warnings on stderr."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -12,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from foretouch.errors import ForetouchError
-
-__all__ = ["print_json", "print_table", "progress_bar", "warn"]
 
 
 def print_json(record: Mapping[str, Any]) -> None:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, TouchPrediction
 
-__all__ = ["add_arguments", "run"]
 
 _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 

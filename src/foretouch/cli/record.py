@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
     from foretouch_msgs.msg import RecorderStatus
 
-__all__ = ["add_arguments", "run", "status_record"]
 
 _REFRESH_S = 0.25
 
@@ -148,7 +147,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
 
 def status_record(status: RecorderStatus) -> dict[str, Any]:
     """The status as `--json` prints it."""
-    from foretouch.ros.messages.conversions import stamp_ns
+    from foretouch.tactile.messages.table import stamp_ns
 
     errors = {"last": status.pairing_error, "max": status.pairing_error_max}
     return {

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
-__all__ = ["record_panel"]
 
 _GB = 1e9
 

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch replay`: play a recording or a folder into a graph that runs elsewhere, in place of a camera."""
 
-from __future__ import annotations
-
 import argparse
 
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.run import replay_fault, source_parameters
 from foretouch.errors import ForetouchError
-
-__all__ = ["add_arguments", "run"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.replay import ReplayNode
 
-__all__ = ["add_arguments", "replay_fault", "run", "source_parameters"]
 
 _REFRESH_S = 0.2
 _DIAGNOSED_S = 1.2  # until every node has reported once more
@@ -229,8 +228,9 @@ def _draw(graph: Graph, path: str) -> None:
 
 def _print_answer(message: Any) -> None:
     from foretouch.cli.predict import prediction_record
-    from foretouch.ros.messages.conversions import prediction_from_msg, stamp_ns
+    from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
+    from foretouch.tactile.messages.table import stamp_ns
 
     print_json(
         {

@@ -14,8 +14,6 @@ from foretouch.errors import ConfigError
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and --labels-out."""

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from foretouch.simulation.simulate import Simulation
     from foretouch.types import GraspSample
 
-__all__ = ["SHEET", "add_arguments", "run"]
 
 SHEET = "contact_sheet.png"
 _SHEET_SAMPLES = 12

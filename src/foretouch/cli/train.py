@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from foretouch.learning.data import Dataset
     from foretouch.learning.training.learners import RunConfig
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Configuration, overrides, and where the run is written."""

@@ -23,16 +23,6 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
-__all__ = [
-    "POINT_CLOUD_TYPE",
-    "RECORDING_SUFFIXES",
-    "Message",
-    "Recording",
-    "Topic",
-    "is_recording",
-    "list_topics",
-    "read_bag",
-]
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 HEADER_TYPE = "std_msgs/msg/Header"

@@ -4,8 +4,6 @@
 The samples of a dataset are exported with their clouds as messages of a second topic.
 """
 
-from __future__ import annotations
-
 import shutil
 import zlib
 from collections.abc import Callable, Iterable
@@ -25,8 +23,6 @@ from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, enco
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
-
-__all__ = ["DATASET_FORMAT", "DEFAULT_TOPIC", "BagWriter", "Compression", "serialize_cloud", "write_bag"]
 
 DEFAULT_TOPIC: Final = "/foretouch/points"
 Compression = Literal["none", "zstd"]

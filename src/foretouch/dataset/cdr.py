@@ -5,8 +5,6 @@ CDR as ROS 2 uses it: four bytes of encapsulation, whose second gives the byte o
 fields: int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zero, the frame.
 """
 
-from __future__ import annotations
-
 import struct
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
@@ -16,8 +14,6 @@ import numpy as np
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.errors import DatasetError
 from foretouch.types import Cloud
-
-__all__ = ["StampedHeader", "cloud_fields", "header_fields", "read_header", "stamp_ns_of", "with_stamp"]
 
 _START: Final = 4
 _NS: Final = 1_000_000_000

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """File operations that datasets share: readable disk errors, durable names, folders that appear complete or not at all."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator
@@ -10,8 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from foretouch.errors import FileError
-
-__all__ = ["disk_errors", "new_folder", "sync_folder"]
 
 
 @contextmanager

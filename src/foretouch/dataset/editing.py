@@ -5,8 +5,6 @@ Each function writes one line of the log (see `foretouch.dataset.recording.edits
 writing. Samples are named by their current ids.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -15,8 +13,6 @@ from foretouch.dataset.recording import RecordedDataset, is_dataset
 from foretouch.dataset.recording.edits import Edit, append_edit, read_edits
 from foretouch.dataset.recording.folder import lock
 from foretouch.errors import DatasetError, FileError
-
-__all__ = ["drop", "merge", "relabel", "undo"]
 
 
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:

@@ -5,12 +5,8 @@ To add a format, write one module with a `DATASET_FORMAT` (see `foretouch.datase
 line here. This module imports no reader, so that help texts do not wait for the libraries of all formats.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-
-__all__ = ["FORMATS", "FormatEntry", "export_formats", "readable_formats"]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ is extended. From a bag without samples of foretouch, samples are assembled as t
 `foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +15,6 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
-from foretouch.dataset.messages import stamp_ns
 from foretouch.dataset.pairing import (
     AssembledSample,
     AssemblerConfig,
@@ -33,9 +30,8 @@ from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
-
-__all__ = ["BagTopics", "ImportResult", "import_samples"]
 
 _CONFIG: Final = RecordingConfig(fsync_samples=0, fsync_s=0.0)  # synchronised once, at the end
 _PAIRING: Final = PairingConfig(kept_s=300.0)  # longer than live, where it costs memory of a running robot

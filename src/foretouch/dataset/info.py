@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of a dataset: counts, ranges and the accuracy of its pairing."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,10 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch.dataset.samples import DISCARDED, open_samples
+from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.samples import open_samples
 from foretouch.types import TOUCH_SIZE, Float64
-
-__all__ = ["PAIRING_EDGES_MS", "SampleSetInfo", "describe"]
 
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))
 """Bin edges of the histogram of pairing errors [ms]."""

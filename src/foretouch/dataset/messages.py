@@ -7,8 +7,6 @@ rgb) each point carries `label` (UINT32, id of the object) and, where the cloud 
 `foretouch.tactile.messages`.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,16 +16,6 @@ from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointFi
 from foretouch.errors import CloudError, GraspError
 from foretouch.tactile.messages import stamp_ns
 from foretouch.types import Cloud, Float64, Grasp
-
-__all__ = [
-    "ObjectCloud",
-    "decode_cloud",
-    "decode_grasp",
-    "decode_objects",
-    "has_orientation",
-    "rotation_from_quaternion",
-    "stamp_ns",
-]
 
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element

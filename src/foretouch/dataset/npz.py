@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Export to NumPy archives: `<object>/<name>.npz`, one a sample; `foretouch.cloud.io.files` reads their clouds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +9,6 @@ import numpy as np
 
 from foretouch.dataset.record import SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
-
-__all__ = ["DATASET_FORMAT"]
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:

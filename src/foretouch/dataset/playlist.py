@@ -5,8 +5,6 @@ The clouds are paced, checked and counted. Each message of the other topics of a
 same clouds as it was recorded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ from foretouch.dataset.bag import Message, Recording, Topic
 from foretouch.dataset.bag_writer import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
-
-__all__ = ["CLOUDS", "Entry", "Pace", "cloud_is_object", "entries", "other_topics"]
 
 CLOUDS = ""
 """Stands for the topic of the clouds, which the replay chooses."""

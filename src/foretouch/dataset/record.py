@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The record of one grasp: the sample that models train on, and what is needed to assess it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,19 +11,6 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.types import TOUCH_SIZE, Float32, Grasp, GraspSample
-
-__all__ = [
-    "APPROACH",
-    "DISCARDED",
-    "HOLD",
-    "REST",
-    "Identity",
-    "Outcome",
-    "SampleRecord",
-    "TouchSeries",
-    "check_id",
-    "check_name",
-]
 
 REST: Final = 0
 APPROACH: Final = 1

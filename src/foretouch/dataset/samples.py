@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a dataset in any format of `foretouch.dataset.formats`: open and export them."""
 
-from __future__ import annotations
-
 import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -18,17 +16,6 @@ from foretouch.dataset.disk import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
 from foretouch.errors import FileError
 from foretouch.types import GraspSample
-
-__all__ = [
-    "DISCARDED",
-    "DatasetFormat",
-    "ExportResult",
-    "SampleSet",
-    "export_samples",
-    "is_sample_set",
-    "only_finite",
-    "open_samples",
-]
 
 
 @dataclass(frozen=True, eq=False)

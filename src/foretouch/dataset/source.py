@@ -5,8 +5,6 @@
 its cloud is requested, so that one bad file costs one item.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,8 +18,6 @@ from foretouch.dataset.formats import readable_formats
 from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
 from foretouch.errors import FileError, ForetouchError
 from foretouch.types import Cloud, GraspSample
-
-__all__ = ["STAMP_STEP_NS", "Source", "SourceItem", "SourceKind", "open_source", "readable"]
 
 STAMP_STEP_NS = 100_000_000
 """The k-th cloud of a folder, from 1, gets k times this as its stamp [ns]: most files carry none, and stamps must rise."""

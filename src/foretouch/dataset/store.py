@@ -11,8 +11,6 @@ One row is one sample; see `SCHEMA`. A store appears complete or not at all. Its
 order, not the files: it does not depend on how they are split into shards or on the version of Arrow.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,18 +25,6 @@ from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
-
-__all__ = [
-    "DATASET_FORMAT",
-    "FORMAT",
-    "MANIFEST",
-    "SCHEMA",
-    "SCHEMA_VERSION",
-    "Store",
-    "is_store",
-    "sample_digest",
-    "seal_manifest",
-]
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1

@@ -4,8 +4,6 @@
 The content hash depends on the samples and their order alone: the same recordings give the same hash on any machine.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -21,12 +19,11 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch import __version__
-from foretouch.dataset.samples import DISCARDED, only_finite, open_samples
+from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest, seal_manifest
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import GraspSample, Touch
-
-__all__ = ["BuildResult", "SampleFacts", "StoreWriter", "build_store"]
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024

@@ -9,8 +9,6 @@ The rotation of the hand was not recorded. It follows from the contacts and the 
 computes the pose of the hand, for a table seen from straight above and a fingertip of 25 mm.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -27,19 +25,6 @@ from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import ASSUMED_TABLE, ELECTRODES, Cloud, Float64, Grasp, GraspSample, Touch
-
-__all__ = [
-    "CLOUD_FILE",
-    "DATASET_FORMAT",
-    "GRASP_FILE",
-    "TOUCH_FILE",
-    "folder_sha256",
-    "is_sample_folder",
-    "read_folder",
-    "read_sample",
-    "read_touch",
-    "sample_folders",
-]
 
 CLOUD_FILE: Final = "cloud-object.pcd"
 GRASP_FILE: Final = "best-grasp.txt"

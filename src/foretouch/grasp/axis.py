@@ -4,8 +4,6 @@
 After GeoGrasp (Zapata-Impata et al. 2019) and its public code, whose thresholds are kept.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +13,6 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.preprocessing import finite_points
 from foretouch.types import Cloud, Float32, Float64, Plane
-
-__all__ = ["ObjectAxis", "find_axis", "object_axis", "side_coordinate"]
 
 _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
 

@@ -5,8 +5,6 @@ After GeoGrasp (Zapata-Impata et al. 2019) and its public code. Comparisons that
 belongs are made in float32 where the original does, since points do lie on the limits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,8 +15,6 @@ from foretouch.cloud.geometry.pcl_filters import normals_and_curvature, voxel_gr
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Float32, Float64
-
-__all__ = ["ContactSide", "GraspPlane", "SurfacePoints", "contact_radius", "contact_side", "find_grasp_plane"]
 
 _OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
 

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of GeoGrasp. The defaults are those of the original with a BioTac SP fingertip."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
-
-__all__ = ["GeoGraspConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,6 @@ leaves open follows a documented convention; the grasp plane may be slid along t
 (`GeoGraspConfig.max_points`), which limits the planning time on near objects.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator
@@ -30,8 +28,6 @@ from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import initial_score, rank_pairs
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
-
-__all__ = ["GraspPlan", "PlanStatus", "plan_grasps", "random_slide"]
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]
 

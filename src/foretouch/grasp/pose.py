@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pose of the hand at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.errors import GraspError
 from foretouch.types import Float64
-
-__all__ = ["PARALLEL_SINE", "hand_rotation", "is_parallel", "quaternion_xyzw"]
 
 PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 

@@ -15,8 +15,6 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Cloud, Float32
 
-__all__ = ["FinitePoints", "finite_points"]
-
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
 _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
 

@@ -16,8 +16,6 @@ import numpy.typing as npt
 from foretouch.grasp.candidates import ContactSide, GraspPlane, SurfacePoints
 from foretouch.types import Float64
 
-__all__ = ["Ranking", "initial_score", "rank_pairs"]
-
 _EPSILON = 1e-8  # added by the original against division by zero
 _FLOAT32_MIN = 1.17549435e-38  # at which the original's search for the maximum starts
 _TOLERANCE = 0.98  # of the limits that apply to the second contact

@@ -27,8 +27,6 @@ from foretouch.models.files import TensorRecord, packed, read_part, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = ["GROUPS", "Calibration", "CalibrationGroup", "add_calibration", "calibration_file", "load_calibration"]
-
 GROUPS: Final = ("known", "new", "known_tare", "new_tare")
 """Objects in or out of the training distribution, each predicted without a tare or with one."""
 

@@ -6,8 +6,6 @@ them. A `network` and a `contact` model name their weights; an `ensemble` names 
 predict all modalities. A new kind of touch model is one row here beside its own modules.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -17,8 +15,6 @@ from typing import Any, Final
 
 from foretouch.errors import ModelError
 from foretouch.models.files import replace_files
-
-__all__ = ["CARD_FORMAT", "KINDS", "ModelKind", "card_text", "combined_sha256", "new_card", "read_card", "write_text"]
 
 CARD_FORMAT: Final = "foretouch-model"
 CARD_VERSION: Final = 1

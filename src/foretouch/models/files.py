@@ -4,8 +4,6 @@
 A reader sees the old or the new file, never a part. Safetensors files hold numbers and no code.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable, Mapping
@@ -20,8 +18,6 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from foretouch.errors import FileError, ModelError
-
-__all__ = ["TensorRecord", "file_sha256", "packed", "read_part", "read_tensors", "replace_files"]
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:

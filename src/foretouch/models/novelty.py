@@ -27,8 +27,6 @@ from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import TOUCH_SIZE, Float32, Float64
 
-__all__ = ["IN_DISTRIBUTION", "OBJECT_FEATURES", "Fallback", "SizeNoveltyDetector", "standardisation"]
-
 IN_DISTRIBUTION: Final = 0.5
 """The lowest score of an object that counts as in distribution."""
 

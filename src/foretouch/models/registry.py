@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a model by name, path or run folder, and load it; torch is imported when the first network is loaded."""
 
-from __future__ import annotations
-
 import json
 from importlib import import_module, resources
 from pathlib import Path
@@ -11,8 +9,6 @@ from typing import Final
 from foretouch.errors import ModelError
 from foretouch.models.card import CARD_FORMAT, KINDS, read_card
 from foretouch.models.touch_model import TouchModel
-
-__all__ = ["DEFAULT_MODEL", "available_models", "find_card", "load_model"]
 
 DEFAULT_MODEL: Final = "contact-v1"
 _RUN_FILES: Final = ("config.yaml", "log.jsonl", "state.safetensors")  # of a training, before its model is written

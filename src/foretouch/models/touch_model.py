@@ -18,8 +18,6 @@ from foretouch.models.calibration import Calibration
 from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
-__all__ = ["Estimate", "Estimator", "ObjectResiduals", "TouchModel"]
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:

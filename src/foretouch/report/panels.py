@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Rows", "mark_off_scale", "new_figure", "save"]
 
 Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""

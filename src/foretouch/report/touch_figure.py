@@ -4,8 +4,6 @@
 `save_touch_picture` draws one prediction, `save_contact_sheet` many labelled samples on one page.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,8 +14,6 @@ from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
 from foretouch.tactile import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
-
-__all__ = ["FINGER_COLOURS", "draw_electrodes", "draw_front", "draw_scene", "save_contact_sheet", "save_touch_picture"]
 
 FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}

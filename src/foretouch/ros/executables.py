@@ -23,7 +23,6 @@ from foretouch.ros.runtime.environment import prepare_environment
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
-__all__ = ["EXECUTABLES", "NODES", "PERCEPTION", "make_nodes", "run", "spin"]
 
 NODES = {
     "camera": "foretouch.ros.nodes.camera:CameraNode",

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.replay import ReplayNode
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 
-__all__ = ["Graph"]
 
 _QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
 _IDLE_S = 5.0  # longest time between two answers

@@ -5,8 +5,6 @@ The mesh stays in its unit box, and rays are brought there instead: the search t
 the sizes and poses. A ray's parameter t is the same in both frames, since the map between them is linear.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,8 +13,6 @@ import numpy as np
 
 from foretouch.simulation.objects import TriangleMesh, unit_mesh
 from foretouch.types import Float32, Float64
-
-__all__ = ["Body", "Hits"]
 
 _MISS = 1e30  # embree answers 1e37 where a ray meets nothing
 

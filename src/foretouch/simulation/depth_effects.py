@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a stereo camera adds to exact depth: noise, flying pixels, the shadow beside an object."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.types import Float64
-
-__all__ = ["D415_BASELINE_M", "add_flying_pixels", "add_stereo_noise", "stereo_shadow"]
 
 D415_BASELINE_M = 0.055
 _MATCHING_WINDOW_PX = 9  # side of the block that stereo matching compares

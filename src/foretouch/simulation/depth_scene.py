@@ -19,9 +19,6 @@ from foretouch.simulation.primitives import Box, Cylinder, Primitive, Sphere
 from foretouch.simulation.view import CameraView
 from foretouch.types import Cloud, Float64
 
-__all__ = ["FIRST_OBJECT", "TABLE", "DepthImage", "DepthScene", "random_objects", "random_scene"]
-
-
 _ATTEMPTS = 200  # places tried for one object before all are thrown again
 _ROUNDS = 50
 _GAP_M = 0.03  # free table between two objects

@@ -4,8 +4,6 @@
 `SampleState` holds what the effects of one sample have computed so far, by key.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -22,9 +20,6 @@ from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Cloud, Float64, Grasp, Touch
-
-__all__ = ["Effect", "Job", "Needed", "SampleState", "always", "called_for", "guarded", "keys"]
-
 
 Window = tuple[slice, slice]
 

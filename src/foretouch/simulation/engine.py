@@ -17,8 +17,6 @@ from foretouch.simulation.effect import Effect, Job, SampleState, guarded
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey, World
 
-__all__ = ["EffectPlan", "EffectTiming", "Engine", "explain", "plan_chain"]
-
 
 @dataclass(frozen=True)
 class EffectPlan:

@@ -26,9 +26,6 @@ from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
-__all__ = ["Course", "CourseConfig", "RestingFingers", "SimulatedHand"]
-
-
 _BLOCK = 200  # messages that are made at a time
 _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
 

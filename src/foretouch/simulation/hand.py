@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the two fingertips are when the hand closes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from foretouch.types import Float64
-
-__all__ = ["FingerFrame", "finger_frames"]
 
 
 @dataclass(frozen=True, eq=False)

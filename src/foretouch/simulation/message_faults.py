@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of messages between a sensor and its subscribers (loss, jitter, duplicates), for robustness tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from foretouch.config import Settings, setting
-
-__all__ = ["FaultConfig", "MessageFaults"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a scene to contact problems: surfaces, layers and commands for the contact solver."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError, SimulationError
@@ -11,8 +9,6 @@ from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConf
 from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.types import Float64
-
-__all__ = ["command_of", "contact_failure", "contact_problem", "layers_of", "pad_of", "surface_behind"]
 
 _BACK_M = 0.03  # how far in front of the tangent plane the rays start
 

@@ -5,8 +5,6 @@ A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
-from __future__ import annotations
-
 import itertools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
@@ -15,8 +13,6 @@ from typing import Self
 import numpy as np
 
 from foretouch.types import Float64
-
-__all__ = ["Box", "Cylinder", "Primitive", "Sphere"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

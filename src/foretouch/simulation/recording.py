@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small recordings of synthetic scenes: what tests and the demo replay where there is no camera."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +11,6 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.bag_writer import DEFAULT_TOPIC, write_bag
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud
-
-__all__ = ["SceneRecordingConfig", "record_scenes", "scene_clouds"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,8 +4,6 @@
 From there on the code is that of a real camera. `swinging` moves the objects a little, so that no two images in a row are equal.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable
@@ -22,9 +20,6 @@ from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.world import SampleKey, World
-
-__all__ = ["FrameMaker", "SceneImages", "scene_camera", "swinging"]
-
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
 

@@ -5,8 +5,6 @@ Camera and hand are separate nodes, perhaps in separate processes; the stamp is 
 So the sample is a function of the stamp, and the hand touches the very object that the camera saw.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +13,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.types import Float64
-
-__all__ = ["ShowConfig", "middle_of"]
 
 _MS_NS = 1_000_000
 

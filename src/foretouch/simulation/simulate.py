@@ -6,8 +6,6 @@ finger closes beside the object...) is tried again with other random numbers, ea
 stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -24,8 +22,6 @@ from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explai
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
-
-__all__ = ["SAMPLE_KEYS", "Failure", "SimulatedSample", "Simulation", "explain_scene", "replay"]
 
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
 """The keys of the state that a sample is made of."""

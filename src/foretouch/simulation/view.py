@@ -14,8 +14,6 @@ import numpy as np
 from foretouch.camera.deproject import pinhole_matrix
 from foretouch.types import Float64
 
-__all__ = ["CameraView", "Window"]
-
 Window = tuple[slice, slice]
 
 

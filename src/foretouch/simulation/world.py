@@ -5,8 +5,6 @@ Each effect of each sample draws from a random stream of its own, so that adding
 of no other effect, and a sample can be generated again alone on any worker.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,8 +16,6 @@ from foretouch.simulation.fingertip import Finger, draw_finger
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.view import CameraView
 from foretouch.types import Float64, Plane
-
-__all__ = ["CAMERA_FRAME", "SampleKey", "World"]
 
 CAMERA_FRAME = "camera_depth_optical_frame"
 

@@ -10,8 +10,6 @@ Unverified: that this numbering is the order of the 24 columns of a recording, a
 on which the radial normals rest; at its rounded tip they are an approximation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,18 +21,6 @@ import numpy.typing as npt
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError, TactileError
 from foretouch.types import ELECTRODES, Float64
-
-__all__ = [
-    "MODALITIES",
-    "P1_RANGES",
-    "P2_RANGES",
-    "TactileRanges",
-    "columns",
-    "electrode_normals",
-    "electrode_positions",
-    "load_ranges",
-    "modality_size",
-]
 
 MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)

@@ -17,8 +17,6 @@ readings below `release_level`. The reference follows drift: it is the median ov
 is frozen during contact. A contact that lasts longer than `longest_s` is considered drift and is ended.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,17 +29,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.tactile import columns
 from foretouch.types import ELECTRODES, Float64
-
-__all__ = [
-    "FINGER_COLUMNS",
-    "ContactConfig",
-    "ContactDetector",
-    "ContactEvent",
-    "FingerContact",
-    "contact_scores",
-    "find_contact",
-    "resting_noise",
-]
 
 FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_MF", "E_MF"))}
 """Columns of PDC and the electrodes of each finger in a vector of 50 counts."""

@@ -12,8 +12,6 @@ Units follow the formulas of the product manual. Every conversion takes numbers 
 float64 of that shape; it rejects counts that a 12-bit converter cannot produce or where the formula is undefined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,21 +22,6 @@ import numpy.typing as npt
 from foretouch.errors import TactileError
 from foretouch.tactile.channels import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import Float64, Touch
-
-__all__ = [
-    "CONSTANT_SAMPLES",
-    "FULL_SCALE",
-    "TouchValidity",
-    "check_series",
-    "check_touch",
-    "make_tare",
-    "offsets",
-    "restore",
-    "to_celsius",
-    "to_kohm",
-    "to_kpa",
-    "to_pa",
-]
 
 FULL_SCALE: Final = 4095
 """Largest count of the 12-bit converter."""

@@ -4,10 +4,11 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.errors import CloudError
 from foretouch.pipeline import FoundObject
-from foretouch.ros.messages.clouds import cloud_from_msg, cloud_to_msg, objects_from_msg, objects_to_msg
-from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 
 PLANE = Plane.from_coefficients([0, 0, -1, 1.2])

@@ -9,20 +9,19 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
-    grasp_from_msg,
     grasp_to_msg,
-    has_orientation,
     plane_from_msg,
     plane_to_msg,
     prediction_to_msg,
     refusal_to_msg,
-    rotation_from_quaternion,
-    stamp_ns,
     stamp_to_msg,
 )
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp, Plane, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status

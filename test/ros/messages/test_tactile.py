@@ -11,9 +11,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from std_msgs.msg import String
 
 from foretouch.errors import MissingDependencyError
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.tactile import biotac_all_to_msg, tactile_class
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
+from foretouch.tactile.messages.table import stamp_ns
 
 START = 1_763_000_000_000_000_000
 

@@ -17,10 +17,10 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.clouds import cloud_from_msg
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.nodes.camera import CameraNode
+from foretouch.tactile.messages.table import stamp_ns
 
 pytestmark = [
     pytest.mark.ros,

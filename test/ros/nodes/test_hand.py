@@ -19,10 +19,11 @@ from sim_builders import CAN, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_ns
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.ros.nodes.hand import HandConfig, HandNode
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Grasp
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 

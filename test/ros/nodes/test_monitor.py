@@ -14,9 +14,10 @@ from pair_builders import REST, level
 from robot_builders import FRAME, MS, Robot
 
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
-from foretouch.ros.messages.conversions import header_to_msg, stamp_ns
+from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros

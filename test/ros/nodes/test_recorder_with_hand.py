@@ -21,11 +21,11 @@ from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject
+from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.simulation.world import CAMERA_FRAME
-from foretouch.types import Cloud
+from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import GraspArray
 
 pytestmark = pytest.mark.ros

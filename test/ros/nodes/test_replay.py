@@ -21,10 +21,10 @@ from std_msgs.msg import String
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.errors import ConfigError
-from foretouch.ros.messages.clouds import cloud_from_msg
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.nodes.replay import ReplayNode, message_class, playable
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud
 from foretouch_msgs.msg import TablePlane, TouchPredictionArray
 

@@ -6,7 +6,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 
-from foretouch.cloud.segmentation.segment import TargetConfig
+from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.config import Settings, setting, setting_infos
 from foretouch.errors import ConfigError
 from foretouch.ros.runtime.parameters import NodeSettings, describe

@@ -20,18 +20,20 @@ from robot_builders import FRAME, MS, QUICK, Robot
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject, Pipeline
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
-from foretouch.ros.messages.conversions import grasp_from_msg, grasp_to_msg, header_to_msg, stamp_ns, stamp_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile import offsets, restore
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
-from foretouch.types import Cloud, Grasp, TouchPrediction
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 from foretouch_msgs.srv import PredictTouch

@@ -6,8 +6,6 @@ found by a k-d tree or, for the points of a depth image, in a window of its pixe
 thread, 51 neighbours of each of 3000 points take two thirds of the time of SciPy's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +14,6 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.pixel_window import PixelGrid, window_mean_distance
 from foretouch.errors import CloudError
 from foretouch.types import Float32, Float64
-
-__all__ = [
-    "VoxelGrid",
-    "count_without_normal",
-    "inlier_mask",
-    "mean_neighbour_distance",
-    "normals_and_curvature",
-    "voxel_grid",
-]
 
 _BLOCK_PAIRS = 60_000  # pairs of query and neighbour at a time: fits the cache and OpenBLAS's small-matrix kernel
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius

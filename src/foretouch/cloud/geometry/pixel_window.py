@@ -12,8 +12,6 @@ The half-spaces are computed from the cloud itself and require neither intrinsic
 pixel index can make the proof fail, but never make it wrong.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
@@ -23,8 +21,6 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.types import Float32, Float64
-
-__all__ = ["PixelGrid", "window_mean_distance"]
 
 _BAND_SLOTS = 8192  # pixels at a time: their windows take 4 MB
 _BLOCK_POINTS = 250

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Input of the touch models: a fixed number of points, moved and scaled to the unit sphere."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -11,8 +9,6 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.types import Float64, Grasp
-
-__all__ = ["SAMPLERS", "UnitSphereFrame", "sample_indices"]
 
 SAMPLERS = ("random", "voxel", "farthest")
 _VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more

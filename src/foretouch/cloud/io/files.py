@@ -4,8 +4,6 @@
 Nothing is read that could run code: NumPy files are opened without pickle.
 """
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,6 @@ from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
-
-__all__ = ["CLOUD_SUFFIXES", "read_cloud", "write_cloud"]
 
 
 def read_cloud(path: str | Path) -> Cloud:

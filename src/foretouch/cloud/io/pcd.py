@@ -6,8 +6,6 @@ import, drops the image order, and only warns about a truncated file. Compressed
 Open3D and checked against the header. VIEWPOINT is ignored: clouds are in their own frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,6 @@ import numpy.typing as npt
 from foretouch.errors import FileError
 from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud, UInt8
-
-__all__ = ["ascii_records", "read_pcd", "write_pcd"]
-
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}

@@ -5,8 +5,6 @@ Decoded here, since Open3D fills a truncated file with zeros and only warns. The
 two `obj_info` lines `num_cols` and `num_rows`, as in Stanford's range scans.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,6 @@ import numpy.typing as npt
 from foretouch.cloud.io.pcd import ascii_records
 from foretouch.errors import FileError
 from foretouch.types import Cloud, UInt8
-
-__all__ = ["read_ply", "write_ply"]
 
 _HEADER_LIMIT = 65536  # bytes within which end_header must occur
 # The two PLY names of each NumPy type.

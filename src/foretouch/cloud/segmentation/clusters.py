@@ -5,8 +5,6 @@ Unorganised points are connected if their voxels touch. Occupied voxels are a so
 a grid would be the scene's, and a single far point would make it huge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,8 +14,6 @@ import numpy.typing as npt
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.config import Settings, setting
 from foretouch.types import Float32, Plane
-
-__all__ = ["Bool", "ClusterConfig", "Clusters", "HeightThreshold", "Int32", "label_unorganised"]
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Crop a cloud by depth or by a box, as PCL's PassThrough and CropBox."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,6 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError
 from foretouch.types import Cloud, Float32
-
-__all__ = ["CropConfig", "count_range", "crop_box", "crop_range", "in_range"]
 
 _CHUNK = 131_072  # points counted at once: their depths stay in the cache
 

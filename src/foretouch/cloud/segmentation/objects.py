@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The objects on the table: extracted from the clusters, and the selection of those that get grasps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
@@ -14,8 +12,6 @@ from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.types import Cloud, Float64, Plane
-
-__all__ = ["ObjectSegment", "TargetConfig", "TargetMode", "extract_objects", "select_targets"]
 
 TargetMode = Literal["nearest", "largest", "point", "all"]
 

@@ -11,8 +11,6 @@ with it. The labels then grow to full resolution, and the outlines are refined:
 - Base pixels are below the height threshold, touch an object and lie at its depth: they are the foot of the object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -22,8 +20,6 @@ import numpy.typing as npt
 from foretouch.cloud.segmentation.clusters import Bool, ClusterConfig, Clusters, HeightThreshold, Int32
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.types import Float32
-
-__all__ = ["label_organised"]
 
 Index = npt.NDArray[np.intp]
 

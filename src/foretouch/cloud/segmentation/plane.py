@@ -5,8 +5,6 @@ RANSAC (Fischler and Bolles 1981) over a few thousand points, with the hypothese
 matrix product, then two least-squares refits in float64. It stops once a better plane is improbable.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.types import Float32, Float64, Plane
-
-__all__ = ["PlaneConfig", "PlaneFit", "fit_plane"]
 
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit

@@ -6,8 +6,6 @@ processed as an image, which is many times faster than a search for neighbours; 
 Every result has a status and a reason, and every point is counted: received = used + dropped(reason).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,22 +16,11 @@ import numpy as np
 
 from foretouch.cloud.segmentation.clusters import ClusterConfig, HeightThreshold, Int32, label_unorganised
 from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
-from foretouch.cloud.segmentation.objects import ObjectSegment, TargetConfig, extract_objects, select_targets
+from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.config import Settings, setting
 from foretouch.types import Cloud, Float32, Plane
-
-__all__ = [
-    "ObjectSegment",
-    "Segmentation",
-    "SegmentationConfig",
-    "SegmentationStatus",
-    "TargetConfig",
-    "segment",
-    "select_targets",
-]
-
 
 SegmentationStatus = Literal["ok", "empty_cloud", "too_few_points", "no_plane", "no_object"]
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480

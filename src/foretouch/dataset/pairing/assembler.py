@@ -6,14 +6,12 @@ or by rosbags. Output are samples, or rejected grasps with a reason. Nothing her
 given by the caller.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from foretouch.dataset.cdr import read_header
-from foretouch.dataset.messages import decode_grasp, decode_objects, stamp_ns
+from foretouch.dataset.messages import decode_grasp, decode_objects
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (
@@ -29,9 +27,8 @@ from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeri
 from foretouch.errors import CloudError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileReader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Grasp, GraspSample
-
-__all__ = ["AssembledSample", "AssemblerConfig", "Role", "SampleAssembler"]
 
 Role = Literal["tactile", "cloud", "grasps", "executed"]
 

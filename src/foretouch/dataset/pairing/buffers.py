@@ -19,8 +19,6 @@ import numpy.typing as npt
 
 from foretouch.types import TOUCH_SIZE, Float32
 
-__all__ = ["BufferedCloud", "CloudBuffer", "SerializedCloud", "TouchBuffer", "TouchReading", "TouchWindow"]
-
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time

@@ -8,8 +8,6 @@ intervals hold readings of the right kind only. A grasp is rejected if an interv
 `tolerance_s`, or if the clocks differ by more than `clock_s`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +20,6 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
 from foretouch.types import Touch
-
-__all__ = ["Interval", "PairingConfig", "PairingError", "TouchCut", "cut_touch"]
 
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long

@@ -20,8 +20,6 @@ from foretouch.dataset.record import Outcome
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import stamp_ns
 
-__all__ = ["ExecutedGrasp", "GraspTouchMatcher", "Label", "MatchedGrasp", "PlannedGrasps", "RejectedGrasp"]
-
 _SECOND_NS = 1_000_000_000
 _MAX_PLANS = 10_000
 _KEPT_GRASPS = 256  # finished ones, to reject intervals that overlap with theirs

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the stream of tactile readings shows by itself: contacts of both fingers, and whether the sensors work."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from foretouch.tactile import CONSTANT_SAMPLES, FULL_SCALE, check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
-
-__all__ = ["ALIVE", "NO_DATA", "ContactEpisodes", "Episode", "SensorHealth"]
 
 ALIVE = "alive"
 NO_DATA = "no data"

@@ -20,7 +20,6 @@ from foretouch.errors import DatasetError
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-__all__ = ["Definitions"]
 
 _OWN: Final = Path(__file__).parent / "definitions"
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*")

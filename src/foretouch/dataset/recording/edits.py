@@ -6,8 +6,6 @@ and all lines before it. Every reader applies the edits; undoing an edit appends
 cut off was never acknowledged, and is ignored.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -20,8 +18,6 @@ from typing import Any, Final, Literal
 from foretouch.dataset.disk import disk_errors, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
-
-__all__ = ["Edit", "EditLog", "append_edit", "read_edits"]
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line

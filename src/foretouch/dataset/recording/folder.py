@@ -9,8 +9,6 @@ Layout, schema version 1::
       .lock                locked by the one process that writes
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import json
@@ -25,8 +23,6 @@ from foretouch.dataset.disk import disk_errors, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.messages import SCHEMA_VERSION
 from foretouch.errors import FileError
-
-__all__ = ["is_dataset", "lock", "new_session_path", "opened_to_write", "recorded_files", "session_files"]
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"

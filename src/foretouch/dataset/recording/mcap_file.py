@@ -7,8 +7,6 @@ ends where a chunk ends. The layout follows the MCAP specification, uncompressed
 its offset, and one damaged byte costs one chunk.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib
@@ -36,8 +34,6 @@ from mcap.records import (
 
 from foretouch.dataset.disk import disk_errors
 from foretouch.errors import DatasetError, FileError
-
-__all__ = ["MAGIC", "McapFile", "McapMessage"]
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _TIME_END: Final = 2**63

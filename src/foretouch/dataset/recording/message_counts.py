@@ -14,8 +14,6 @@ from typing import Any
 
 from foretouch.errors import DatasetError
 
-__all__ = ["MessageCounts", "TopicCounts"]
-
 
 @dataclass
 class TopicCounts:

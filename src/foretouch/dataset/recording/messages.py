@@ -4,8 +4,6 @@
 The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json
@@ -24,20 +22,6 @@ from foretouch.dataset.recording.definitions import Definitions
 from foretouch.errors import DatasetError, ForetouchError
 from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
-
-__all__ = [
-    "ABOUT",
-    "COUNTS",
-    "SAMPLE_TOPIC",
-    "SAMPLE_TYPE",
-    "SCHEMA_VERSION",
-    "StoredSample",
-    "decode_sample",
-    "encode_sample",
-    "grasp_of",
-    "is_intact",
-    "sample_types",
-]
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
 SAMPLE_TOPIC: Final = "/foretouch/samples"

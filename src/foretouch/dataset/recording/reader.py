@@ -5,8 +5,6 @@ The offsets of the samples are found without decoding other messages: a chunk's 
 without samples are skipped unread. A recording that was cut off is read as far as it is intact.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -40,8 +38,6 @@ from foretouch.dataset.recording.scan import (
 )
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
-
-__all__ = ["DATASET_FORMAT", "RecordedDataset", "SampleOffset", "holds_samples", "sample_ids", "sample_offsets"]
 
 _T = TypeVar("_T")
 

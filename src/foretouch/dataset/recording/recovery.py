@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds the intact parts of a damaged recording: chunks by their checksums, samples and declarations by their own."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 
@@ -26,8 +24,6 @@ from foretouch.dataset.recording.scan import (
     records,
 )
 from foretouch.errors import DatasetError
-
-__all__ = ["Declarations", "intact_parts", "is_readable", "samples_after_damage", "samples_in"]
 
 _HEAD = 31  # bytes of a message record before its CDR
 _MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)

@@ -6,8 +6,6 @@ damaged chunk. Losses are reported with their offsets. The repaired file replace
 original is kept beside it as `<name>.before-repair`.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from contextlib import nullcontext
@@ -26,8 +24,6 @@ from foretouch.dataset.recording.recovery import Declarations, intact_parts, is_
 from foretouch.dataset.recording.scan import Chunk, Damage, RawMessage, RawRecord, mapped, messages_of, next_chunk
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError
-
-__all__ = ["RepairReport", "repair_dataset", "repair_file"]
 
 _KEPT: Final = ".before-repair"
 _LOST: Final = "lost before repair"

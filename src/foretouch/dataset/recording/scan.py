@@ -6,8 +6,6 @@ more memory than the size of the file. A scan ends at an invalid record with its
 chunk with a valid checksum.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import re
@@ -26,24 +24,6 @@ from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
-
-__all__ = [
-    "INDEX_HEAD",
-    "Chunk",
-    "Damage",
-    "Declaration",
-    "RawMessage",
-    "RawRecord",
-    "check_record",
-    "chunk_at",
-    "declaration",
-    "magic_damage",
-    "mapped",
-    "messages_of",
-    "next_chunk",
-    "parse",
-    "records",
-]
 
 Declaration: TypeAlias = Schema | Channel | Metadata
 

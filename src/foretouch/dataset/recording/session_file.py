@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The MCAP file of one recording session: its topics, its message counts, and how often it is put on the disk."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +15,6 @@ from foretouch.dataset.recording.mcap_file import McapFile, McapMessage
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import ABOUT, COUNTS, SCHEMA_VERSION
 from foretouch.errors import DatasetError
-
-__all__ = ["RecordingConfig", "SessionFile"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,6 @@ and so does the manifest. Besides the bytes: samples can be decoded, ids are uni
 the message counts match the contents.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import Counter
@@ -36,8 +34,6 @@ from foretouch.dataset.recording.scan import (
     records,
 )
 from foretouch.errors import DatasetError
-
-__all__ = ["FileReport", "verify_dataset", "verify_file"]
 
 _DECLARATIONS: Final = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA}
 _DATA_RECORDS: Final = _DECLARATIONS | {Opcode.CHUNK, Opcode.MESSAGE_INDEX}

@@ -21,8 +21,6 @@ Guarantees:
   that was acknowledged.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time
@@ -40,8 +38,6 @@ from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, enco
 from foretouch.dataset.recording.reader import sample_ids
 from foretouch.dataset.recording.session_file import RecordingConfig, SessionFile
 from foretouch.errors import DatasetError, FileError, ForetouchError
-
-__all__ = ["RecordingWriter"]
 
 _MB: Final = 1_000_000
 

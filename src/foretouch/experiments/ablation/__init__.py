@@ -9,8 +9,6 @@ A model with other features is fitted separately and only tested before touches,
 ten to fifteen times as long.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -19,15 +19,6 @@ from foretouch.tactile import MODALITIES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "NOTHING",
-    "TARE",
-    "TARES_AND_TOUCHES",
-    "ablation_rows",
-    "ablation_tables",
-    "draw_ablation_figure",
-    "draw_differences",
-]
 
 NOTHING: Final = "nothing"
 TARE: Final = "tare"

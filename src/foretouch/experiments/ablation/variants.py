@@ -24,8 +24,6 @@ from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = ["COMBINATIONS", "FEATURE_SETS", "FULL", "GROUP_EDITS", "Components", "ModelVariant", "fit_variants"]
-
 FULL: Final = "full"
 """The complete model, as released."""
 

@@ -12,8 +12,6 @@ Coverage is counted value by value and averaged over the values of a modality, t
 relative to the interval around the mean of the training labels, calibrated by the same rule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final

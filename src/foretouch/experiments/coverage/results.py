@@ -26,16 +26,6 @@ from foretouch.types import Float64
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "ACCEPTED",
-    "SIMULATED",
-    "coverage_table",
-    "coverage_tables",
-    "draw_coverage",
-    "draw_coverage_figure",
-    "draw_widths",
-    "wilson_interval",
-]
 
 SIMULATED: Final = "simulated"
 """Ground with several random splits, in which an object may be tested more than once."""

@@ -25,8 +25,6 @@ from typing import Any, Final
 from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingDependencyError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
 
-__all__ = ["LOCAL_CLUSTER", "CellResult", "Job", "in_processes", "on_ray", "run_cell"]
-
 LOCAL_CLUSTER: Final = "local"
 """Address that starts a Ray node on this machine for one sweep."""
 

@@ -8,8 +8,6 @@ name, such as `my_lab.stiffness`.
 A cell is plain data and runs in any process or on any machine. Its rows follow from settings, data and cell alone.
 """
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
@@ -19,8 +17,6 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
-
-__all__ = ["Cell", "Experiment", "HashedData", "Row", "Table", "find_experiment", "list_experiments", "require_data"]
 
 _PACKAGE: Final = "foretouch.experiments"
 _NOT_EXPERIMENTS: Final = ("framework", "shared")

@@ -7,8 +7,6 @@ DIR/results.csv        table of all rows
 DIR/summary.md         tables for a reader
 """
 
-from __future__ import annotations
-
 import csv
 import datetime as dt
 import importlib.metadata
@@ -27,21 +25,6 @@ from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Row, Table
 from foretouch.models.card import write_text
-
-__all__ = [
-    "MANIFEST_FILE",
-    "RESULTS_FILE",
-    "SUMMARY_FILE",
-    "environment",
-    "open_folder",
-    "read_cells",
-    "read_results",
-    "require_experiment",
-    "write_cell",
-    "write_manifest",
-    "write_results",
-    "write_summary",
-]
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"

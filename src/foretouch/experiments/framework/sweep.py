@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the cells of an experiment, store each as it finishes, and build the table of all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +18,6 @@ from foretouch.experiments.framework.manifest import (
     write_manifest,
     write_results,
 )
-
-__all__ = ["SweepResult", "run_sweep"]
 
 Progress = Callable[[CellResult, int, int], None]
 

@@ -8,8 +8,6 @@ modality. The mean of the remaining labels, and trees on the geometry of the gra
 the presets were chosen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -23,8 +23,6 @@ from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.preparation import finite_points, prepare_grasps, sample_channels
 from foretouch.types import Float32, GraspSample
 
-__all__ = ["LabelSplit", "PresampledSet", "RatioDataSettings", "load_frozen", "prepared", "split_at"]
-
 _SPLIT = "labels"
 
 

@@ -33,18 +33,6 @@ from foretouch.types import Float64
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "P2_AVERAGES",
-    "P2_CHANGES",
-    "P2_LOWEST",
-    "TREES",
-    "compare_models",
-    "draw_changes",
-    "draw_errors",
-    "draw_label_ratio_figure",
-    "summarise",
-    "tally",
-]
 
 TREES: Final = "geometry_trees"
 """Value of the column `model` for the baseline that is trained on the labelled samples alone."""

@@ -14,8 +14,6 @@ Departures from P2, equal for both models, each an option in the settings:
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -33,18 +31,6 @@ from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.batch_norm import freeze
 from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
-
-__all__ = [
-    "MODELS",
-    "POINTNET",
-    "SRGAN",
-    "TRIALS",
-    "PointnetTrainer",
-    "configured",
-    "error_row",
-    "kind_of",
-    "train_and_predict",
-]
 
 POINTNET: Final = "pointnet"
 SRGAN: Final = "srgan"

@@ -7,8 +7,6 @@ and kind of modality, pressures or electrodes (`quick` runs one modality of each
 the ratio withholds are used. T90's choice is used at T70 too, T50's at the ratios with more labels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product

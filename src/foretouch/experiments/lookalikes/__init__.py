@@ -7,8 +7,6 @@ reference of the skill is always the mean over all look-alikes. A predictor that
 how much there is to gain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

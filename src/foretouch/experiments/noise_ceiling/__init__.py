@@ -15,8 +15,6 @@ ceiling's, on the same repeats. With `split: object` there is a second ceiling f
 material and day are unknown as well, and predictors are compared with that one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -7,8 +7,6 @@ again from the simulator's own streams, and all else, object, pose and cloud, is
 closes beside the object) are left out, as they are in a dataset.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,8 +18,6 @@ from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey
 from foretouch.types import Float64
-
-__all__ = ["CAUSES", "NEW_OBJECT", "Repeater", "Repeats"]
 
 CAUSES: Final = {
     "command": frozenset({"targets"}),

@@ -21,7 +21,6 @@ from foretouch.types import Float64
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["CEILING", "ceiling_rows", "ceiling_tables", "draw_ceiling", "draw_ceiling_figure"]
 
 CEILING: Final = "ceiling"
 WITH_TARE: Final = "ceiling, change from the tare"

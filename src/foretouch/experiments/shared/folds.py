@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit each predictor to some grasps and test it on others, fold by fold; and split samples by object."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,8 +23,6 @@ from foretouch.experiments.shared.real_grasps import (
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
 from foretouch.learning.data import Dataset, Fold, labels_of, make_folds
 from foretouch.types import GraspSample
-
-__all__ = ["FoldRunner", "TableFold", "by_object", "split_by_fold", "split_experiment", "split_objects"]
 
 
 @dataclass(frozen=True, eq=False)

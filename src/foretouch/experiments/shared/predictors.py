@@ -8,8 +8,6 @@ does not use such touches: `with_offset_correction` adds the simplest use of the
 The networks are those of the recipes of `foretouch train`; a recipe with one modality is trained once for each modality.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -31,19 +29,6 @@ from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = [
-    "NETWORKS",
-    "PREDICTORS",
-    "RECIPES",
-    "SHRINKAGE",
-    "Fit",
-    "Fitted",
-    "find_predictor",
-    "network",
-    "with_offset_correction",
-]
-
-
 RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touchnet-v1"}
 """The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
@@ -62,8 +47,9 @@ def network(name: str, effort: float) -> Baseline:
         raise ConfigError(f"recipe: {name!r} is none of {', '.join(RECIPES)}")
 
     def predict(train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int) -> Float64:
+        from foretouch.learning.data.training_set import predict_set
         from foretouch.learning.training.learners import load_run_config
-        from foretouch.learning.training.supervised import predict_set, train_network
+        from foretouch.learning.training.supervised import train_network
 
         recipe: Any = load_run_config(RECIPES[name])  # of a supervised network
         model, how = recipe.model, recipe.train

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings, squared errors and score table of the experiments on real grasps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,18 +16,6 @@ from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES
 from foretouch.types import Float64, GraspSample
-
-__all__ = [
-    "ALL_OBJECTS",
-    "FREE",
-    "PRESETS",
-    "RealGraspSettings",
-    "error_rows",
-    "labelled",
-    "load",
-    "score_table",
-    "seeded_predictors",
-]
 
 ALL_OBJECTS: Final = "all"
 """Value of the column `object` for all objects together."""

@@ -5,8 +5,6 @@ Stores that a sweep makes lie beside its folder, in `<DIR>.data`; they are made 
 experiment on both real and simulated grasps has a link to the real ones there.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,19 +17,6 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
-
-__all__ = [
-    "BothSettings",
-    "RealAndSimulated",
-    "SimulatedGrasps",
-    "SimulatedSettings",
-    "beside",
-    "load_both",
-    "load_simulated",
-    "prepare_both",
-    "prepare_simulated",
-    "simulate_store",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,6 @@ from foretouch.tactile import MODALITIES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LOWEST_SKILL", "draw_skill_figure", "draw_skills", "skill_tables"]
 
 _LEGEND: Final = "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]"
 _VERDICTS: Final = (

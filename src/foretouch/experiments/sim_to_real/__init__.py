@@ -15,8 +15,6 @@ x they predict f(x). With µ the mean of the real labels of the training objects
 b is limited to 0...1, so that simulation is at most used in full and never inverted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,8 +17,6 @@ from foretouch.errors import DatasetError
 from foretouch.learning.data.folds import Indices
 from foretouch.learning.data.splits import SPLITS_FILE, SplitPart, make_splits, parse_splits, read_splits
 from foretouch.types import GraspSample
-
-__all__ = ["DataSplit", "Dataset", "load_dataset"]
 
 _VISION2TACTILE: Final = {
     "source": "github.com/yayaneath/vision2tactile, recorded for P1",

@@ -11,8 +11,6 @@ Three splits answer three questions:
   was recorded on different days.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,19 +22,6 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
-
-__all__ = [
-    "SPLITS",
-    "Fold",
-    "HoldOut",
-    "Indices",
-    "group_folds",
-    "make_folds",
-    "object_folds",
-    "predict_folds",
-    "random_folds",
-    "time_folds",
-]
 
 SPLITS: Final = ("random", "time", "object")
 """Random five folds, five blocks of time within each object, and one object left out."""

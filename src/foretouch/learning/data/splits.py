@@ -10,8 +10,6 @@
 Unlabelled samples are in no fold; they are listed with the unlabelled part of each ratio.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,18 +21,6 @@ import numpy as np
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
-
-__all__ = [
-    "FOLDS",
-    "RATIOS",
-    "SPLITS_FILE",
-    "DatasetSplits",
-    "SplitPart",
-    "label_ratios",
-    "make_splits",
-    "parse_splits",
-    "read_splits",
-]
 
 SPLITS_FILE: Final = "splits.json"
 FOLDS: Final = 5

@@ -22,8 +22,6 @@ from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 if TYPE_CHECKING:
     from foretouch.models.network.regressor import TouchNet
 
-__all__ = ["TrainingSet", "duplicate_labels", "labels_of", "predict_set"]
-
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:

@@ -6,8 +6,6 @@ predict touch from shape while it only recognises the recording session. The obj
 show how far that alone goes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, Protocol
 
@@ -15,19 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.types import Float64, GraspSample
-
-__all__ = [
-    "BASELINES",
-    "FEATURE_NAMES",
-    "TREES",
-    "Baseline",
-    "geometry_features",
-    "geometry_trees",
-    "object_mean",
-    "object_time_trees",
-    "training_mean",
-]
-
 
 _CONTACT_RADIUS_M: Final = 0.02  # about the size of a fingertip's pad
 _CONTACT_NAMES: Final = ("count", "spread_1", "spread_2", "spread_3", "gap", "dx", "dy", "dz")

@@ -40,18 +40,6 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-__all__ = [
-    "LEAST_OBJECTS",
-    "MEAN",
-    "BootstrapConfig",
-    "Estimate",
-    "ObjectErrors",
-    "Verdict",
-    "compare",
-    "mean_over_objects",
-    "skills",
-]
-
 LEAST_OBJECTS: Final = 6
 """Fewest objects for an interval: 2^(1 - 6) is below 5 %."""
 

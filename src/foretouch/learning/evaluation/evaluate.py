@@ -6,8 +6,6 @@ baselines, to the training side of each part of a split; where the model was tra
 training scores, which `same_data` reports.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -24,8 +22,6 @@ from foretouch.models.card import read_card
 from foretouch.models.registry import find_card, load_model
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
-
-__all__ = ["MODEL", "cross_validate", "evaluate_model"]
 
 MODEL: Final = "model"
 """Key of the model itself, beside the names of the baselines."""

@@ -26,20 +26,6 @@ from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
-__all__ = [
-    "COVERAGE",
-    "HeldOutPredictions",
-    "calibrate",
-    "calibration_folds",
-    "conformal_level",
-    "coverage_by_object",
-    "fit_group",
-    "guarantee",
-    "make_calibration",
-    "rest_level",
-    "resting_labels",
-]
-
 COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the contact model: forests by scikit-learn, and a kernel whose ridge is chosen on objects left out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,8 +21,6 @@ from foretouch.models.contact.kernel_regression import KernelRegression, laplaci
 from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
-
-__all__ = ["ContactConfig", "ContactPredictor", "describe_objects", "describe_samples", "fit_contact"]
 
 _FEWEST_SAMPLES: Final = 5
 

@@ -26,8 +26,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.models.network.pointnet import InputTransform, Layer, PointNetFeatures
 
-__all__ = ["SINGLE_PROCESS", "DeviceConfig", "DistributedContext", "TrainingDevice", "process_group"]
-
 _Rows = TypeVar("_Rows", Tensor, Any)
 
 

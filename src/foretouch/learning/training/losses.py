@@ -21,8 +21,6 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
 Shapes: B samples, F features, M outputs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -33,17 +31,6 @@ from torch import Tensor
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext
-
-__all__ = [
-    "Features",
-    "Loss",
-    "SrganLossConfig",
-    "discriminator_loss",
-    "generator_loss",
-    "gradient_penalty",
-    "labeled_loss",
-    "safe_root",
-]
 
 _LEAST_ROOT: Final = 1e-6
 

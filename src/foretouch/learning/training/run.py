@@ -4,8 +4,6 @@
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -25,8 +23,6 @@ from foretouch.learning.training.learners import Learner, RunConfig, find_learne
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.card import card_text, read_card, write_text
 from foretouch.types import Float64
-
-__all__ = ["compare_splits", "make_learner", "train_run"]
 
 Report = Callable[[Mapping[str, Any]], None]
 Scores = dict[str, dict[str, Any]]

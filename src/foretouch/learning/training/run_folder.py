@@ -10,8 +10,6 @@ RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboa
 The state is one safetensors file, tensors and JSON, that is replaced as a whole or not at all.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -27,8 +25,6 @@ from foretouch.errors import ConfigError, FileError, ModelError
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.card import write_text
 from foretouch.models.files import replace_files
-
-__all__ = ["CONFIG_FILE", "LOG_FILE", "STATE_FILE", "TENSORBOARD_FOLDER", "RunFolder", "read_state", "write_state"]
 
 CONFIG_FILE: Final = "config.yaml"
 LOG_FILE: Final = "log.jsonl"

@@ -20,8 +20,6 @@ Departures from P2, which specifies neither:
 Shapes: B samples, N points, C channels, F features.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -56,8 +54,6 @@ from foretouch.learning.training.trainer import (
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
 from foretouch.tactile import columns, modality_size
-
-__all__ = ["SrganConfig", "SrganTrainer"]
 
 _CALIBRATION_BATCHES = 20
 

@@ -9,8 +9,6 @@ The augmentation turns object and hand together. For a camera that looks down, t
 gravity and contact stay the same and so does the touch. This does not hold for a camera that looks from the side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -21,7 +19,6 @@ from torch import Tensor
 from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.data import Indices, TrainingSet
-from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.trainer import (
@@ -36,16 +33,6 @@ from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.regressor import TouchNet
 from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
-
-__all__ = [
-    "SupervisedTrainer",
-    "TrainConfig",
-    "predict_set",
-    "set_target_scaling",
-    "train_network",
-    "turn",
-    "viewing_axis_rotations",
-]
 
 
 def viewing_axis_rotations(count: int, largest_deg: float, rng: np.random.Generator) -> Float64:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,8 +15,6 @@ from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data import Indices, TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.models.network.regressor import TouchNet
-
-__all__ = ["OPTIMISERS", "SCHEDULES", "OptimiserRule", "ScheduledOptimiser", "Trainer", "shuffled_batches"]
 
 SCHEDULES: Final = ("cosine", "constant")
 

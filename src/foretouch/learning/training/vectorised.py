@@ -8,8 +8,6 @@ of a run equals that of `train_network` up to rounding. On a CPU this is faster 
 Shapes: R runs, B samples, N points, C channels, G grasp numbers, M outputs.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 
@@ -24,8 +22,6 @@ from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfi
 from foretouch.learning.training.trainer import OptimiserRule, ScheduledOptimiser
 from foretouch.models.network.pointnet import Layer
 from foretouch.models.network.regressor import TouchNet
-
-__all__ = ["train_many"]
 
 
 def train_many(

@@ -4,8 +4,6 @@
 `<name>.safetensors` holds forests, kernel and novelty detector; `<name>.trust.safetensors` the calibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,6 @@ from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.files import packed, read_tensors, replace_files
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import TactileRanges
-
-__all__ = ["load_model", "save_contact"]
 
 
 def save_contact(

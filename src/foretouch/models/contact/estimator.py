@@ -28,8 +28,6 @@ from foretouch.models.touch_model import Estimate
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 
-__all__ = ["TOGETHER", "ContactEstimator"]
-
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
 

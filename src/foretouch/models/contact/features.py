@@ -10,8 +10,6 @@ The slope of the surface at a contact is given in the frame of the finger: z in 
 training data the slopes generalise; sizes and positions identify the training object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Final
@@ -22,8 +20,6 @@ from scipy.spatial import cKDTree
 from foretouch.errors import CloudError
 from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Float64, Grasp
-
-__all__ = ["FEATURES", "SLOPE_FEATURES", "ContactScene"]
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]

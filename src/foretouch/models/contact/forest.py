@@ -17,8 +17,6 @@ from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import Float64
 
-__all__ = ["Forest"]
-
 _DTYPES: Final = {
     "roots": np.int32,
     "feature": np.int16,

@@ -5,8 +5,6 @@ It is the mean of a Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) 
 Williams 2006, eq. 2.25], whose samples are as rough as tactile readings.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +13,6 @@ from scipy.spatial.distance import cdist
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
 from foretouch.types import Float32, Float64
-
-__all__ = ["KernelRegression", "laplacian"]
 
 
 @dataclass(frozen=True, eq=False)

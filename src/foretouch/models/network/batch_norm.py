@@ -23,8 +23,6 @@ product with a K x K matrix. Functions that control the running statistics of a 
 Shapes: B clouds, N points, n = B N rows, K inputs, F outputs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeAlias
@@ -32,17 +30,6 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
-
-__all__ = [
-    "Inputs",
-    "Total",
-    "batch_affine",
-    "calibrate",
-    "freeze",
-    "statistics_kept",
-    "synced_norm",
-    "update_statistics",
-]
 
 Inputs: TypeAlias = tuple[Tensor, Tensor | None]
 """Points (B, N, C) and grasps (B, G) of one batch."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of networks: `<name>.safetensors` and its card `<name>.json`, checked against each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,8 +20,6 @@ from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.network.regressor import TouchNet
 from foretouch.models.novelty import Fallback
 from foretouch.models.touch_model import TouchModel
-
-__all__ = ["load_ensemble", "load_model", "load_network", "save_ensemble", "save_network"]
 
 
 def save_network(folder: str | Path, name: str, net: TouchNet, facts: Mapping[str, Any]) -> Path:

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The architecture and inputs of every network of this package: P1's, P2's and the shared one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES, TactileRanges, modality_size
-
-__all__ = ["GRASP_SIZE", "METRIC_SIZE", "ModelConfig"]
 
 GRASP_SIZE: Final = 15
 """g1, g2 (3 + 3) and R (9), as in P2."""

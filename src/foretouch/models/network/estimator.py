@@ -26,8 +26,6 @@ from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 if TYPE_CHECKING:
     from foretouch.models.network.folding import FoldedNetwork
 
-__all__ = ["Member", "NetworkEstimator"]
-
 
 @dataclass(frozen=True, eq=False)
 class Member:

@@ -15,8 +15,6 @@ prediction is equal to the last bit however many grasps are predicted in the sam
 Shapes: N points, C channels, F features, K grasps, G grasp numbers, M outputs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -25,8 +23,6 @@ from torch import Tensor, nn
 
 from foretouch.models.network.pointnet import InputTransform, Layer
 from foretouch.models.network.regressor import TouchNet
-
-__all__ = ["BLOCK", "Affine", "FoldedNetwork", "fold"]
 
 BLOCK = 16
 """Rows of one pass through the head."""

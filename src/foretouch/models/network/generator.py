@@ -11,8 +11,6 @@ P2 does not specify the channels between the layers (here 6, as at both ends) an
 Shapes: B clouds, L length of the noise, N points, C channels of the noise and of the cloud.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -23,8 +21,6 @@ from torch import Tensor, nn
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
-
-__all__ = ["CloudGenerator", "GeneratorConfig", "draw_noise"]
 
 _NAMES: Final = {
     "xyz": ("x", "y", "z"),

@@ -14,8 +14,6 @@ from foretouch.errors import ModelError
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.types import Float64, Grasp
 
-__all__ = ["LENGTHS", "LengthRangeCheck", "grasp_lengths"]
-
 LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
 """Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
 other, of their midpoint from the centroid, and of the farther contact from the nearest point that the model uses."""

@@ -15,8 +15,6 @@ plain computation except for rounding; the gradient costs F products a cloud ins
 Shapes: B clouds, N points, C channels of the cloud, K inputs of a layer, F features.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
@@ -28,8 +26,6 @@ from torch.nn import functional
 from foretouch.errors import ModelError
 from foretouch.models.network.batch_norm import Total, batch_affine, synced_norm
 from foretouch.models.network.config import ModelConfig
-
-__all__ = ["InputTransform", "Layer", "PointNetFeatures", "make_layers", "pool", "pooled_affine", "winners"]
 
 _BLOCK: Final = 25
 """Points searched together: the winning block is found first, because a maximum is much faster than its index."""

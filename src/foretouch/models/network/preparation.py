@@ -5,8 +5,6 @@ The cloud is sampled to a fixed number of points and mapped to the unit sphere a
 The rotation of the hand is the same in both frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +16,6 @@ from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.config import ModelConfig
 from foretouch.types import Cloud, Float32, Float64, Grasp
-
-__all__ = ["MINIMUM_POINTS", "PreparedCloud", "finite_points", "prepare_cloud", "prepare_grasps", "sample_channels"]
 
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""

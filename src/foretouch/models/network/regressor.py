@@ -9,15 +9,11 @@ P2: with grasp, one modality. P1: 500 points, no grasp. Shared: with grasp, all 
 Shapes: B clouds, N points, C channels, G grasp numbers, M outputs.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.pointnet import PointNetFeatures, make_layers
-
-__all__ = ["TouchNet"]
 
 
 class TouchNet(nn.Module):

@@ -7,8 +7,6 @@ it was cut from), so that later steps can separate the objects and search neighb
 without these fields is one object without an image.
 """
 
-from __future__ import annotations
-
 import array
 from collections.abc import Sequence
 from typing import Any
@@ -18,15 +16,12 @@ import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
 
 from foretouch.cloud.io.pointcloud2 import encode
-from foretouch.cloud.segmentation.segment import ObjectSegment
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.cloud.segmentation.objects import ObjectSegment
 from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Object
-
-__all__ = ["cloud_from_msg", "cloud_to_msg", "object_to_msg", "objects_from_msg", "objects_to_msg"]
 
 
 def cloud_to_msg(cloud: Cloud) -> PointCloud2:

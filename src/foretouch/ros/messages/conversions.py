@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -13,32 +11,11 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp as grasp_from_msg
-from foretouch.dataset.messages import has_orientation, rotation_from_quaternion, stamp_ns
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
-
-__all__ = [
-    "duration_to_msg",
-    "grasp_from_msg",
-    "grasp_to_msg",
-    "has_orientation",
-    "header_to_msg",
-    "interval_text",
-    "plane_from_msg",
-    "plane_to_msg",
-    "point_to_msg",
-    "pose_stamped",
-    "prediction_from_msg",
-    "prediction_to_msg",
-    "reference_text",
-    "refusal_to_msg",
-    "rotation_from_quaternion",
-    "stamp_ns",
-    "stamp_to_msg",
-]
 
 _SECOND_NS = 1_000_000_000
 _REFERENCES: dict[Reference, int] = {

@@ -4,8 +4,6 @@
 Every marker has a stable id and a lifetime of one second, so that outdated ones disappear.
 """
 
-from __future__ import annotations
-
 from itertools import count
 
 import numpy as np
@@ -14,12 +12,11 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from foretouch.ros.messages.conversions import grasp_from_msg, interval_text, point_to_msg, reference_text
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.ros.messages.conversions import interval_text, point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Interval, Object, ObjectArray, Status, TouchPrediction
-
-__all__ = ["fingertip_rotation", "object_markers", "touch_markers"]
 
 _LIFETIME = Duration(sec=1)
 _CONTACT_M = 0.012  # diameter of a contact's sphere

@@ -1,32 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs from other nodes: read, or refused with the status that the answer gets; and the plan of grasps that answers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.errors import CloudError, ForetouchError
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.clouds import cloud_from_msg, objects_from_msg
-from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg, stamp_ns
+from foretouch.ros.messages.clouds import objects_from_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import GraspArray, Status, TablePlane
-
-__all__ = [
-    "RefusalError",
-    "check_frames",
-    "plan_targets",
-    "read_cloud",
-    "read_plane",
-    "read_table",
-    "read_targets",
-    "status_code",
-    "status_name",
-]
 
 _CODES: dict[str, int] = {
     "ok": Status.OK,

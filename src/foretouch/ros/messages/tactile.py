@@ -4,8 +4,6 @@
 Tactile messages are decoded in `foretouch.tactile.messages`.
 """
 
-from __future__ import annotations
-
 import array
 import importlib
 from collections.abc import Mapping
@@ -18,8 +16,6 @@ from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.types import ELECTRODES
 from foretouch_msgs.msg import Biotac, BiotacAll
-
-__all__ = ["biotac_all_to_msg", "tactile_class"]
 
 Counts = npt.NDArray[np.int16]
 

@@ -5,8 +5,6 @@ Threads: one thread reads the camera (and so opens, waits for and reopens it) an
 executor's callbacks only read its status.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import Counter
 from collections.abc import Mapping
@@ -26,8 +24,6 @@ from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import scene_camera, swinging
 from foretouch.simulation.show import ShowConfig
 from foretouch.types import Cloud
-
-__all__ = ["CameraNode", "CameraNodeConfig", "SyntheticConfig"]
 
 _READ_S = 0.1  # longest wait before the thread checks whether it should end
 _PERIOD_S = 1.0  # of the motion in the synthetic scene

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`object_cloud` + `table` -> `grasps`: where two fingers can grasp each target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +14,6 @@ from foretouch.ros.messages.requests import plan_targets, read_table, read_targe
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray, TablePlane
-
-__all__ = ["GraspNode", "GraspNodeConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,6 @@ Threads: the executor's callbacks store the newest grasps; one thread publishes 
 computes contacts, so that a slow computation delays no message.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter
@@ -22,9 +20,10 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.config import setting
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.ros.messages.conversions import grasp_from_msg, header_to_msg, point_to_msg, stamp_ns, stamp_to_msg
+from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
@@ -33,10 +32,9 @@ from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.show import ShowConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
-
-__all__ = ["HandConfig", "HandNode"]
 
 _GRASPING = ("TH", "MF")  # in the order of a course's fingers
 _LATE_NS = 1_000_000_000  # messages that are later than this are left out

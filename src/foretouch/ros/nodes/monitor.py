@@ -4,8 +4,6 @@
 Its callbacks only store, under a lock; `view` gives a copy.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter, OrderedDict, deque
@@ -20,18 +18,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.dataset.messages import decode_cloud as cloud_from_msg
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, SampleAssembler, SerializedCloud, TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject
-from foretouch.ros.messages.clouds import cloud_from_msg, objects_from_msg
-from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.pipeline import FoundObject
+from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import status_name
 from foretouch.tactile.messages import TactileConfig, make_reader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
-from foretouch.types import Cloud
+from foretouch.types import ASSUMED_TABLE, Cloud
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, TouchPrediction, TouchPredictionArray
-
-__all__ = ["Drawable", "MonitorNode", "NodeView", "View"]
 
 _KEPT_CLOUDS = 8  # enough to find the cloud of an answer again
 _KEPT_WHILE_GRASPING = 32  # enough to find it when the grasp has been executed

@@ -5,8 +5,6 @@ Threads: callbacks of the executor put serialised messages into a queue and retu
 them, waits for the disk, and assembles samples. Services have a callback group of their own.
 """
 
-from __future__ import annotations
-
 import time
 from datetime import datetime
 from pathlib import Path
@@ -19,7 +17,6 @@ from foretouch.dataset.pairing import AssemblerConfig, Interval, Label, Role, Sa
 from foretouch.dataset.record import check_name
 from foretouch.dataset.recording import Outcome, RecordingWriter
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.recorder.config import RecorderConfig
 from foretouch.ros.recorder.message_queue import MessageQueue
@@ -28,11 +25,10 @@ from foretouch.ros.recorder.status import status_to_msg
 from foretouch.ros.recorder.subscriptions import InputTopic, RecorderSubscriptions
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch.tactile.messages import TactileReader, make_reader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray, RecorderStatus, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
-
-__all__ = ["RecorderNode"]
 
 _OUTCOMES: tuple[Outcome, ...] = ("unknown", "success", "failure")
 _MB = 1_000_000

@@ -10,8 +10,6 @@ unless `restamp` is set. Its other topics are played too, where this machine has
 is set at the end.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import threading
@@ -33,13 +31,12 @@ from foretouch.dataset.cdr import read_header, with_stamp
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
-from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg, stamp_ns
+from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
-
-__all__ = ["ReplayConfig", "ReplayNode", "message_class", "playable"]
 
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _ACKNOWLEDGED_S = 2.0

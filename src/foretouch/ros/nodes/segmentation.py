@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`points` -> `objects`, `table`, `object_cloud`: the objects on the table, and which of them to grasp."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,18 +9,18 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from foretouch.cloud.segmentation.segment import SegmentationConfig, TargetConfig
+from foretouch.cloud.segmentation.objects import TargetConfig
+from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
 from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
-from foretouch.ros.messages.conversions import plane_to_msg, stamp_ns
+from foretouch.ros.messages.conversions import plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
-
-__all__ = ["SegmentationNode", "SegmentationNodeConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,6 @@ model is immutable and serves all of them. A model that cannot be loaded does no
 gives the reason, and cleaning up and configuring again retries.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -26,8 +24,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import ASSUMED_TABLE, FoundObject
-from foretouch.ros.messages.conversions import stamp_ns
+from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
@@ -38,7 +35,9 @@ from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages import make_reader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
     ExecutedGrasp,
@@ -50,8 +49,6 @@ from foretouch_msgs.msg import (
     TouchPredictionArray,
 )
 from foretouch_msgs.srv import PredictTouch
-
-__all__ = ["TouchPredictorNode"]
 
 _T = TypeVar("_T")
 _PARALLEL_REQUESTS = 2  # more would only share the processor

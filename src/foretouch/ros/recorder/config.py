@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the recorder."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from foretouch.config import Settings, setting
@@ -12,8 +10,6 @@ from foretouch.ros.runtime.lifecycle_node import NodeConfig
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileConfig
 from foretouch.topics import TACTILE_TOPIC
-
-__all__ = ["IdentityConfig", "RecorderConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The queue of messages that the recorder has received and not yet written."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 
 from foretouch.bounded_queue import BoundedQueue
-
-__all__ = ["Arrival", "MessageQueue"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,6 @@ The thread owns the writer, so that waiting for the disk delays no callback. Its
 as a whole after each batch of messages.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 import traceback
@@ -21,8 +19,6 @@ from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssemble
 from foretouch.dataset.recording import RecordingWriter, TopicCounts
 from foretouch.errors import FileError, ForetouchError
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
-
-__all__ = ["RecordingSession", "SessionStatus"]
 
 _POLL_S = 0.1
 _RATE_WINDOW_S = 10.0

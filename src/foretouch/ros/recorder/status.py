@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `RecorderStatus` message: state of the session and statistics of the topics. Pure functions, no node."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,8 +11,6 @@ from foretouch.ros.messages.conversions import duration_to_msg, header_to_msg
 from foretouch.ros.recorder.session import SessionStatus
 from foretouch_msgs.msg import RecorderStatus, Status
 from foretouch_msgs.msg import TopicAccount as TopicAccountMsg
-
-__all__ = ["AFTER_CLOSE", "TopicStatistics", "status_to_msg"]
 
 AFTER_CLOSE = "after close"
 """Why messages are dropped that come when the disk is full: the only reason that is in no file."""

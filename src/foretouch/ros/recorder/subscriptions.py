@@ -7,8 +7,6 @@ publishers are reliable again. A parameter `qos_overrides.<topic>.subscription.r
 subscription is then as the parameter demands, and a publisher that offers less is reported.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter, deque
@@ -24,9 +22,6 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
 from foretouch.ros.recorder.status import TopicStatistics
-
-__all__ = ["InputTopic", "RecorderInput", "RecorderSubscriptions"]
-
 
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node reports in /diagnostics: its state, rate, ages and latencies, and what became of every input."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter, deque
@@ -11,8 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
-__all__ = ["InputStatistics", "InputSummary", "NodeStatus", "diagnostic_status"]
 
 _WINDOW = 300  # latest inputs for quantiles and rates: ten seconds at 30 Hz
 

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Environment variables that must be set before NumPy and rclpy are imported. What the user has set is never changed."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path
-
-__all__ = ["SHARED_MEMORY_PROFILE", "prepare_environment"]
 
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""

@@ -9,8 +9,6 @@ publisher and subscriber. Both can be overridden (`qos_overrides.<topic>...` par
 is reported in the log and in /diagnostics.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -28,9 +26,6 @@ from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
-
-__all__ = ["NAMESPACE", "ForetouchNode", "NodeConfig"]
-
 
 _OUTPUT_DEPTH = 10
 _INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile

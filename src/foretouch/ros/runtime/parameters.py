@@ -5,8 +5,6 @@ A change is checked against all rules of the settings, those across fields inclu
 as a whole, with the reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -17,8 +15,6 @@ from rclpy.parameter import Parameter
 
 from foretouch.config import SettingInfo, Settings, setting_infos
 from foretouch.errors import ConfigError
-
-__all__ = ["NodeSettings", "describe"]
 
 _S = TypeVar("_S", bound=Settings)
 _FLOAT_LIMIT = 1.7976931348623157e308

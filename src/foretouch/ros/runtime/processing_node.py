@@ -9,8 +9,6 @@ computes and publishes, so that services, parameters, lifecycle and diagnostics 
 is bounded and drops its oldest input, counted as `superseded`.
 """
 
-from __future__ import annotations
-
 import threading
 import traceback
 from abc import ABC, abstractmethod
@@ -24,14 +22,12 @@ import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.config import setting
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.messages.requests import RefusalError, status_name
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Float32
 from foretouch_msgs.msg import Status
-
-__all__ = ["ProcessingConfig", "ProcessingNode", "StampSynchronizer", "StampedSet", "warm_up_cloud"]
 
 
 class StampedSet(NamedTuple):

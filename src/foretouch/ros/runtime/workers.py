@@ -6,8 +6,6 @@ that answers are as recent as possible. `ThreadPool` serves services and actions
 multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a message.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,8 +14,6 @@ from typing import Generic, TypeVar
 from rclpy.node import Node
 
 from foretouch.bounded_queue import BoundedQueue
-
-__all__ = ["ThreadPool", "Worker"]
 
 _T = TypeVar("_T")
 

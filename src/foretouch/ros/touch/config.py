@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the touch predictor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from foretouch.config import setting
@@ -13,8 +11,6 @@ from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileConfig
 from foretouch.topics import TACTILE_TOPIC
-
-__all__ = ["TouchPredictorConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The action `sample_grasps`: plan on the given or the latest object, predict, and compute the costs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,8 +24,6 @@ from foretouch.ros.messages.requests import (
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction
-
-__all__ = ["GraspSampler", "Latest", "failed", "pressure_cost"]
 
 Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
 

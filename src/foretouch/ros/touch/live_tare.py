@@ -6,8 +6,6 @@ detected a moment after it has begun. The tare is the median over the last `wind
 from before is kept, and ages.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
@@ -15,8 +13,6 @@ import numpy as np
 from foretouch.tactile import check_touch
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
-
-__all__ = ["LiveTare"]
 
 _SECOND_NS = 1_000_000_000
 _MIN_READINGS = 5

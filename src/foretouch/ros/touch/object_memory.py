@@ -18,8 +18,6 @@ from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
-__all__ = ["ObjectMemory"]
-
 
 @dataclass(frozen=True, eq=False)
 class _Extent:

@@ -8,8 +8,6 @@ Threads: callbacks store, under one lock; the thread that predicts first adds th
 another lock, so that a touch is used in the next prediction and never processed within a callback.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter
@@ -23,16 +21,14 @@ from sensor_msgs.msg import PointCloud2
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.models.touch_model import TouchModel
-from foretouch.ros.messages.conversions import stamp_ns
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.ros.touch.object_memory import ObjectMemory
 from foretouch.tactile.messages import TactileReader
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ExecutedGrasp
 from foretouch_msgs.msg import Grasp as GraspMsg
-
-__all__ = ["OnlineAdapter"]
 
 
 class OnlineAdapter:

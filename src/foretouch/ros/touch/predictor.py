@@ -1,31 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 from std_msgs.msg import Header
 
+from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.conversions import (
-    duration_to_msg,
-    grasp_from_msg,
-    has_orientation,
-    prediction_to_msg,
-    refusal_to_msg,
-)
+from foretouch.ros.messages.conversions import duration_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
-
-__all__ = ["Predictor"]
 
 
 class Predictor:

@@ -16,8 +16,6 @@ that lies along that line. Commanded by depth, the sum of both depths is the han
 force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,8 +26,6 @@ from foretouch.errors import ContactError, ConvergenceError
 from foretouch.simulation.contact.level import Level, solve_contact
 from foretouch.simulation.contact.problem import DEFAULT_CONFIG, Command, ContactConfig, ContactProblem, ContactSolution
 from foretouch.types import Float64
-
-__all__ = ["BALANCE_TOLERANCE", "GripSolution", "HeldWeight", "solve_grip", "weigh"]
 
 
 @dataclass(frozen=True, eq=False)

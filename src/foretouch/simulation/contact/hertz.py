@@ -11,8 +11,6 @@ Layer thicknesses are left aside. Displacement is that of the circle of equal ar
 (eqs. 3.41a and 3.42a): exact for round footprints, an approximation for long ones.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,8 +28,6 @@ from foretouch.simulation.contact.problem import (
     refuse_overload,
 )
 from foretouch.types import Float64
-
-__all__ = ["solve_hertz"]
 
 _REACH = 3  # cells on each side of first touch that its curvature is fitted on
 _MIN_RATIO = 0.01  # smallest b / a that is resolved

@@ -12,8 +12,6 @@ M -> 1 for t -> ∞ gives the half-space; C -> h / confined modulus for t -> 0 g
 The difference in space is the Hankel transform (1 / (π E* h)) ∫ (M(t) - 1) J0(t r/h) dt.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any
@@ -24,8 +22,6 @@ import numpy.typing as npt
 from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import Layer
 from foretouch.types import Float64
-
-__all__ = ["Complex128", "convolve", "influence_spectrum", "layer_influence", "layer_transfer", "love_influence"]
 
 Complex128 = npt.NDArray[np.complex128]
 

@@ -37,9 +37,6 @@ from foretouch.simulation.contact.problem import (
 from foretouch.simulation.contact.winkler import bed_stiffness
 from foretouch.types import Float64
 
-__all__ = ["Box", "Descent", "expected_pressure", "solve_layer"]
-
-
 _TINY = float(np.finfo(np.float64).tiny)
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The three levels of contact behind one call, and the choice among them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final, Literal
@@ -19,8 +17,6 @@ from foretouch.simulation.contact.problem import (
     Layer,
 )
 from foretouch.simulation.contact.winkler import solve_winkler
-
-__all__ = ["LEVELS", "Level", "choose_level", "solve_contact"]
 
 Level = Literal["auto", "hertz", "winkler", "layer"]
 LEVELS: Final = ("auto", "hertz", "winkler", "layer")

@@ -21,21 +21,6 @@ from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import Layer
 from foretouch.types import Float64
 
-__all__ = [
-    "ContactFrame",
-    "PadConfig",
-    "PadWindow",
-    "bent_surface",
-    "cell_centres",
-    "contact_frame",
-    "gap_field",
-    "pad_depth",
-    "pad_direction",
-    "pad_window",
-    "tilted",
-    "wedge",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PadConfig(Settings):

@@ -6,8 +6,6 @@ core of the fingertip and, if it is soft, the object. Only normal, frictionless 
 are taken as small.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -16,17 +14,6 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
 from foretouch.types import Float64
-
-__all__ = [
-    "DEFAULT_CONFIG",
-    "Command",
-    "ContactConfig",
-    "ContactProblem",
-    "ContactSolution",
-    "Layer",
-    "no_contact",
-    "refuse_overload",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

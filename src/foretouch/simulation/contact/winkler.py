@@ -6,8 +6,6 @@ has k = E (1 - ν) / ((1 + ν) (1 - 2ν)) / h, which is E / h at ν = 0. Beds in
 It is right for layers thin against the contact; towards ν = 0.5 or thick layers, use the elastic layer.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -24,8 +22,6 @@ from foretouch.simulation.contact.problem import (
     refuse_overload,
 )
 from foretouch.types import Float64
-
-__all__ = ["bed_stiffness", "solve_winkler"]
 
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 

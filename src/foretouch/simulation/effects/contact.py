@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How hard the pads press: the object's weight, and the pressure by the level that the scene asks for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -12,8 +10,6 @@ from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip
 from foretouch.simulation.effect import Effect, Job, SampleState, called_for, keys
 from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
-
-__all__ = ["EFFECTS"]
 
 
 def _weight(job: Job, state: SampleState) -> None:

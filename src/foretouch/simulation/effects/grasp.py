@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the actual positions of the fingers with their execution error."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +11,6 @@ from foretouch.simulation.effect import Effect, Job, SampleState, always, called
 from foretouch.simulation.hand import FingerFrame, finger_frames
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
-
-__all__ = ["EFFECTS"]
 
 _UP = np.array([0.0, 0.0, 1.0])
 

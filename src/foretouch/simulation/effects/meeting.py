@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where each pad meets the object, and the object's surface around that point."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -15,8 +13,6 @@ from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.pressing import pad_of, surface_behind
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64
-
-__all__ = ["EFFECTS"]
 
 _BACK_M = 0.03  # how far outside the planned contact the rays start
 _SEARCH_M = 0.02  # side of the square that is searched for first touch: most of the pad

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Put the object on the table, and clutter around it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +11,6 @@ from foretouch.simulation.effect import Effect, Job, SampleState, always, called
 from foretouch.simulation.scene import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64
-
-__all__ = ["EFFECTS"]
 
 _PLACES = 100  # tried for one piece of clutter
 _GAP_M = 0.01  # free table between two bodies

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From measured depth to the cloud of the object, by the labels of the ray caster."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +10,6 @@ from foretouch.simulation.depth_scene import FIRST_OBJECT
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.types import Cloud
-
-__all__ = ["EFFECTS"]
 
 _FEWEST = 100  # points; fewer are no view of an object
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From contact to counts: the ideal fingertip, then what the sensor adds over time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal, cast
 
@@ -30,8 +28,6 @@ from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey
 from foretouch.types import ELECTRODES, Float64, Touch
-
-__all__ = ["EFFECTS"]
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 

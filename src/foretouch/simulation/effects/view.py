@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the camera sees: exact depth by ray casting, then what a stereo camera makes of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.errors import SimulationError
@@ -13,8 +11,6 @@ from foretouch.simulation.effect import Effect, Job, SampleState, Window, always
 from foretouch.simulation.view import CameraView
 from foretouch.simulation.world import World
 from foretouch.types import Float64
-
-__all__ = ["EFFECTS", "FRAME_EFFECTS"]
 
 _MARGIN_PX = 16  # around the object: room for flying pixels, the shadow of a neighbour and the matching window
 _SPOT_PX = 3  # side of a hole

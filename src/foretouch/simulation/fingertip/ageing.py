@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects with memory: creep of the skin, drift with temperature, electrodes that died, slip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -13,17 +11,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import Float64
-
-__all__ = [
-    "CreepConfig",
-    "SlipConfig",
-    "TemperatureConfig",
-    "creep",
-    "kill_electrodes",
-    "slip_path",
-    "temperature_drift",
-    "warming",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,6 @@ with u the skin's displacement, w_e a Gaussian about the electrode's position on
 normal, n_e the electrode's, and V / A the even bulge by which the displaced liquid V lifts the skin's area A.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -35,23 +33,6 @@ from foretouch.errors import ContactError
 from foretouch.simulation.contact.pad import ContactFrame, PadConfig
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
 from foretouch.types import ELECTRODES, Float64
-
-__all__ = [
-    "MIDDLE_FINGER",
-    "THUMB",
-    "ElectrodeConfig",
-    "Finger",
-    "FingerConfig",
-    "FluidConfig",
-    "counts_at",
-    "displaced_volume",
-    "draw_finger",
-    "electrode_counts",
-    "electrode_weights",
-    "pdc_counts",
-    "skin_approach",
-]
-
 
 _LOWEST_REST: Final = 500.0
 _HIGHEST_REST: Final = 4000.0

@@ -7,8 +7,6 @@ the last one, about 17 of 24, and repeats the rest: a block of about eight that 
 `steady_noise` estimates the noise of steady counts, for recordings and for the simulation alike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +17,6 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import TactileError
 from foretouch.types import Float64
-
-__all__ = ["NoiseConfig", "ScanConfig", "SteadyNoise", "fresh_samples", "hold", "steady_noise", "wander", "white_noise"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a solved contact to what the fingertip reads: the one function for all contacts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,8 +23,6 @@ from foretouch.simulation.fingertip.fingertip import (
 )
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import Float64
-
-__all__ = ["FingertipConfig", "Reading", "quantise", "read_contact", "rest_reading"]
 
 _LOWEST_ELECTRODE: Final = 0
 

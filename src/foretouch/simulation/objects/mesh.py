@@ -16,8 +16,6 @@ import numpy.typing as npt
 from foretouch.errors import SimulationError
 from foretouch.types import Float64
 
-__all__ = ["TriangleMesh", "revolved", "rounded_box", "sphere_directions", "star_shaped"]
-
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:

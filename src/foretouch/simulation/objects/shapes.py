@@ -6,8 +6,6 @@ meshes is public; these are made here from formulas, with features that a finger
 All stand upright along z. Random superquadrics, vases and blobs (`random_shape`) serve to learn to generalise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Final
@@ -17,9 +15,6 @@ import numpy as np
 from foretouch.errors import SimulationError
 from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, star_shaped
 from foretouch.types import Float64
-
-__all__ = ["SHAPES", "random_shape", "unit_mesh"]
-
 
 _HARMONICS = 6  # waves of a blob
 

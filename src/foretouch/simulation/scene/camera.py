@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The depth camera of a scene: where it stands, and which of its faults are simulated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +8,6 @@ import numpy as np
 from foretouch.camera.deproject import pinhole_matrix
 from foretouch.config import Settings, setting
 from foretouch.simulation.view import CameraView
-
-__all__ = ["CameraConfig", "DepthNoiseConfig", "FlyingPixelConfig", "HoleConfig", "StereoConfig"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fingertips of a scene (pad, posture, sensor), and how it is grasped (grasps by GeoGrasp, force or depth by the hand)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
@@ -20,19 +18,6 @@ from foretouch.simulation.fingertip import (
     TemperatureConfig,
 )
 from foretouch.simulation.scene.ranges import require_range
-
-__all__ = [
-    "DeadConfig",
-    "DriftConfig",
-    "ExecutionErrorConfig",
-    "FingersConfig",
-    "GraspsConfig",
-    "PostureConfig",
-    "SessionsConfig",
-    "TargetConfig",
-    "ThumbConfig",
-    "TimelineConfig",
-]
 
 
 @dataclass(frozen=True, kw_only=True)

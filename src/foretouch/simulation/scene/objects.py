@@ -5,8 +5,6 @@ A family asks in one line for K objects whose shape, size and stiffness are draw
 covers them all, and an object keeps what it drew however many grasps it gets.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,19 +13,6 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.objects import SHAPES
 from foretouch.simulation.scene.ranges import draw, require_range
-
-__all__ = [
-    "RESTS",
-    "ClutterConfig",
-    "FamiliesConfig",
-    "FamilyConfig",
-    "ObjectConfig",
-    "PoseConfig",
-    "SurfaceConfig",
-    "TableConfig",
-    "draw_objects",
-]
-
 
 RESTS = ("upright", "side", "any")
 

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rule that many fields of a scene share: (low, high) to draw from."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
-
-__all__ = ["draw", "require_range"]
 
 
 def require_range(settings: Settings, name: str, lowest: float | None = None) -> None:

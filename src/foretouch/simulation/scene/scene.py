@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene read from YAML. A group that is absent switches its effect off."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json
@@ -18,8 +16,6 @@ from foretouch.errors import ConfigError
 from foretouch.simulation.scene.camera import CameraConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
 from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
-
-__all__ = ["FIDELITIES", "GravityConfig", "SceneConfig", "load_scene"]
 
 _YOUNGER: Final = {"first_variant": 0, "sessions": None}
 """Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""

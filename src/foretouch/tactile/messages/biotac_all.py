@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`BiotacAll` of the Shadow Hand's driver, as in `foretouch_msgs` and, with the same fields, in `sr_robot_msgs`."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Final
 
@@ -11,8 +9,6 @@ import numpy as np
 from foretouch.errors import TactileError
 from foretouch.tactile.messages.table import TactileConfig, TactileReader, TactileReading, named_index, stamp_ns
 from foretouch.types import ELECTRODES, Float32
-
-__all__ = ["FINGERS", "FINGER_ORDER", "finger_counts", "make_reader"]
 
 FINGERS: Final = ("TH", "MF")
 FINGER_ORDER: Final = ("FF", "MF", "RF", "LF", "TH")

@@ -5,8 +5,6 @@ A line holds a time, printed with six digits and therefore not usable, and 54 nu
 E1, PAC, E2, PAC, ... E24, PAC, PDC, PAC, TAC, PAC, TDC, PAC. Fingers are named by the index of their sensor.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Final
 
@@ -15,8 +13,6 @@ import numpy as np
 from foretouch.errors import TactileError
 from foretouch.tactile.messages.table import ARRIVAL_STAMPED, TactileConfig, TactileReader, TactileReading, named_index
 from foretouch.types import ELECTRODES
-
-__all__ = ["FINGERS", "make_reader"]
 
 FINGERS: Final = ("0", "1")
 

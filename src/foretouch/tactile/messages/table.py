@@ -6,8 +6,6 @@ To support another type, add a module with `FINGERS` (default names of thumb and
 take the supported types from that table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,17 +14,6 @@ from typing import Any, Final
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.types import Float32
-
-__all__ = [
-    "ARRIVAL_STAMPED",
-    "TACTILE_TYPES",
-    "TactileConfig",
-    "TactileReader",
-    "TactileReading",
-    "make_reader",
-    "named_index",
-    "stamp_ns",
-]
 
 TACTILE_TYPES: dict[str, str] = {
     "foretouch_msgs/BiotacAll": "foretouch.tactile.messages.biotac_all",

@@ -4,8 +4,6 @@
 The order of the numbers in a channel is not standardised: `state_pdc` and `state_electrodes` give the indices.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Final
 
@@ -14,8 +12,6 @@ import numpy as np
 from foretouch.errors import TactileError
 from foretouch.tactile.messages.table import TactileConfig, TactileReader, TactileReading, stamp_ns
 from foretouch.types import ELECTRODES
-
-__all__ = ["FINGERS", "make_reader"]
 
 FINGERS: Final = ("TH", "MF")
 

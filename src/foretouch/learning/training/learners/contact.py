@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learner of the contact model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +16,6 @@ from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.contact.checkpoint import save_contact
 from foretouch.tactile import TactileRanges
 from foretouch.types import Float64
-
-__all__ = ["ContactLearner", "ContactRun"]
 
 
 @dataclass(frozen=True, kw_only=True)

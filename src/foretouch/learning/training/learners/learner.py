@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of a training method: settings of a run, and a learner that fits, predicts, calibrates, saves and loads."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import typing
@@ -22,8 +20,6 @@ from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges
 from foretouch.types import Float64
-
-__all__ = ["LEARNERS", "CardCalibration", "Learner", "RunConfig", "register"]
 
 CardCalibration = tuple[Calibration, dict[str, Any]]
 """A calibration, and its facts for the card."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learners of networks: supervised and SR-GAN training, resumable at every epoch."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,8 +27,6 @@ from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
-
-__all__ = ["NetworkLearner", "NetworkRun", "SrganLearner", "SrganRun", "SupervisedLearner", "SupervisedRun"]
 
 
 @dataclass(frozen=True, kw_only=True)
