@@ -8,7 +8,7 @@ import pytest
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import decode_grasp
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -65,7 +65,7 @@ def test_nodes_and_command_line_give_the_same_bits(chain, scene_cloud, model_car
         np.testing.assert_array_equal(chosen[0].indices, felt.target.pixels)
         assert len(said["grasps"].grasps) == len(felt.plan.grasps) > 0
         for message, grasp in zip(said["grasps"].grasps, felt.plan.grasps, strict=True):
-            received = grasp_from_msg(message)
+            received = decode_grasp(message)
             for name in ("g1", "g2", "rotation"):
                 np.testing.assert_array_equal(getattr(received, name), getattr(grasp, name))
         for message, prediction in zip(said["touch"].predictions, felt.predictions, strict=True):

@@ -15,7 +15,7 @@ pytest.importorskip("libusb_package", reason="the camera's libraries are not ins
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, scene
 
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.camera import CameraNodeConfig
 from foretouch.simulation.message_faults import FaultConfig
@@ -44,7 +44,7 @@ def test_the_hand_holds_what_the_camera_saw(graph, tmp_path) -> None:
     assert all(report.success for report in told)
     assert {report.grasp_id for report in told} <= {one.id for message in grasps for one in message.grasps}
     for message in points[:3]:
-        cloud = cloud_from_msg(message)
+        cloud = decode_cloud(message)
         expected = FrameMaker(config).frame(show.slot(cloud.stamp_ns)).cloud()
         np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)
 

@@ -4,7 +4,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_from_msg, objects_to_msg
@@ -41,7 +41,7 @@ def test_a_cloud_survives_the_wire(rng, rgb):
     cloud = image(rng, rgb=rgb)
     message = cloud_to_msg(cloud)
     assert message.point_step == (16 if rgb else 12)
-    back = cloud_from_msg(wire(message))
+    back = decode_cloud(wire(message))
     np.testing.assert_array_equal(back.xyz, cloud.xyz)
     assert (back.rgb is None) == (not rgb)
     if rgb:
@@ -51,7 +51,7 @@ def test_a_cloud_survives_the_wire(rng, rgb):
 
 def test_reading_a_cloud_copies_nothing(rng):
     message = wire(cloud_to_msg(image(rng, rgb=True)))
-    cloud = cloud_from_msg(message)
+    cloud = decode_cloud(message)
     memory = np.frombuffer(message.data, np.uint8)
     assert np.shares_memory(cloud.xyz, memory)
     assert np.shares_memory(cloud.rgb, memory)
@@ -99,4 +99,4 @@ def test_sizes_that_do_not_add_up_are_refused(rng):
     message = cloud_to_msg(image(rng, rgb=False))
     message.width += 1
     with pytest.raises(CloudError, match="row_step"):
-        cloud_from_msg(message)
+        decode_cloud(message)

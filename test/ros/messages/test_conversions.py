@@ -9,8 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
-from foretouch.dataset.messages import has_orientation, rotation_from_quaternion
+from foretouch.dataset.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
@@ -53,7 +52,7 @@ def test_a_grasp_survives_the_wire_to_the_last_bit(rng):
     for _ in range(50):
         grasp = random_grasp(rng)
         wire = deserialize_message(serialize_message(grasp_to_msg(grasp)), GraspMsg)
-        back = grasp_from_msg(wire)
+        back = decode_grasp(wire)
         for name in ("g1", "g2", "rotation"):
             np.testing.assert_array_equal(getattr(back, name), getattr(grasp, name))
         assert (back.id, back.object_id, back.score) == ("id", "2", 1.5)
@@ -71,7 +70,7 @@ def test_a_quaternion_alone_will_do(rng):
     grasp = random_grasp(rng)
     message = grasp_to_msg(grasp)
     message.rotation = np.zeros(9)
-    np.testing.assert_allclose(grasp_from_msg(message).rotation, grasp.rotation, atol=1e-12)
+    np.testing.assert_allclose(decode_grasp(message).rotation, grasp.rotation, atol=1e-12)
 
 
 def test_quaternions_agree_with_scipy(rng):
@@ -96,7 +95,7 @@ def test_a_spoilt_grasp_is_refused_by_name(spoil, match):
     message = grasp_to_msg(Grasp(np.zeros(3), np.ones(3), np.eye(3)))
     spoil(message)
     with pytest.raises(GraspError, match=match):
-        grasp_from_msg(message)
+        decode_grasp(message)
 
 
 def test_no_orientation_is_recognised():
@@ -106,7 +105,7 @@ def test_no_orientation_is_recognised():
     message.pose.orientation.w = 0.0
     assert not has_orientation(message)
     with pytest.raises(GraspError, match="no orientation"):
-        grasp_from_msg(message)
+        decode_grasp(message)
 
 
 def test_a_plane_survives_to_the_last_bit(rng):
@@ -137,7 +136,7 @@ def test_a_prediction_puts_each_electrode_in_its_place():
     vector = np.arange(50.0) + 100.0
     grasp = grasp_to_msg(Grasp(np.zeros(3), np.ones(3), np.eye(3)))
     prediction = TouchPrediction(
-        grasp_from_msg(grasp),
+        decode_grasp(grasp),
         Touch.from_vector(vector),
         lower=Touch.from_vector(vector - 10),
         flags=("unfamiliar",),

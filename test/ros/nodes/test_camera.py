@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.camera import CameraNode
 from foretouch.tactile.messages.table import stamp_ns
@@ -69,7 +69,7 @@ def test_a_synthetic_camera_publishes_organised_clouds(graph):
     for message in heard:
         assert (message.header.frame_id, message.height, message.width) == ("camera_depth_optical_frame", 120, 212)
         assert (message.point_step, message.row_step) == (12, 12 * 212)
-        xyz = cloud_from_msg(message).xyz
+        xyz = decode_cloud(message).xyz
         assert any(np.array_equal(xyz, truth, equal_nan=True) for truth in truths)
 
 
@@ -77,7 +77,7 @@ def test_colour_and_the_frame_are_as_asked(graph):
     heard = graph.listen(PointCloud2, "points")
     start(graph, camera__align="colour_to_depth", camera__frame_id="eye")
     graph.until(lambda: heard)
-    cloud = cloud_from_msg(heard[0])
+    cloud = decode_cloud(heard[0])
     assert (heard[0].header.frame_id, heard[0].point_step) == ("eye", 16)
     assert cloud.rgb is not None
     assert cloud.rgb.max() > 0
@@ -151,7 +151,7 @@ def test_a_recording_is_played_once_and_the_node_ends(graph, tmp_path):
     graph.until(node.has_ended)
     graph.until(lambda: len(heard) >= 4)
     assert [stamp_ns(message.header.stamp) for message in heard] == stamps
-    np.testing.assert_array_equal(cloud_from_msg(heard[-1]).xyz, cloud.xyz)
+    np.testing.assert_array_equal(decode_cloud(heard[-1]).xyz, cloud.xyz)
 
 
 def _frame():

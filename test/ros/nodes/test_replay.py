@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, Topic
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.ros.nodes.replay import ReplayNode, message_class, playable
 from foretouch.tactile.messages.table import stamp_ns
@@ -66,7 +66,7 @@ def test_every_cloud_is_played_once_in_order_as_recorded(graph, tmp_path, rng):
     clouds = make_clouds(rng)
     write_bag(tmp_path / "bag", clouds)
     node, received = play(graph, tmp_path / "bag", {"points": PointCloud2})
-    read = [cloud_from_msg(message) for message in received["points"]]
+    read = [decode_cloud(message) for message in received["points"]]
     assert [(c.frame_id, c.stamp_ns) for c in read] == [(c.frame_id, c.stamp_ns) for c in clouds]
     for one, other in zip(read, clouds, strict=True):
         np.testing.assert_array_equal(one.xyz, other.xyz)
@@ -150,7 +150,7 @@ def test_restamped_clouds_carry_the_time_of_now_and_the_same_points(graph, tmp_p
     _, received = play(graph, tmp_path / "bag", {"points": PointCloud2}, restamp=True)
     stamps = [stamp_ns(message.header.stamp) for message in received["points"]]
     assert before < stamps[0] < stamps[1] < time.time_ns()
-    np.testing.assert_array_equal(cloud_from_msg(received["points"][1]).xyz, clouds[1].xyz)
+    np.testing.assert_array_equal(decode_cloud(received["points"][1]).xyz, clouds[1].xyz)
 
 
 def test_folders_of_objects_go_behind_the_segmentation(graph, tmp_path, rng):

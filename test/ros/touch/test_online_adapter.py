@@ -20,7 +20,7 @@ from robot_builders import FRAME, MS, QUICK, Robot
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import decode_grasp
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
 from foretouch.models.touch_model import ObjectResiduals
@@ -277,7 +277,7 @@ def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
     )
     answer = graph.call(PredictTouch, "predict_touch", request).touch
     assert_answer(answer, hand, residuals=memory)
-    assert grasp_from_msg(answer.predictions[0].grasp).id == "g/0"
+    assert decode_grasp(answer.predictions[0].grasp).id == "g/0"
 
 
 def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(graph: Any, card: str) -> None:

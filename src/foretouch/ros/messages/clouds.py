@@ -83,7 +83,7 @@ def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, .
     """The reverse of `objects_to_msg`, in the same order, for objects on a table; also reads any cloud of one object.
 
     Raises:
-        CloudError: As `cloud_from_msg`.
+        CloudError: As `decode_cloud`.
     """
     return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import decode_grasp
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -107,14 +107,14 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     """Convert a received prediction; values are float32, and NaN bounds become None.
 
     Raises:
-        GraspError: As `grasp_from_msg`.
+        GraspError: As `decode_grasp`.
     """
     rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
     names = {code: name for name, code in _REFERENCES.items()}
     refused = bool(np.isnan(value).any())
     return TouchPrediction(
-        grasp=grasp_from_msg(message.grasp),
+        grasp=decode_grasp(message.grasp),
         value=None if refused else Touch.from_vector(value),
         lower=None if np.isnan(lower).any() else Touch.from_vector(lower),
         upper=None if np.isnan(upper).any() else Touch.from_vector(upper),

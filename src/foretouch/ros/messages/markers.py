@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import decode_grasp
 from foretouch.ros.messages.conversions import interval_text, point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
@@ -54,7 +54,7 @@ def touch_markers(
     """
     if prediction.status != Status.OK:
         return MarkerArray()
-    grasp = grasp_from_msg(prediction.grasp)
+    grasp = decode_grasp(prediction.grasp)
     header = prediction.header
     ids = count()
     markers = []

@@ -7,7 +7,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, ForetouchError
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
@@ -68,7 +68,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         RefusalError: BAD_CLOUD, if its sizes do not add up.
     """
     try:
-        return cloud_from_msg(message)
+        return decode_cloud(message)
     except CloudError as err:
         raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 

@@ -20,7 +20,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from foretouch.config import setting
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
+from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, stamp_to_msg
@@ -240,7 +240,7 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _course(self, command: _Command) -> Course:
         assert self._hand is not None  # noqa: S101  setup made it
-        grasp = grasp_from_msg(command.message.grasps[0])
+        grasp = decode_grasp(command.message.grasps[0])
         slot = self.config.scene.slot(command.planned_ns)
         self._repeats += 1
         return self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)

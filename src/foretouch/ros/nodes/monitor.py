@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.dataset.messages import decode_cloud as cloud_from_msg
+from foretouch.dataset.messages import decode_cloud
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, SampleAssembler, SerializedCloud, TouchCut
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
@@ -145,7 +145,7 @@ class MonitorNode(Node):
             return None
         try:
             found = objects_from_msg(object_message, ASSUMED_TABLE)
-            scene = None if scene_message is None else cloud_from_msg(scene_message)
+            scene = None if scene_message is None else decode_cloud(scene_message)
         except CloudError:
             return None
         wanted = prediction.grasp.object_id

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import decode_grasp as grasp_from_msg
-from foretouch.dataset.messages import has_orientation
+from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.models import TouchModel, load_model
@@ -145,13 +144,13 @@ class _Poser:
     def grasp(self, message: GraspMsg) -> Grasp:
         """The grasp of a message, with an orientation computed if the message has none."""
         if has_orientation(message):
-            return grasp_from_msg(message)
+            return decode_grasp(message)
         if self._config is None:
             raise GraspError("pose: no orientation, and no table to compute it with")
-        unposed = grasp_from_msg(message, np.eye(3))
+        unposed = decode_grasp(message, np.eye(3))
         if self._axis is None:
             self._axis, _ = object_axis(self._target.cloud, self._target.plane, self._config)
-        return grasp_from_msg(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
+        return decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:
