@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch evaluate`: score a model and the baselines on a dataset."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from typing import Any

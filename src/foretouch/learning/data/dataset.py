@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ predict touch from shape while it only recognises the recording session. The obj
 show how far that alone goes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, Protocol
 

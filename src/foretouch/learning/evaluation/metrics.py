@@ -5,8 +5,6 @@ An error in counts means little by itself: P1's published errors are larger than
 training labels on the same data. `skill` compares with that mean: 0 equals it, 1 is perfect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

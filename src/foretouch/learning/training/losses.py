@@ -21,8 +21,6 @@ as possible") and eqs. 3 and 4 at once ("we use the ones proposed in the origina
 Shapes: B samples, F features, M outputs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final

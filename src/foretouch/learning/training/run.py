@@ -4,8 +4,6 @@
 With several processes (`torchrun`), only the first writes; all of them read a state that is resumed.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -98,8 +96,8 @@ def compare_splits(
 
     Args:
         learner: The method; it is fitted to each fold.
-        splits: Out of `SPLITS`.
-        report: Called with the mean skill of each predictor on each split.
+        splits: Names from `SPLITS`.
+        report: Called with the skills of each predictor on each split.
         workers: Number of processes.
 
     Returns:

@@ -10,8 +10,6 @@ RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboa
 The state is one safetensors file, tensors and JSON, that is replaced as a whole or not at all.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -20,8 +20,6 @@ Departures from P2, which specifies neither:
 Shapes: B samples, N points, C channels, F features.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

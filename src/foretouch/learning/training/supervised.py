@@ -9,8 +9,6 @@ The augmentation turns object and hand together. For a camera that looks down, t
 gravity and contact stay the same and so does the touch. This does not hold for a camera that looks from the side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

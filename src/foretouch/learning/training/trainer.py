@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training loop shared by all networks: epochs, private random numbers, and a state that resumes bit for bit."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -8,8 +8,6 @@ of a run equals that of `train_network` up to rounding. On a CPU this is faster 
 Shapes: R runs, B samples, N points, C channels, G grasp numbers, M outputs.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ To add a method, add a module here with a `Learner` subclass under `@register("N
 imported when a method is looked up, and `foretouch train` accepts `method: NAME` from then on.
 """
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Mapping, Sequence

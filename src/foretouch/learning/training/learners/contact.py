@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learner of the contact model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

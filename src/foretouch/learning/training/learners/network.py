@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learners of networks: supervised and SR-GAN training, resumable at every epoch."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
