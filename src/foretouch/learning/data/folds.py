@@ -12,8 +12,9 @@ Three splits answer three questions:
 """
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -51,26 +52,26 @@ HoldOut = Callable[[Fold], Float64]
 """Fits to the training side of a fold and returns (T, 50) predictions of its test side [counts]."""
 
 
-def predict_folds(predict: HoldOut, folds: Sequence[Fold], workers: int = 1) -> Float64:
-    """(S, 50) held-out predictions: each sample's is from the fold that tests it [counts].
-
-    Args:
-        predict: Must be picklable where there are several workers.
-        folds: Together they test each sample once.
-        workers: Processes of one thread each among which the folds are distributed; results do not depend on it.
-    """
-    if workers == 1:
-        return _gather(folds, map(predict, folds))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        return _gather(folds, pool.map(predict, folds))
+Mapper = Callable[[HoldOut, Sequence[Fold]], Iterator[Float64]]
 
 
-def _gather(folds: Sequence[Fold], parts: Iterable[Float64]) -> Float64:
+def predict_folds(predict: HoldOut, folds: Sequence[Fold], run: Mapper = map) -> Float64:
+    """(S, 50) held-out predictions: each sample's is from the one fold that tests it [counts]."""
     result = np.full((sum(len(fold.test) for fold in folds), TOUCH_SIZE), np.nan)
-    for fold, part in zip(folds, parts, strict=True):
+    for fold, part in zip(folds, run(predict, folds), strict=True):
         result[fold.test] = part
     return result
+
+
+@contextmanager
+def fold_workers(workers: int) -> Iterator[Mapper]:
+    """A mapper for `predict_folds` that runs folds in several processes of one thread each; results are the same."""
+    if workers == 1:
+        yield map
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        yield pool.map
 
 
 def _one_thread() -> None:
@@ -80,15 +81,10 @@ def _one_thread() -> None:
 
 
 def make_folds(samples: Sequence[GraspSample], split: str, seed: int) -> list[Fold]:
-    """The folds of a named split.
-
-    Args:
-        samples: All samples.
-        split: One of `SPLITS`.
-        seed: Seed of the random split.
+    """The folds of one of `SPLITS`; the seed is that of the random split.
 
     Raises:
-        DatasetError: If there is no such split, or too few samples for it.
+        DatasetError: If there is no such split, or there are too few samples for it.
     """
     objects = [sample.object for sample in samples]
     if split == "random":

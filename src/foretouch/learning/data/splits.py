@@ -32,26 +32,15 @@ _VERSION: Final = 1
 
 @dataclass(frozen=True)
 class SplitPart:
-    """One partition of the samples, by id.
+    """One partition of the samples, by id."""
 
-    Attributes:
-        name: Such as "random 0" or "T30".
-        train: Samples to train on with labels.
-        test: Samples to evaluate on.
-        unlabelled: Samples to train on without labels.
-    """
-
-    name: str
+    name: str  # such as "random 0" or "T30"
     train: tuple[str, ...]
     test: tuple[str, ...]
-    unlabelled: tuple[str, ...] = ()
+    unlabelled: tuple[str, ...] = ()  # samples to train on without their labels
 
     def require_disjoint(self) -> None:
-        """Check that no id is in two parts.
-
-        Raises:
-            DatasetError: Names the split and an id.
-        """
+        """Raise `DatasetError`, with the split and an id, if an id is in two parts."""
         seen: set[str] = set()
         for side in (self.train, self.test, self.unlabelled):
             both = seen.intersection(side)
@@ -62,15 +51,10 @@ class SplitPart:
 
 @dataclass(frozen=True)
 class DatasetSplits:
-    """Content of `splits.json`.
-
-    Attributes:
-        parts: By kind of split, in the order of the file.
-        omitted: By kind of split for which there are too few samples, the reason.
-    """
+    """Content of `splits.json`, by kind of split."""
 
     parts: dict[str, list[SplitPart]]
-    omitted: dict[str, str]
+    omitted: dict[str, str]  # why there are too few samples for a split
 
 
 def label_ratios(groups: Sequence[str], rng: np.random.Generator) -> tuple[Indices, dict[str, tuple[Indices, Indices]]]:

@@ -15,7 +15,16 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data import Dataset, Fold, HoldOut, SplitPart, TrainingSet, labels_of, predict_folds
+from foretouch.learning.data import (
+    Dataset,
+    Fold,
+    HoldOut,
+    SplitPart,
+    TrainingSet,
+    fold_workers,
+    labels_of,
+    predict_folds,
+)
 from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
@@ -56,7 +65,8 @@ def cross_validate(
     predictors: dict[str, HoldOut] = {MODEL: model}
     for name, baseline in baselines.items():
         predictors[name] = partial(_baseline, samples, labels, baseline, seed)
-    predicted = {name: predict_folds(predictor, folds, workers) for name, predictor in predictors.items()}
+    with fold_workers(workers) as run:
+        predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
     reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
     scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
     return scores, predicted[MODEL]

@@ -59,11 +59,9 @@ class HeldOutPredictions:
 
 
 def calibration_folds(samples: Sequence[GraspSample], seed: int) -> dict[str, tuple[list[Fold], Names]]:
-    """Folds by which training samples are held out for a calibration, by condition.
+    """Folds by which training samples are held out for a calibration.
 
-    Args:
-        samples: Training samples.
-        seed: Seed of random folds, which replace blocks of time where an object has fewer samples than blocks.
+    Where an object has fewer samples than there are blocks of time, random folds of the seed replace these.
 
     Returns:
         `known` and `new`: folds, and (S,) sessions: blocks of the objects' recordings, or objects.
@@ -87,9 +85,6 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
 
     Without any tare they are estimated from the labels, value by value: pressure from its low end, electrodes, which
     contact lowers, from their high end.
-
-    Args:
-        samples: Labelled, at least one.
 
     Returns:
         (50,) [counts]; True if it is the mean of recorded tares.
@@ -139,17 +134,14 @@ def calibrate(
 
 
 def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> CalibrationGroup:
-    """Covariances of the lasting and the varying error, the slope of differences, and conformal half widths.
+    """Covariances of the lasting and the varying error, slope of differences, and half widths of one condition.
 
     B is estimated by the method of moments from the mean residual of each session; its correlations are shrunk to zero
     by G / (G + 30) for G objects, since 8 objects cannot determine 1225 of them. Where no session has two samples, the
     lasting part cannot be separated: then all of the error counts as new with each grasp, and touches do not narrow the
     intervals.
 
-    Args:
-        held_out: Predictions of one condition.
-        new: Whether the group is for objects outside these. Then the slope is shrunk by the same factor, since it was
-            measured on G objects only.
+    With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects only.
     """
     shrinkage = _shrinkage(held_out.objects)
     residuals = held_out.labels - held_out.predicted

@@ -48,20 +48,12 @@ class ContactConfig(Settings):
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(FEATURES)) float64 features of each sample's grasp on its cloud.
-
-    Raises:
-        DatasetError: If a cloud cannot be used; names the sample.
-    """
+    """(S, len(FEATURES)) float64 features of each sample's grasp; raises `DatasetError` for a cloud that cannot be used."""
     return np.concatenate([_scene(sample).describe([sample.grasp]) for sample in samples])
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(OBJECT_FEATURES)) float64 features of each sample's cloud.
-
-    Raises:
-        DatasetError: If a cloud cannot be used; names the sample.
-    """
+    """(S, len(OBJECT_FEATURES)) float64 features of each sample's cloud; raises as `describe_samples`."""
     return np.array([_scene(sample).object_features for sample in samples])
 
 
@@ -79,7 +71,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
         rows: (S, F) of `describe_samples`.
         labels: (S, 50) [counts].
         objects: (S,) names.
-        config: Settings of the fit.
+        config: Settings.
 
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.
@@ -158,12 +150,7 @@ def _ridge_weights(kernel: Float64, scaled: Float64, ridge: float) -> Float64:
 
 
 class ContactPredictor:
-    """A contact model fitted to labelled grasps; it is calibrated only when intervals or touches require it.
-
-    Args:
-        train: Labelled samples.
-        labels: (S, 50) [counts].
-        config: Settings of the fit.
+    """A contact model fitted to samples with (S, 50) labels [counts]; calibrated once intervals or touches require it.
 
     Attributes:
         rest: (50,) rest level of its predictions [counts].
@@ -199,12 +186,7 @@ class ContactPredictor:
     def predict_after(
         self, touched: Sequence[GraspSample], samples: Sequence[GraspSample], *, tare: bool = False
     ) -> Float64:
-        """Predictions after touches of the same object, as `TouchModel.predict` with a memory gives them.
-
-        Args:
-            touched: Labelled samples of the same object; may be empty.
-            samples: Samples to predict.
-            tare: Whether to use the tares of all of them.
+        """Predictions after touches of the same object, with all tares or none, as `TouchModel.predict` gives them.
 
         Raises:
             DatasetError: If `tare` is set and a sample has no tare.

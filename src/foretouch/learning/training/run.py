@@ -94,8 +94,8 @@ def compare_splits(
 
     Args:
         learner: The method; it is fitted to each fold.
-        splits: Out of `SPLITS`.
-        report: Called with the mean skill of each predictor on each split.
+        splits: Names from `SPLITS`.
+        report: Called with the skills of each predictor on each split.
         workers: Number of processes.
 
     Returns:

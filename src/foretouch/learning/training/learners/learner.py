@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final, Generic, TypeVar
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, labels_of, predict_folds
+from foretouch.learning.data import Dataset, DataSplit, Fold, Indices, fold_workers, labels_of, predict_folds
 from foretouch.learning.training.calibration import calibrate, calibration_folds
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.calibration import Calibration
@@ -183,10 +183,13 @@ class Learner(ABC, Generic[_C]):
         Raises:
             DatasetError: If all training samples are of one object.
         """
-        held_out = {
-            name: (predict_folds(self.predict_fold, folds, workers) if predicted is None else predicted[name], sessions)
-            for name, (folds, sessions) in calibration_folds(self.samples, self.config.seed).items()
-        }
+        conditions = calibration_folds(self.samples, self.config.seed)
+        if predicted is None:
+            with fold_workers(workers) as run:
+                predicted = {
+                    name: predict_folds(self.predict_fold, folds, run) for name, (folds, _) in conditions.items()
+                }
+        held_out = {name: (predicted[name], sessions) for name, (_, sessions) in conditions.items()}
         return calibrate(self.samples, self.labels, held_out)
 
 
