@@ -9,11 +9,9 @@ import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, add_calibration
-from foretouch.models.contact.checkpoint import save_contact
-from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.contact.features import FEATURES
-from foretouch.models.contact.forest import Forest
-from foretouch.models.contact.kernel_regression import KernelRegression
+from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, columns
 
@@ -45,7 +43,7 @@ def save_calibrated_network(folder: Path) -> str:
 
     from foretouch.models.network.checkpoint import save_network
     from foretouch.models.network.config import ModelConfig
-    from foretouch.models.network.regressor import TouchNet
+    from foretouch.models.network.networks import TouchNet
 
     torch.manual_seed(0)
     config = ModelConfig(n_points=64, trunk_widths=(8, 16, 32), tnet_widths=(8, 8, 16, 8, 8), head_widths=(16, 8))

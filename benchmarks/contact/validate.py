@@ -26,7 +26,7 @@ from foretouch.simulation.contact import (
     solve_layer,
     solve_winkler,
 )
-from foretouch.simulation.contact.influence import influence_spectrum
+from foretouch.simulation.contact.layer import influence_spectrum
 from foretouch.simulation.fingertip import THUMB, FingertipConfig, draw_finger, read_contact
 
 RADIUS_M = 0.01

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 from foretouch.cloud.geometry.pcl_filters import voxel_grid
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import ContactSide, SurfacePoints, contact_radius, find_grasp_plane
-from foretouch.grasp.ranking import Ranking, rank_pairs
+from foretouch.grasp.ranking import ContactSide, Ranking, SurfacePoints, contact_radius, find_grasp_plane, rank_pairs
 from foretouch.types import Float32, Float64, Plane
 
 

@@ -15,7 +15,7 @@ from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, plan_grasps
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import find_grasp_plane
+from foretouch.grasp.ranking import find_grasp_plane
 from foretouch.types import Cloud, Float64, Plane
 
 COUNTS = ("n_filtered", "n_voxel", "n_plane", "n_first", "n_second", "n_fv", "n_sv", "n_nan_normals")

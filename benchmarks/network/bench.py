@@ -11,11 +11,11 @@ from datasets.abc import Callable
 from torch import Tensor, nn
 
 from foretouch.learning.data import SPLITS
+from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.estimator import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
+from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.pointnet import Layer
-from foretouch.models.network.regressor import TouchNet
 from foretouch.models.registry import available_models, load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import MODALITIES

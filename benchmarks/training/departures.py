@@ -22,7 +22,7 @@ from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.generator import GeneratorConfig
+from foretouch.models.network.networks import GeneratorConfig
 from foretouch.tactile import columns
 
 SLIM = ModelConfig(

@@ -54,19 +54,12 @@ class FoundObject:
 
 @dataclass(frozen=True, eq=False)
 class SegmentedScene:
-    """The table and the objects of a scene.
+    """The table and the objects of a scene."""
 
-    Attributes:
-        status: "ok", "no_target", or the status of the segmentation.
-        reason: Why, in words; "" for "ok".
-        segmentation: The table and all objects.
-        targets: The objects to grasp, best first.
-    """
-
-    status: str
-    reason: str
-    segmentation: Segmentation
-    targets: tuple[FoundObject, ...]
+    status: str  # "ok", "no_target", or the status of the segmentation
+    reason: str  # why, in words; "" for "ok"
+    segmentation: Segmentation  # the table and all objects
+    targets: tuple[FoundObject, ...]  # the objects to grasp, best first
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,21 +73,13 @@ class TargetResult:
 
 @dataclass(frozen=True, eq=False)
 class PipelineResult:
-    """The result for one cloud.
+    """The result for one cloud."""
 
-    Attributes:
-        status: "ok", or the status of the step at which the pipeline ended.
-        reason: Why, in words; "" for "ok".
-        scene: None where the cloud holds only an object.
-        targets: The objects to grasp with their predictions, best first.
-        ms: Wall time of `segment`, `grasp`, `touch` and `total` [ms].
-    """
-
-    status: str
-    reason: str
-    scene: SegmentedScene | None
-    targets: tuple[TargetResult, ...]
-    ms: dict[str, float]
+    status: str  # "ok", or the status of the step at which the pipeline ended
+    reason: str  # why, in words; "" for "ok"
+    scene: SegmentedScene | None  # none where the cloud holds only an object
+    targets: tuple[TargetResult, ...]  # the objects to grasp with their predictions, best first
+    ms: dict[str, float]  # wall time of `segment`, `grasp`, `touch` and `total` [ms]
 
 
 class Pipeline:

@@ -16,7 +16,7 @@ import pytest
 from calibrated_models import REST, save_calibrated_contact, save_calibrated_network
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
-from foretouch.cli.adaptation import read_tare
+from foretouch.cli.predict import read_tare
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from foretouch.cli.record_panel import record_panel
+from foretouch.cli.record import record_panel
 from foretouch.dataset.recording import verify_dataset
 from foretouch_msgs.msg import RecorderStatus, TopicAccount
 

@@ -12,7 +12,7 @@ from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.ablation.results import NOTHING, ablation_rows, ablation_tables
 from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVariant, fit_variants
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES
 from foretouch.models.novelty import OBJECT_FEATURES

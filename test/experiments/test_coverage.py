@@ -15,7 +15,7 @@ from foretouch.experiments.coverage.results import coverage_table, coverage_tabl
 from foretouch.experiments.shared.folds import by_object, split_objects
 from foretouch.experiments.unseen_object import UnseenObjectSettings
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor
 
 FEW_DRAWS = BootstrapConfig(draws=200)

@@ -12,7 +12,7 @@ from foretouch.experiments.label_ratio.data import PresampledSet
 from foretouch.experiments.label_ratio.training import PointnetTrainer, configured
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.generator import GeneratorConfig
+from foretouch.models.network.networks import GeneratorConfig
 
 POINTS = 16
 MODEL = ModelConfig(n_points=POINTS, tnet=False, trunk_widths=(16, 32), head_widths=(16,), outputs=("PDC_TH",))

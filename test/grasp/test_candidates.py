@@ -6,7 +6,7 @@ import pytest
 
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig
-from foretouch.grasp.candidates import contact_radius, contact_side, find_grasp_plane
+from foretouch.grasp.ranking import contact_radius, contact_side, find_grasp_plane
 
 CONFIG = GeoGraspConfig()
 Y = np.array([0.0, 1.0, 0.0])

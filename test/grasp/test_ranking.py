@@ -4,8 +4,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.grasp.candidates import ContactSide, GraspPlane, SurfacePoints
-from foretouch.grasp.ranking import initial_score, rank_pairs
+from foretouch.grasp.ranking import ContactSide, GraspPlane, SurfacePoints, initial_score, rank_pairs
 
 AXIS = np.array([0.0, 1.0, 0.0])
 CENTROID = np.zeros(3)

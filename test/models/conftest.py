@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.regressor import TouchNet
+from foretouch.models.network.networks import TouchNet
 from foretouch.types import Cloud, Grasp
 
 torch.set_num_threads(1)  # networks this small only lose time to more

@@ -16,7 +16,7 @@ from experiment_samples import make_samples
 
 from foretouch.errors import ModelError
 from foretouch.models.card import KINDS, ModelKind
-from foretouch.models.contact.checkpoint import save_contact
+from foretouch.models.contact.estimator import save_contact
 from foretouch.models.network.checkpoint import save_ensemble, save_network
 from foretouch.models.registry import DEFAULT_MODEL, available_models, find_card, load_model
 from foretouch.tactile import MODALITIES
@@ -133,7 +133,7 @@ def test_every_kind_names_a_loader_that_exists(kind: str) -> None:
 def test_another_kind_of_model_is_one_row_of_the_table(contact: Path, tmp_path: Path, monkeypatch) -> None:
     """A made-up kind in a module of its own is loaded, and its fields are checked."""
     (tmp_path / "made_up_model.py").write_text(
-        "from foretouch.models.contact.checkpoint import load_model as load_contact\n"
+        "from foretouch.models.contact.estimator import load_model as load_contact\n"
         "def load(path, card):\n    return load_contact(path, card)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)

@@ -13,7 +13,7 @@ from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import CloudError, ModelError, TactileError
-from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps

@@ -24,7 +24,7 @@ from foretouch.dataset.bag_writer import BagWriter, serialize_cloud, write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.regressor import TouchNet
+from foretouch.models.network.networks import TouchNet
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
 from foretouch.ros.nodes.replay import ReplayNode
 from foretouch.simulation.recording import SceneRecordingConfig, record_scenes, scene_clouds

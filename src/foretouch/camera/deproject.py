@@ -36,15 +36,10 @@ def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
 
 @dataclass(frozen=True, eq=False)
 class Deprojector:
-    """Pixel directions of one lens.
+    """Pixel directions of one lens."""
 
-    Attributes:
-        x: (H, W) float32, x / z of each pixel in the optical frame.
-        y: (H, W) float32, y / z of each pixel.
-    """
-
-    x: Float32
-    y: Float32
+    x: Float32  # (H, W) float32, x / z of each pixel in the optical frame
+    y: Float32  # (H, W) float32, y / z of each pixel
 
     @classmethod
     def of_lens(

@@ -25,19 +25,12 @@ _SHM_NEEDED_MB = 256  # three segments of 64 MB and a reserve
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check.
+    """The result of one check."""
 
-    Attributes:
-        name: What was checked.
-        state: "ok", "mismatch" (may work), "missing", "broken", or "optional" (absent, and needed by few).
-        found: What was found.
-        fix: The command that fixes it, else "".
-    """
-
-    name: str
-    state: State
-    found: str
-    fix: str = ""
+    name: str  # what was checked
+    state: State  # "ok", "mismatch" (may work), "missing", "broken", or "optional" (absent, and needed by few)
+    found: str  # what was found
+    fix: str = ""  # the command that fixes it, else ""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch predict`: predict the tactile readings of each grasp on each object."""
+"""`foretouch predict`: predict the tactile readings of each grasp on each object.
+
+`--tare` and `--touched` adapt the predictions to a reading without contact and to touches of the same object.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation
 from foretouch.cli.inputs import (
     Record,
     add_input_arguments,
@@ -20,12 +24,205 @@ from foretouch.cli.inputs import (
     target_objects,
 )
 from foretouch.cli.output import print_table
-from foretouch.errors import ConfigError, GraspError
+from foretouch.errors import ConfigError, DatasetError, FileError, GraspError, TactileError
 
+if TYPE_CHECKING:
+    from foretouch.models.touch_model import ObjectResiduals, TouchModel
+    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, TouchPrediction
+
+
+_OWN = "sample"
+_UNKNOWN = "unknown"  # the recorder's label of an object without a name
+_FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+
+
+def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
+    """--tare and --touched."""
+    parser.add_argument(
+        "--tare",
+        action="append",
+        default=[],
+        metavar="F|sample",
+        help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24], a list of such, "
+        "or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
+    )
+    parser.add_argument(
+        "--touched",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
+        "adapt the predictions to all labelled ones, except the sample that is predicted",
+    )
+
+
+class Adaptation:
+    """Tare and touches from the command line, and the predictions adapted to them.
+
+    Args:
+        model: The model to adapt.
+        tare: For every prediction; None without.
+        touched: Labelled samples of one object.
+        own: Whether each sample's own tare is used instead.
+
+    Attributes:
+        object: Label of the touched object; "" if it has no name.
+    """
+
+    def __init__(
+        self, model: TouchModel, tare: Touch | None = None, touched: Sequence[GraspSample] = (), *, own: bool = False
+    ) -> None:
+        self.touched = tuple(touched)
+        self.object = next((sample.object for sample in touched if sample.object != _UNKNOWN), "")
+        self._model = model
+        self._tare = tare
+        self._own = own
+        self._residuals = None if own or not touched else self._residuals_of(self.touched, tare)
+
+    def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
+        """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
+        if sample is None or sample.touch is None:
+            return self.touched
+        return tuple(one for one in self.touched if not _same(one, sample))
+
+    def predict(
+        self, pipeline: Pipeline, target: FoundObject, grasps: Sequence[Grasp], sample: GraspSample | None
+    ) -> list[TouchPrediction]:
+        """Predict K grasps on one object.
+
+        Raises:
+            DatasetError: If a sample lacks the requested tare, or is of another object than the touches.
+            ModelError: If the model cannot use tare or touches.
+        """
+        if sample is not None and self.object and sample.object not in (self.object, _UNKNOWN):
+            raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
+        tare = _own_tare(sample) if self._own else self._tare
+        touched = self.touches_for(sample)
+        if not touched:
+            return pipeline.predict(target, grasps, tare=tare)
+        residuals = self._residuals if len(touched) == len(self.touched) else None
+        return pipeline.predict(target, grasps, residuals=residuals or self._residuals_of(touched, tare))
+
+    def _residuals_of(self, touched: Sequence[GraspSample], tare: Touch | None) -> ObjectResiduals:
+        """Residuals of some touches, with their readings shifted to this tare."""
+        from foretouch.models.touch_model import ObjectResiduals
+        from foretouch.tactile import offsets, restore
+
+        residuals = ObjectResiduals(self._model, tare)
+        for sample in touched:
+            touch, then = sample.touch, _own_tare(sample) if self._own else sample.tare
+            assert touch is not None  # noqa: S101  only labelled samples are passed
+            if tare is not None and then is not None:
+                touch = restore(offsets(touch, then), tare)
+            residuals.add(sample.cloud, sample.grasp, touch)
+        return residuals
+
+
+def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
+    """Read the files of --tare and --touched, and compute the residuals of every touch.
+
+    Raises:
+        ConfigError: If `sample` and files are both given.
+        FileError: If a file cannot be read or is no tare, or there are no samples.
+        DatasetError: If no sample is labelled, or they are of several objects.
+        ModelError: If the model cannot adapt to touches.
+    """
+    own = _OWN in arguments.tare
+    if own and len(arguments.tare) > 1:
+        raise ConfigError(f"--tare: {_OWN!r} cannot be combined with files")
+    touched = _touched_samples(arguments.touched)
+    labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
+    if len(labels) > 1:
+        raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
+    return Adaptation(model, read_tare(arguments.tare) if arguments.tare and not own else None, touched, own=own)
+
+
+def read_tare(paths: Sequence[str]) -> Touch:
+    """The median of all readings in some files.
+
+    Args:
+        paths: JSON, or vision2tactile's `tactile.tac`.
+
+    Raises:
+        FileError: Names the file, the field and the rule that it breaks.
+    """
+    from foretouch.tactile import make_tare
+
+    readings: list[Touch] = []
+    for path in map(Path, paths):
+        fresh = _readings(path)
+        try:
+            make_tare(fresh)
+        except TactileError as err:
+            raise FileError(path, str(err)) from err
+        readings += fresh
+    return make_tare(readings)
+
+
+def _readings(path: Path) -> list[Touch]:
+    if path.suffix == ".tac":
+        from foretouch.dataset.vision2tactile import read_touch
+
+        return [read_touch(path)[0]]
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as err:
+        raise FileError(path, f"is no JSON: {' '.join(str(err).split())}") from err
+    entries = document if isinstance(document, list) else [document]
+    return [_reading(path, entry) for entry in entries]
+
+
+def _reading(path: Path, entry: Any) -> Touch:
+    """One reading; `make_tare` checks later whether a working sensor can give it."""
+    import numpy as np
+
+    from foretouch.types import ELECTRODES, Touch
+
+    if not isinstance(entry, dict) or sorted(entry) != sorted(_FIELDS):
+        raise FileError(path, f"is no reading: it must hold {', '.join(_FIELDS)} and nothing else")
+    values = {}
+    for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
+        numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
+        if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+            raise FileError(path, "is not numbers", field=name)
+        values[name] = np.array(entry[name], np.float64)
+        if values[name].shape != shape:
+            size = f"{ELECTRODES} numbers" if shape else "one number"
+            raise FileError(path, f"is not {size}", field=name)
+    return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"])
+
+
+def _same(one: GraspSample, other: GraspSample) -> bool:
+    """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
+    if one.touch is None or other.touch is None or one.id != other.id:
+        return False
+    return bool((one.touch.vector() == other.touch.vector()).all())
+
+
+def _own_tare(sample: GraspSample | None) -> Touch:
+    if sample is None or sample.tare is None:
+        raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
+    return sample.tare
+
+
+def _touched_samples(paths: Sequence[str]) -> list[GraspSample]:
+    from foretouch.dataset.samples import open_samples
+
+    samples: list[GraspSample] = []
+    for path in paths:
+        with open_samples(path) as found:
+            labelled = [record.sample for record in found.records() if record.sample.touch is not None]
+        if not labelled:
+            raise DatasetError(f"{path}: holds no sample with a touch")
+        samples += labelled
+    return samples
 
 
 _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")

@@ -52,21 +52,13 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One recorded message.
+    """One recorded message."""
 
-    Attributes:
-        topic: Its topic.
-        type: ROS 2 name of its type.
-        index: Its index among the messages of its topic, from 0.
-        bag_time_ns: When the recorder received it [ns]; independent of the stamp in its header.
-        data: CDR with its encapsulation header, as `rclpy` publishes it.
-    """
-
-    topic: str
-    type: str
-    index: int
-    bag_time_ns: int
-    data: bytes
+    topic: str  # its topic
+    type: str  # ROS 2 name of its type
+    index: int  # its index among the messages of its topic, from 0
+    bag_time_ns: int  # when the recorder received it [ns]; independent of the stamp in its header
+    data: bytes  # CDR with its encapsulation header, as `rclpy` publishes it
 
 
 class Recording:

@@ -11,23 +11,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class FormatEntry:
-    """One format, described without importing its module.
+    """One format, described without importing its module."""
 
-    Attributes:
-        name: In options, JSON and error messages.
-        title: In help texts; a noun phrase.
-        module: Python module that holds its `DATASET_FORMAT`.
-        files: Suffixes of single files that may be of this format.
-        folders: Glob patterns; a folder with a match may be of this format.
-        exported: Whether samples can be written in this format.
-    """
-
-    name: str
-    title: str
-    module: str
-    files: tuple[str, ...] = ()
-    folders: tuple[str, ...] = ()
-    exported: bool = False
+    name: str  # in options, JSON and error messages
+    title: str  # in help texts; a noun phrase
+    module: str  # python module that holds its `DATASET_FORMAT`
+    files: tuple[str, ...] = ()  # suffixes of single files that may be of this format
+    folders: tuple[str, ...] = ()  # glob patterns; a folder with a match may be of this format
+    exported: bool = False  # whether samples can be written in this format
 
     @property
     def readable(self) -> bool:

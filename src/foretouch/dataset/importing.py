@@ -68,17 +68,11 @@ class BagTopics:
 
 @dataclass(kw_only=True)
 class ImportResult:
-    """Counts of an import.
+    """Counts of an import."""
 
-    Attributes:
-        samples: Samples that were imported.
-        labelled: Those with a touch.
-        left_out: What was not imported, by reason.
-    """
-
-    samples: int = 0
-    labelled: int = 0
-    left_out: Counter[str] = field(default_factory=Counter)
+    samples: int = 0  # samples that were imported
+    labelled: int = 0  # those with a touch
+    left_out: Counter[str] = field(default_factory=Counter)  # what was not imported, by reason
 
 
 def import_samples(

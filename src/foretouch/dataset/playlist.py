@@ -19,23 +19,14 @@ CLOUDS = ""
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One message to publish.
+    """One message to publish."""
 
-    Attributes:
-        name: Where it comes from, for error messages.
-        topic: As recorded, or `CLOUDS`.
-        at_ns: When it was recorded; only differences are used [ns].
-        data: CDR with its encapsulation header; empty if the entry cannot be read.
-        stamped: Whether it begins with a `std_msgs/Header`.
-        refusal: Why it cannot be read, else "".
-    """
-
-    name: str
-    topic: str
-    at_ns: int
-    data: bytes
-    stamped: bool = True
-    refusal: str = ""
+    name: str  # where it comes from, for error messages
+    topic: str  # as recorded, or `CLOUDS`
+    at_ns: int  # when it was recorded; only differences are used [ns]
+    data: bytes  # CDR with its encapsulation header; empty if the entry cannot be read
+    stamped: bool = True  # whether it begins with a `std_msgs/Header`
+    refusal: str = ""  # why it cannot be read, else ""
 
 
 def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:

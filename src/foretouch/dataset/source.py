@@ -58,23 +58,14 @@ class SourceItem:
 
 @dataclass(frozen=True)
 class Source:
-    """The clouds at a path in order; can be iterated repeatedly.
+    """The clouds at a path in order; can be iterated repeatedly."""
 
-    Attributes:
-        path: As given.
-        kind: What was found there.
-        topic: The topic of a recording, else None.
-        frame_id: For clouds without a frame.
-        entries: The cloud files, in order; empty for a recording and for a dataset.
-        count: Number of entries, or of messages that the recording declares.
-    """
-
-    path: Path
-    kind: SourceKind
-    topic: str | None = None
-    frame_id: str = ""
-    entries: tuple[Path, ...] = ()
-    count: int = 0
+    path: Path  # as given
+    kind: SourceKind  # what was found there
+    topic: str | None = None  # the topic of a recording, else None
+    frame_id: str = ""  # for clouds without a frame
+    entries: tuple[Path, ...] = ()  # the cloud files, in order; empty for a recording and for a dataset
+    count: int = 0  # number of entries, or of messages that the recording declares
 
     @property
     def segmented(self) -> bool:

@@ -163,17 +163,11 @@ class SampleFacts:
 
 @dataclass(kw_only=True)
 class BuildResult:
-    """The result of a build.
+    """The result of a build."""
 
-    Attributes:
-        sha256: Content hash.
-        samples: The samples in order.
-        left_out: Counts of samples left out, by reason.
-    """
-
-    sha256: str = ""
-    samples: list[SampleFacts] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
+    sha256: str = ""  # content hash
+    samples: list[SampleFacts] = field(default_factory=list)  # the samples in order
+    left_out: Counter[str] = field(default_factory=Counter)  # counts of samples left out, by reason
 
 
 def build_store(

@@ -22,11 +22,18 @@ import numpy.typing as npt
 from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.candidates import ContactSide, GraspPlane, contact_radius, contact_side, find_grasp_plane
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
-from foretouch.grasp.ranking import initial_score, rank_pairs
+from foretouch.grasp.ranking import (
+    ContactSide,
+    GraspPlane,
+    contact_radius,
+    contact_side,
+    find_grasp_plane,
+    initial_score,
+    rank_pairs,
+)
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]

@@ -51,7 +51,7 @@ KINDS: Final[Mapping[str, ModelKind]] = {
     "network": ModelKind(
         "foretouch.models.network.checkpoint:load_model", {**_TRAINED, "familiar": (dict, type(None))}
     ),
-    "contact": ModelKind("foretouch.models.contact.checkpoint:load_model", _TRAINED),
+    "contact": ModelKind("foretouch.models.contact.estimator:load_model", _TRAINED),
     "ensemble": ModelKind("foretouch.models.network.checkpoint:load_ensemble", {"members": list}),
 }
 

@@ -55,18 +55,12 @@ def standardisation(rows: Float64) -> tuple[Float64, Float64]:
 
 @dataclass(frozen=True, eq=False)
 class SizeNoveltyDetector(TensorRecord):
-    """Sizes of S training clouds.
+    """Sizes of S training clouds."""
 
-    Attributes:
-        centre, scale: (8,) float64, which standardise `SHAPE_FEATURES`.
-        known: (S, 8) float32, standardised.
-        span: (2,) float64: the distances up to which the score is 1, and from which it is 0.
-    """
-
-    centre: Float64
-    scale: Float64
-    known: Float32
-    span: Float64
+    centre: Float64  # (8,) float64, which standardise `SHAPE_FEATURES`
+    scale: Float64  # (8,) float64, which standardise `SHAPE_FEATURES`
+    known: Float32  # (S, 8) float32, standardised
+    span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
 
     @classmethod
     def fit(cls, objects: Float64) -> SizeNoveltyDetector:
@@ -100,15 +94,10 @@ class SizeNoveltyDetector(TensorRecord):
 
 @dataclass(frozen=True, eq=False)
 class Fallback:
-    """The mean of the training labels, to which a network's predictions fade as an object leaves the distribution.
+    """The mean of the training labels, to which a network's predictions fade as an object leaves the distribution."""
 
-    Attributes:
-        novelty: Fitted to the training objects.
-        mean: (50,) float64 of the training labels [counts].
-    """
-
-    novelty: SizeNoveltyDetector
-    mean: Float64
+    novelty: SizeNoveltyDetector  # fitted to the training objects
+    mean: Float64  # (50,) float64 of the training labels [counts]
 
     @classmethod
     def fit(cls, objects: Float64, labels: Float64) -> Fallback:

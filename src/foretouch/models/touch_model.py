@@ -21,15 +21,10 @@ from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch,
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Predictions for K grasps on one cloud, before tare, touches and intervals are applied.
+    """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
 
-    Attributes:
-        counts: (K, 50) float64 [counts].
-        in_distribution: (K,) bool: whether cloud and grasp resemble those of training.
-    """
-
-    counts: Float64
-    in_distribution: npt.NDArray[np.bool_]
+    counts: Float64  # (K, 50) float64 [counts]
+    in_distribution: npt.NDArray[np.bool_]  # (K,) bool: whether cloud and grasp resemble those of training
 
 
 class Estimator(Protocol):

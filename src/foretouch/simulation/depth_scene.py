@@ -15,7 +15,7 @@ import numpy.typing as npt
 from foretouch.camera.deproject import Deprojector
 from foretouch.errors import ConfigError
 from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
-from foretouch.simulation.primitives import Box, Cylinder, Primitive, Sphere
+from foretouch.simulation.solids import Box, Cylinder, Primitive, Sphere
 from foretouch.simulation.view import CameraView
 from foretouch.types import Cloud, Float64
 
@@ -153,19 +153,12 @@ class DepthImage:
 
 @dataclass(frozen=True, eq=False)
 class DepthScene:
-    """Solids, a table and a camera.
+    """Solids, a table and a camera."""
 
-    Attributes:
-        view: The camera.
-        objects: The solids; the k-th has the label 2 + k.
-        table_size: (2,) float64, edge lengths of the table about the world's origin [m].
-        floor_m: Distance of the floor below the table top [m]; None for no floor.
-    """
-
-    view: CameraView
-    objects: tuple[Primitive, ...]
-    table_size: Float64
-    floor_m: float | None = _FLOOR_M
+    view: CameraView  # the camera
+    objects: tuple[Primitive, ...]  # the solids; the k-th has the label 2 + k
+    table_size: Float64  # (2,) float64, edge lengths of the table about the world's origin [m]
+    floor_m: float | None = _FLOOR_M  # distance of the floor below the table top [m]; None for no floor
 
     def render(
         self,

@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from foretouch.errors import SimulationError
 from foretouch.grasp import GraspPlan
-from foretouch.simulation.body import Body, Hits
 from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight, PadWindow
-from foretouch.simulation.hand import FingerFrame
+from foretouch.simulation.finger_contact import FingerFrame
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.solids import Body, Hits
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
@@ -97,23 +97,14 @@ Needed = Callable[[SceneConfig, ObjectConfig], str | None]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What an effect may read besides the state.
+    """What an effect may read besides the state."""
 
-    Attributes:
-        scene: The scene.
-        item: The object of this sample.
-        world: What all samples of the scene share.
-        key: Which sample.
-        name: Of the effect, and of its random stream.
-        again: Whether the effect draws anew when a grasp is repeated.
-    """
-
-    scene: SceneConfig
-    item: ObjectConfig
-    world: World
-    key: SampleKey
-    name: str
-    again: bool = False
+    scene: SceneConfig  # the scene
+    item: ObjectConfig  # the object of this sample
+    world: World  # what all samples of the scene share
+    key: SampleKey  # which sample
+    name: str  # of the effect, and of its random stream
+    again: bool = False  # whether the effect draws anew when a grasp is repeated
 
     def rng(self) -> np.random.Generator:
         """The effect's own stream; call it once, for each call starts it again."""

@@ -20,19 +20,12 @@ from foretouch.simulation.world import SampleKey, World
 
 @dataclass(frozen=True)
 class EffectPlan:
-    """Whether an effect will run in a scene, and why.
+    """Whether an effect will run in a scene, and why."""
 
-    Attributes:
-        name: Of the effect.
-        runs: Whether it runs with any of the objects.
-        reason: The field of the scene that calls for it, or the one whose absence leaves it out.
-        objects: The objects it runs with.
-    """
-
-    name: str
-    runs: bool
-    reason: str
-    objects: tuple[str, ...] = ()
+    name: str  # of the effect
+    runs: bool  # whether it runs with any of the objects
+    reason: str  # the field of the scene that calls for it, or the one whose absence leaves it out
+    objects: tuple[str, ...] = ()  # the objects it runs with
 
 
 @dataclass

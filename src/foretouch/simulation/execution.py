@@ -18,8 +18,8 @@ from foretouch.errors import SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
 from foretouch.simulation.effects import contact, grasp, meeting, place, reading
 from foretouch.simulation.engine import Engine
+from foretouch.simulation.finger_contact import FingerFrame
 from foretouch.simulation.fingertip import quantise, temperature_drift, warming
-from foretouch.simulation.hand import FingerFrame
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.fingers import TimelineConfig
 from foretouch.simulation.scene.ranges import draw
@@ -82,31 +82,18 @@ class CourseConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One executed grasp.
+    """One executed grasp."""
 
-    Attributes:
-        counts: (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them.
-        start: Row at which the hand starts to close.
-        onset: Row of first touch; None where a finger never touches.
-        contact: Row from which on contact is steady; None likewise.
-        release: First row after steady contact; None likewise.
-        midpoint: (3,) float64, between the fingertips as they really went [m], in the frame of the grasp.
-        rotation: (3, 3) float64, of the hand as it really went.
-        forces: Normal force of both fingers in steady contact [N].
-        reason: Why it failed, as `SimulationError.reason`; "" where it succeeded.
-        message: The same in words.
-    """
-
-    counts: Counts
-    start: int
-    onset: int | None
-    contact: int | None
-    release: int | None
-    midpoint: Float64
-    rotation: Float64
-    forces: tuple[float, float] = (0.0, 0.0)
-    reason: str = ""
-    message: str = ""
+    counts: Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them
+    start: int  # row at which the hand starts to close
+    onset: int | None  # row of first touch; None where a finger never touches
+    contact: int | None  # row from which on contact is steady; None likewise
+    release: int | None  # first row after steady contact; None likewise
+    midpoint: Float64  # (3,) float64, between the fingertips as they really went [m], in the frame of the grasp
+    rotation: Float64  # (3, 3) float64, of the hand as it really went
+    forces: tuple[float, float] = (0.0, 0.0)  # normal force of both fingers in steady contact [N]
+    reason: str = ""  # why it failed, as `SimulationError.reason`; "" where it succeeded
+    message: str = ""  # the same in words
 
     @property
     def success(self) -> bool:

@@ -32,17 +32,11 @@ _AHEAD = 3  # blocks a worker that may wait for the reader
 
 @dataclass(frozen=True)
 class Failure:
-    """A try that came to nothing.
+    """A try that came to nothing."""
 
-    Attributes:
-        key: With the scene, makes it fail again: see `replay`.
-        reason: By which it is counted.
-        message: What happened.
-    """
-
-    key: SampleKey
-    reason: str
-    message: str
+    key: SampleKey  # with the scene, makes it fail again: see `replay`
+    reason: str  # by which it is counted
+    message: str  # what happened
 
 
 @dataclass(frozen=True, eq=False)

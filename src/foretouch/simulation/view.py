@@ -19,21 +19,13 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """A pinhole camera in the world.
+    """A pinhole camera in the world."""
 
-    Attributes:
-        width: [px]
-        height: [px]
-        matrix: (3, 3) float64, intrinsics [px].
-        eye: (3,) float64, its optical centre in the world [m].
-        R_world_camera: (3, 3) float64, its axes as columns in the world.
-    """
-
-    width: int
-    height: int
-    matrix: Float64
-    eye: Float64
-    R_world_camera: Float64
+    width: int  # [px]
+    height: int  # [px]
+    matrix: Float64  # (3, 3) float64, intrinsics [px]
+    eye: Float64  # (3,) float64, its optical centre in the world [m]
+    R_world_camera: Float64  # (3, 3) float64, its axes as columns in the world
 
     @classmethod
     def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float) -> CameraView:

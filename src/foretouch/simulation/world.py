@@ -22,19 +22,12 @@ CAMERA_FRAME = "camera_depth_optical_frame"
 
 @dataclass(frozen=True)
 class SampleKey:
-    """Which sample: with the scene it decides every number.
+    """Which sample: with the scene it decides every number."""
 
-    Attributes:
-        seed: Of the scene.
-        slot: Place of the sample in the data set, from 0.
-        attempt: How many tries at this place have failed before, from 0.
-        repeat: How often the same grasp of the same object was executed before, from 0.
-    """
-
-    seed: int
-    slot: int
-    attempt: int = 0
-    repeat: int = 0
+    seed: int  # of the scene
+    slot: int  # place of the sample in the data set, from 0
+    attempt: int = 0  # how many tries at this place have failed before, from 0
+    repeat: int = 0  # how often the same grasp of the same object was executed before, from 0
 
     def stream(self, name: str, *, again: bool = False) -> np.random.Generator:
         """The stream of one effect in this sample.
@@ -57,21 +50,13 @@ def _words(name: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The parts of a scene that never move.
+    """The parts of a scene that never move."""
 
-    Attributes:
-        view: The camera.
-        rays: (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis.
-        plane: The table top in the camera frame, its normal towards the camera.
-        fingers: Thumb and middle finger: one pair a scene, drawn from its seed.
-        table_size: (2,) float64, edges of the table top about the world's origin [m].
-    """
-
-    view: CameraView
-    rays: Float64
-    plane: Plane
-    table_size: Float64
-    fingers: tuple[Finger, Finger]
+    view: CameraView  # the camera
+    rays: Float64  # (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis
+    plane: Plane  # the table top in the camera frame, its normal towards the camera
+    table_size: Float64  # (2,) float64, edges of the table top about the world's origin [m]
+    fingers: tuple[Finger, Finger]  # thumb and middle finger: one pair a scene, drawn from its seed
 
     @classmethod
     def of(cls, scene: SceneConfig) -> Self:

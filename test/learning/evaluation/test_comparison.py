@@ -8,8 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
-from foretouch.learning.evaluation.metrics import mean_skill, score
+from foretouch.learning.evaluation.metrics import (
+    MEAN,
+    BootstrapConfig,
+    Estimate,
+    ObjectErrors,
+    compare,
+    mean_skill,
+    score,
+    skills,
+)
 from foretouch.tactile import MODALITIES
 
 

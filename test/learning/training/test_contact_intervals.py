@@ -8,7 +8,7 @@ from experiment_samples import make_samples
 
 from foretouch.errors import DatasetError
 from foretouch.learning.data.training_set import labels_of
-from foretouch.learning.evaluation.comparison import mean_over_objects
+from foretouch.learning.evaluation.metrics import mean_over_objects
 from foretouch.learning.training.contact import ContactPredictor
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 

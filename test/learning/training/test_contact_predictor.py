@@ -15,7 +15,7 @@ from foretouch.errors import DatasetError
 from foretouch.learning.training.calibration import HeldOutPredictions, calibration_folds, fit_group
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact
 from foretouch.models.calibration import add_calibration
-from foretouch.models.contact.checkpoint import save_contact
+from foretouch.models.contact.estimator import save_contact
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import offsets, restore

@@ -10,7 +10,7 @@ from foretouch.learning.data import TrainingSet
 from foretouch.learning.training.device import TrainingDevice
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
-from foretouch.models.network.generator import GeneratorConfig
+from foretouch.models.network.networks import GeneratorConfig
 
 
 def test_a_gpu_that_is_not_there_is_refused_and_auto_does_without() -> None:

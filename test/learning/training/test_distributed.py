@@ -16,7 +16,7 @@ from foretouch.learning.training.losses import Features, SrganLossConfig, discri
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import Trainer
-from foretouch.models.network.generator import GeneratorConfig
+from foretouch.models.network.networks import GeneratorConfig
 
 METHODS = ("supervised", "frozen", "per_source")
 READINGS = ("as_printed", "contrast", "srgan")

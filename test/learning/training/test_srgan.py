@@ -15,7 +15,7 @@ from foretouch.learning.training.losses import SrganLossConfig
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.models.network.batch_norm import freeze
-from foretouch.models.network.generator import GeneratorConfig
+from foretouch.models.network.networks import GeneratorConfig
 
 GENERATOR = GeneratorConfig(noise_length=6, widths=(6,), stride=2, channels=3)  # 24 points
 QUICK = SrganConfig(

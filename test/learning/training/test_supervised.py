@@ -17,7 +17,7 @@ from foretouch.learning.training.learners import read_run_config
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.run import make_learner
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig, train_network
-from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck
 from foretouch.models.touch_model import TouchModel

@@ -17,8 +17,7 @@ from numpy.testing import assert_array_equal
 from foretouch.errors import FileError, ModelError
 from foretouch.models.calibration import Calibration, add_calibration, load_calibration
 from foretouch.models.card import read_card
-from foretouch.models.contact.checkpoint import save_contact
-from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.files import file_sha256, packed, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.models.registry import load_model

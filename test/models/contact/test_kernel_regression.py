@@ -12,7 +12,7 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.metrics.pairwise import laplacian_kernel
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.kernel_regression import KernelRegression, laplacian
+from foretouch.models.contact.regressors import KernelRegression, laplacian
 from foretouch.models.novelty import standardisation
 
 DECAY, RIDGE = 2.0, 0.7

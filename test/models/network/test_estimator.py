@@ -11,7 +11,7 @@ from contact_model_builders import scaled
 from numpy.testing import assert_array_equal
 
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.network.estimator import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import Fallback
 from foretouch.tactile import P1_RANGES, P2_RANGES

@@ -6,7 +6,7 @@ import torch
 
 from foretouch.errors import ConfigError
 from foretouch.models.network.config import ModelConfig
-from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
+from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
 
 P2 = GeneratorConfig()
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.pointnet import InputTransform
-from foretouch.models.network.regressor import TouchNet
 
 EACH = pytest.mark.parametrize(
     "changes",

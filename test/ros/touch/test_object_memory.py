@@ -10,7 +10,7 @@ from calibrated_models import REST, save_calibrated_network
 from foretouch.errors import TactileError
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.ros.touch.object_memory import ObjectMemory
+from foretouch.ros.touch.tactile_state import ObjectMemory
 from foretouch.types import Cloud, Grasp, Touch
 
 NEAR_M = 0.02

@@ -10,7 +10,7 @@ from scipy.integrate import dblquad
 from scipy.signal import convolve2d
 
 from foretouch.simulation.contact import Layer, bed_stiffness
-from foretouch.simulation.contact.influence import (
+from foretouch.simulation.contact.layer import (
     convolve,
     influence_spectrum,
     layer_influence,

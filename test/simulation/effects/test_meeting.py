@@ -4,7 +4,7 @@ import pytest
 from sim_builders import CAN, run, scene, unit
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.hand import finger_frames
+from foretouch.simulation.finger_contact import finger_frames
 from foretouch.simulation.scene import SceneConfig
 
 BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}

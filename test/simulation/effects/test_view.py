@@ -9,8 +9,8 @@ from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthScene
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.primitives import Box
 from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.solids import Box
 from foretouch.simulation.world import SampleKey, World
 
 FLAT = {

@@ -66,15 +66,10 @@ class AssemblerConfig:
 
 @dataclass(frozen=True, eq=False)
 class AssembledSample:
-    """A sample.
+    """A sample."""
 
-    Attributes:
-        record: The sample as it is recorded, without an id.
-        cut: Its readings; None for a sample without a touch.
-    """
-
-    record: SampleRecord
-    cut: TouchCut | None = None
+    record: SampleRecord  # the sample as it is recorded, without an id
+    cut: TouchCut | None = None  # its readings; None for a sample without a touch
 
 
 class SampleAssembler:

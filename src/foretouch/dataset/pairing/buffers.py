@@ -26,36 +26,22 @@ _TRIM_EVERY = 100  # readings; removing the front of a list takes time
 
 @dataclass(frozen=True, eq=False)
 class TouchReading:
-    """One tactile reading of both fingers.
+    """One tactile reading of both fingers."""
 
-    Attributes:
-        stamp_ns: Stamp of the sensor [ns].
-        counts: (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts].
-        others: (K,) float32, further channels, the same K in all readings.
-        received_ns: When the message was received [ns].
-    """
-
-    stamp_ns: int
-    counts: Float32
-    others: Float32
-    received_ns: int
+    stamp_ns: int  # stamp of the sensor [ns]
+    counts: Float32  # (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    others: Float32  # (K,) float32, further channels, the same K in all readings
+    received_ns: int  # when the message was received [ns]
 
 
 @dataclass(frozen=True, eq=False)
 class TouchWindow:
-    """Readings between two stamps, in the order of their stamps.
+    """Readings between two stamps, in the order of their stamps."""
 
-    Attributes:
-        stamps_ns: (T,) int64 [ns].
-        counts: (T, 50) float32.
-        others: (T, K) float32.
-        received_ns: (T,) int64 [ns].
-    """
-
-    stamps_ns: npt.NDArray[np.int64]
-    counts: Float32
-    others: Float32
-    received_ns: npt.NDArray[np.int64]
+    stamps_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
+    counts: Float32  # (T, 50) float32
+    others: Float32  # (T, K) float32
+    received_ns: npt.NDArray[np.int64]  # (T,) int64 [ns]
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """The readings stamped in [low, high)."""
@@ -157,32 +143,20 @@ class TouchBuffer:
 
 @dataclass(frozen=True, eq=False)
 class SerializedCloud:
-    """A `PointCloud2` that is decoded only where a sample needs it.
+    """A `PointCloud2` that is decoded only where a sample needs it."""
 
-    Attributes:
-        data: The message as CDR.
-        decode: Gives the message.
-    """
-
-    data: bytes
-    decode: Callable[[], Any]
+    data: bytes  # the message as CDR
+    decode: Callable[[], Any]  # gives the message
 
 
 @dataclass(frozen=True, eq=False)
 class BufferedCloud:
-    """A cloud in the buffer.
+    """A cloud in the buffer."""
 
-    Attributes:
-        stamp_ns: Stamp of its header [ns].
-        message: The cloud.
-        since_s: When it was added [s].
-        ambiguous: Whether a different cloud has the same stamp.
-    """
-
-    stamp_ns: int
-    message: SerializedCloud
-    since_s: float
-    ambiguous: bool = False
+    stamp_ns: int  # stamp of its header [ns]
+    message: SerializedCloud  # the cloud
+    since_s: float  # when it was added [s]
+    ambiguous: bool = False  # whether a different cloud has the same stamp
 
 
 class CloudBuffer:

@@ -78,17 +78,11 @@ class PairingError(DatasetError):
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """A grasp in time, by the robot's clock [ns].
+    """A grasp in time, by the robot's clock [ns]."""
 
-    Attributes:
-        start: When the hand began to close; before it, nothing was touched.
-        contact: When contact was steady.
-        release: When the hand began to open.
-    """
-
-    start: int
-    contact: int
-    release: int
+    start: int  # when the hand began to close; before it, nothing was touched
+    contact: int  # when contact was steady
+    release: int  # when the hand began to open
 
     def overlaps(self, start: int, release: int) -> bool:
         """Whether another time span [ns] overlaps from start to release."""
@@ -97,27 +91,16 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class TouchCut:
-    """The readings of one grasp.
+    """The readings of one grasp."""
 
-    Attributes:
-        touch: Median over the steady contact.
-        tare: Median over the time before the grasp.
-        window: The readings from the tare to the release.
-        phases: (T,) uint8 of REST, APPROACH and HOLD.
-        contact_ns: Stamp of first contact [ns], by the contact detector; None where it found none.
-        error_ns: Longest time without a reading within tare or contact [ns].
-        clock_ns: Smallest difference of reception time and stamp [ns].
-        flags: Such as `no_contact_TH`, `frozen_MF`, `duplicate_stamps`.
-    """
-
-    touch: Touch
-    tare: Touch
-    window: TouchWindow
-    phases: npt.NDArray[np.uint8]
-    contact_ns: int | None
-    error_ns: int
-    clock_ns: int
-    flags: tuple[str, ...]
+    touch: Touch  # median over the steady contact
+    tare: Touch  # median over the time before the grasp
+    window: TouchWindow  # the readings from the tare to the release
+    phases: npt.NDArray[np.uint8]  # (T,) uint8 of REST, APPROACH and HOLD
+    contact_ns: int | None  # stamp of first contact [ns], by the contact detector; None where it found none
+    error_ns: int  # longest time without a reading within tare or contact [ns]
+    clock_ns: int  # smallest difference of reception time and stamp [ns]
+    flags: tuple[str, ...]  # such as `no_contact_TH`, `frozen_MF`, `duplicate_stamps`
 
 
 def cut_touch(

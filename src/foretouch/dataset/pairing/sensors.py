@@ -14,17 +14,11 @@ _FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repe
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One contact of both fingers, by the sensor's stamps [ns].
+    """One contact of both fingers, by the sensor's stamps [ns]."""
 
-    Attributes:
-        first: When the first finger touched.
-        both: When the other finger touched.
-        release: When the first finger released.
-    """
-
-    first: int
-    both: int
-    release: int
+    first: int  # when the first finger touched
+    both: int  # when the other finger touched
+    release: int  # when the first finger released
 
 
 class ContactEpisodes:

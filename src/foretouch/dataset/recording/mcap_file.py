@@ -46,21 +46,13 @@ _WRITEV_MAX = 1000  # buffers a call; the system accepts 1024
 
 @dataclass(frozen=True, eq=False)
 class McapMessage:
-    """One serialised message.
+    """One serialised message."""
 
-    Attributes:
-        channel: The number returned by `McapFile.add_channel`.
-        data: CDR with its encapsulation header.
-        log_time_ns: When it was received [ns].
-        publish_time_ns: When it was sent [ns].
-        sequence: Sequence number of the middleware, or a count.
-    """
-
-    channel: int
-    data: bytes | memoryview
-    log_time_ns: int
-    publish_time_ns: int
-    sequence: int = 0
+    channel: int  # the number returned by `McapFile.add_channel`
+    data: bytes | memoryview  # CDR with its encapsulation header
+    log_time_ns: int  # when it was received [ns]
+    publish_time_ns: int  # when it was sent [ns]
+    sequence: int = 0  # sequence number of the middleware, or a count
 
     def __post_init__(self) -> None:
         for name in ("log_time_ns", "publish_time_ns"):

@@ -17,19 +17,12 @@ from foretouch.errors import DatasetError
 
 @dataclass
 class TopicCounts:
-    """Counts of one topic.
+    """Counts of one topic."""
 
-    Attributes:
-        received: Messages that arrived.
-        written: Messages in the file.
-        dropped: Messages discarded, by reason.
-        lost: Messages that the middleware lost before they arrived.
-    """
-
-    received: int = 0
-    written: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    lost: int = 0
+    received: int = 0  # messages that arrived
+    written: int = 0  # messages in the file
+    dropped: Counter[str] = field(default_factory=Counter)  # messages discarded, by reason
+    lost: int = 0  # messages that the middleware lost before they arrived
 
     @property
     def pending(self) -> int:

@@ -37,17 +37,11 @@ _FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "othe
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredSample:
-    """A decoded sample.
+    """A decoded sample."""
 
-    Attributes:
-        record: The sample.
-        identity: Hand and camera that it was recorded with.
-        foretouch: The version that wrote it.
-    """
-
-    record: SampleRecord
-    identity: Identity
-    foretouch: str
+    record: SampleRecord  # the sample
+    identity: Identity  # hand and camera that it was recorded with
+    foretouch: str  # the version that wrote it
 
 
 def encode_sample(record: SampleRecord, identity: Identity) -> bytes:

@@ -31,23 +31,14 @@ _LOST: Final = "lost before repair"
 
 @dataclass(eq=False)
 class RepairReport:
-    """The repair of one file.
+    """The repair of one file."""
 
-    Attributes:
-        path: The file.
-        changed: Whether it needed a repair.
-        samples: Samples in it now.
-        messages: Messages in it now, including samples.
-        original: The file that keeps the original, or None.
-        lost: The parts that were not kept, with their offsets in the original.
-    """
-
-    path: Path
-    changed: bool = False
-    samples: int = 0
-    messages: int = 0
-    original: Path | None = None
-    lost: list[Damage] = field(default_factory=list)
+    path: Path  # the file
+    changed: bool = False  # whether it needed a repair
+    samples: int = 0  # samples in it now
+    messages: int = 0  # messages in it now, including samples
+    original: Path | None = None  # the file that keeps the original, or None
+    lost: list[Damage] = field(default_factory=list)  # the parts that were not kept, with their offsets in the original
 
 
 def repair_dataset(path: str | Path) -> list[RepairReport]:

@@ -37,15 +37,10 @@ _P = TypeVar("_P", bound=McapRecord)
 
 
 class Damage(NamedTuple):
-    """An invalid part of a file.
+    """An invalid part of a file."""
 
-    Attributes:
-        offset: Its position [bytes].
-        rule: The rule that it breaks.
-    """
-
-    offset: int
-    rule: str
+    offset: int  # its position [bytes]
+    rule: str  # the rule that it breaks
 
     def error(self, path: Path) -> FileError:
         """As an error that names file and position."""

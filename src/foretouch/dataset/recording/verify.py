@@ -43,27 +43,16 @@ _MAX_FAULTS: Final = 100  # faults reported for one file
 
 @dataclass(eq=False)
 class FileReport:
-    """The verification of one file.
+    """The verification of one file."""
 
-    Attributes:
-        path: The file.
-        size: Its size [bytes].
-        finished: Whether it was closed.
-        ids: Ids of its samples, in order.
-        messages: Messages by topic.
-        counts: The last message counts in the file; None if there are none.
-        about: Schema version, hand, camera and so on, as text.
-        faults: The faults, with their offsets.
-    """
-
-    path: Path
-    size: int = 0
-    finished: bool = False
-    ids: list[str] = field(default_factory=list)
-    messages: Counter[str] = field(default_factory=Counter)
-    counts: MessageCounts | None = None
-    about: dict[str, str] = field(default_factory=dict)
-    faults: list[Damage] = field(default_factory=list)
+    path: Path  # the file
+    size: int = 0  # its size [bytes]
+    finished: bool = False  # whether it was closed
+    ids: list[str] = field(default_factory=list)  # ids of its samples, in order
+    messages: Counter[str] = field(default_factory=Counter)  # messages by topic
+    counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
+    about: dict[str, str] = field(default_factory=dict)  # schema version, hand, camera and so on, as text
+    faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
     def clean(self) -> bool:

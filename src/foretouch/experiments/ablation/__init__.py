@@ -33,7 +33,7 @@ from foretouch.experiments.shared.real_grasps import error_rows, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.data import Indices, labels_of, make_folds
-from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactConfig
 from foretouch.types import Float64, GraspSample
 

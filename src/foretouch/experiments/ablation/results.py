@@ -12,7 +12,7 @@ from foretouch.config import setting
 from foretouch.experiments.ablation.variants import FULL
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, RealGraspSettings, score_table
-from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig
+from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig
 from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
 from foretouch.tactile import MODALITIES
 

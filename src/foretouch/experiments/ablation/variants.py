@@ -30,19 +30,12 @@ FULL: Final = "full"
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Predictions of the components of a contact model for S grasps.
+    """Predictions of the components of a contact model for S grasps."""
 
-    Attributes:
-        joint_forest: (S, 50) of the forest of all values [counts].
-        separate_forests: (S, 50) of the forests of the modalities [counts].
-        kernel: (S, 50) of the kernel [counts].
-        in_distribution: (S,) degree to which the objects are in the training distribution, 0...1.
-    """
-
-    joint_forest: Float64
-    separate_forests: Float64
-    kernel: Float64
-    in_distribution: Float64
+    joint_forest: Float64  # (S, 50) of the forest of all values [counts]
+    separate_forests: Float64  # (S, 50) of the forests of the modalities [counts]
+    kernel: Float64  # (S, 50) of the kernel [counts]
+    in_distribution: Float64  # (S,) degree to which the objects are in the training distribution, 0...1
 
     @classmethod
     def predict(cls, estimator: ContactEstimator, rows: Float64) -> Components:
@@ -106,21 +99,13 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
 
 @dataclass(frozen=True, eq=False)
 class ModelVariant:
-    """A variant of the contact model with its predictions for the test samples.
+    """A variant of the contact model with its predictions for the test samples."""
 
-    Attributes:
-        expected: (S, 50) predictions before any touch, at the rest level of training [counts].
-        familiar: (S,) whether each object is in the training distribution.
-        labels: (S, 50) labels [counts].
-        shifts: (S, 50) differences of the tares from the rest level; zeros without tares [counts].
-        calibration: Its calibration, if one was made.
-    """
-
-    expected: Float64
-    familiar: npt.NDArray[np.bool_]
-    labels: Float64
-    shifts: Float64
-    calibration: Calibration | None
+    expected: Float64  # (S, 50) predictions before any touch, at the rest level of training [counts]
+    familiar: npt.NDArray[np.bool_]  # (S,) whether each object is in the training distribution
+    labels: Float64  # (S, 50) labels [counts]
+    shifts: Float64  # (S, 50) differences of the tares from the rest level; zeros without tares [counts]
+    calibration: Calibration | None  # its calibration, if one was made
 
     def predict(self, index: Indices, touched: Indices, *, tare: bool) -> Float64:
         """(K, 50) predictions as those of `ContactPredictor.predict_after` [counts]; touches need a calibration."""

@@ -26,7 +26,7 @@ from foretouch.experiments.shared.real_grasps import labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.data import labels_of, make_folds, object_folds
-from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile import MODALITIES, columns

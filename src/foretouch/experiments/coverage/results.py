@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
-from foretouch.learning.evaluation.comparison import BootstrapConfig, mean_over_objects
+from foretouch.learning.evaluation.metrics import BootstrapConfig, mean_over_objects
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
 from foretouch.types import Float64

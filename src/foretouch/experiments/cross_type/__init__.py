@@ -30,7 +30,7 @@ from foretouch.experiments.shared.real_grasps import (
 )
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
 from foretouch.learning.data import Dataset, Fold, Indices, random_folds
-from foretouch.learning.evaluation.comparison import MEAN
+from foretouch.learning.evaluation.metrics import MEAN
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample

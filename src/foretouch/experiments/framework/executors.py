@@ -35,19 +35,12 @@ _DIED: Final = "its process died (killed, or out of memory)"
 
 @dataclass(frozen=True)
 class Job:
-    """Parameters that all cells of a sweep share.
+    """Parameters that all cells of a sweep share."""
 
-    Attributes:
-        module: Module that holds the experiment.
-        settings: Resolved settings as JSON.
-        data: Path of the data; the same on every machine that takes part.
-        sha256: Hash of the data.
-    """
-
-    module: str
-    settings: str
-    data: str
-    sha256: str
+    module: str  # module that holds the experiment
+    settings: str  # resolved settings as JSON
+    data: str  # path of the data; the same on every machine that takes part
+    sha256: str  # hash of the data
 
     @classmethod
     def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Job:
@@ -57,19 +50,12 @@ class Job:
 
 @dataclass(frozen=True)
 class CellResult:
-    """Result of one cell.
+    """Result of one cell."""
 
-    Attributes:
-        cell: The cell.
-        rows: Its rows; None if it failed.
-        error: Reason of the failure in one line, or "".
-        seconds: Processor time [s].
-    """
-
-    cell: Cell
-    rows: list[Row] | None
-    error: str = ""
-    seconds: float = 0.0
+    cell: Cell  # the cell
+    rows: list[Row] | None  # its rows; None if it failed
+    error: str = ""  # reason of the failure in one line, or ""
+    seconds: float = 0.0  # processor time [s]
 
 
 def run_cell(job: Job, cell: Cell) -> CellResult:

@@ -36,15 +36,10 @@ class HashedData(Protocol):
 
 @dataclass(frozen=True)
 class Cell:
-    """One task of a sweep.
+    """One task of a sweep."""
 
-    Attributes:
-        key: Unique in the sweep and stable; letters, digits, `_`, `-`, `.` and `+`: the name of its file.
-        values: Plain JSON parameters of the task; they are repeated in each of its rows.
-    """
-
-    key: str
-    values: Mapping[str, Any]
+    key: str  # unique in the sweep and stable; letters, digits, `_`, `-`, `.` and `+`: the name of its file
+    values: Mapping[str, Any]  # plain JSON parameters of the task; they are repeated in each of its rows
 
 
 @dataclass(frozen=True)

@@ -24,21 +24,13 @@ Progress = Callable[[CellResult, int, int], None]
 
 @dataclass(kw_only=True)
 class SweepResult:
-    """Result of a sweep.
+    """Result of a sweep."""
 
-    Attributes:
-        rows: Rows of `results.csv`.
-        cells: Number of cells.
-        reused: Number of cells that were finished before.
-        failures: Reasons of failed cells by key.
-        data_sha256: Hash of the data.
-    """
-
-    rows: list[Row] = field(default_factory=list)
-    cells: int = 0
-    reused: int = 0
-    failures: dict[str, str] = field(default_factory=dict)
-    data_sha256: str = ""
+    rows: list[Row] = field(default_factory=list)  # rows of `results.csv`
+    cells: int = 0  # number of cells
+    reused: int = 0  # number of cells that were finished before
+    failures: dict[str, str] = field(default_factory=dict)  # reasons of failed cells by key
+    data_sha256: str = ""  # hash of the data
 
 
 def run_sweep(

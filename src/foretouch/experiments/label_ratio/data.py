@@ -39,17 +39,11 @@ class RatioDataSettings(SimulatedSettings):
 
 @dataclass(frozen=True, eq=False)
 class LabelSplit:
-    """Indices of the samples.
+    """Indices of the samples."""
 
-    Attributes:
-        train: (T,) labelled training samples.
-        unlabelled: (U,) training samples without labels.
-        test: (J,) samples to predict: the test samples, or those held out for tuning.
-    """
-
-    train: Indices
-    unlabelled: Indices
-    test: Indices
+    train: Indices  # (T,) labelled training samples
+    unlabelled: Indices  # (U,) training samples without labels
+    test: Indices  # (J,) samples to predict: the test samples, or those held out for tuning
 
 
 def load_frozen(settings: RatioDataSettings, path: Path) -> SimulatedGrasps:
@@ -108,13 +102,9 @@ def prepared(data: SimulatedGrasps, model: ModelConfig, stock: int) -> Presample
 
 @dataclass(frozen=True, eq=False)
 class PresampledSet(TrainingSet):
-    """A training set whose clouds all have the same number of points, in random order.
+    """A training set whose clouds all have the same number of points, in random order."""
 
-    Attributes:
-        stock: (S, P, C) float32 clouds.
-    """
-
-    stock: Float32
+    stock: Float32  # (S, P, C) float32 clouds
 
     def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
         """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.

@@ -28,7 +28,7 @@ from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, RealGraspSetti
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.experiments.shared.skill import skill_tables
 from foretouch.learning.data import labels_of, make_folds
-from foretouch.learning.evaluation.comparison import BootstrapConfig
+from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
 from foretouch.types import GraspSample

@@ -38,15 +38,10 @@ _TRIES: Final = 10  # per requested repeat
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Repeats of one grasp.
+    """Repeats of one grasp."""
 
-    Attributes:
-        touches: (n, 50) [counts].
-        tares: (n, 50) [counts].
-    """
-
-    touches: Float64
-    tares: Float64
+    touches: Float64  # (n, 50) [counts]
+    tares: Float64  # (n, 50) [counts]
 
 
 class Repeater:

@@ -38,13 +38,9 @@ MakeFolds = Callable[[Any, Sequence[GraspSample], int], list[TableFold]]
 
 @dataclass(frozen=True)
 class FoldRunner:
-    """`cells` and `run` of an experiment that consists of folds.
+    """`cells` and `run` of an experiment that consists of folds."""
 
-    Attributes:
-        folds: (settings, labelled samples, seed) to the folds; deterministic.
-    """
-
-    folds: MakeFolds
+    folds: MakeFolds  # (settings, labelled samples, seed) to the folds; deterministic
 
     def cells(self, settings: RealGraspSettings, data: Dataset) -> list[Cell]:
         """A cell for each fold, predictor and seed."""

@@ -13,7 +13,7 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
 from foretouch.learning.data import Dataset, load_dataset
-from foretouch.learning.evaluation.comparison import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES
 from foretouch.types import Float64, GraspSample
 

@@ -28,15 +28,10 @@ class SimulatedSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class SimulatedGrasps:
-    """Simulated grasps and their scene.
+    """Simulated grasps and their scene."""
 
-    Attributes:
-        collection: The samples.
-        scene: The scene; with the `slot` and `attempt` of a sample, it reproduces that sample.
-    """
-
-    collection: Dataset
-    scene: SceneConfig
+    collection: Dataset  # the samples
+    scene: SceneConfig  # the scene; with the `slot` and `attempt` of a sample, it reproduces that sample
 
     @property
     def sha256(self) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
-from foretouch.learning.evaluation.comparison import MEAN
+from foretouch.learning.evaluation.metrics import MEAN
 from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
 from foretouch.tactile import MODALITIES
 

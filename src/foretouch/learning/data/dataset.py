@@ -31,19 +31,12 @@ _VISION2TACTILE: Final = {
 
 @dataclass(frozen=True, eq=False)
 class DataSplit:
-    """Indices of samples; each sample is in at most one part.
+    """Indices of samples; each sample is in at most one part."""
 
-    Attributes:
-        train: Samples to learn from with their labels, sorted.
-        unlabelled: Samples to learn from without labels.
-        validation: Samples by which the best epoch is chosen.
-        test: Samples to evaluate on; empty where no split is configured.
-    """
-
-    train: Indices
-    unlabelled: Indices
-    validation: Indices
-    test: Indices
+    train: Indices  # samples to learn from with their labels, sorted
+    unlabelled: Indices  # samples to learn from without labels
+    validation: Indices  # samples by which the best epoch is chosen
+    test: Indices  # samples to evaluate on; empty where no split is configured
 
     def sizes(self) -> dict[str, int]:
         """Number of samples by part, for a card."""

@@ -36,16 +36,11 @@ Indices: TypeAlias = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """One partition of the samples.
+    """One partition of the samples."""
 
-    Attributes:
-        train, test: Sorted indices of the samples, disjoint.
-        name: Name of the test side.
-    """
-
-    train: Indices
-    test: Indices
-    name: str = ""
+    train: Indices  # sorted indices of the samples, disjoint
+    test: Indices  # sorted indices of the samples, disjoint
+    name: str = ""  # name of the test side
 
 
 HoldOut = Callable[[Fold], Float64]

@@ -20,28 +20,19 @@ from foretouch.tactile import check_touch
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
 if TYPE_CHECKING:
-    from foretouch.models.network.regressor import TouchNet
+    from foretouch.models.network.networks import TouchNet
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:
-    """Inputs and labels of S samples, prepared for one network configuration.
+    """Inputs and labels of S samples, prepared for one network configuration."""
 
-    Attributes:
-        clouds: (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled.
-        grasps: (S, G) float32, as fed to the head.
-        labels: (S, 50) float64 [counts]; NaN for an unlabelled sample.
-        lengths: (S, 5) float64 [m], for the range check of the card.
-        config: The network configuration.
-        ids: (S,) ids of the samples.
-    """
-
-    clouds: tuple[Float32, ...]
-    grasps: Float32
-    labels: Float64
-    lengths: Float64
-    config: ModelConfig
-    ids: tuple[str, ...]
+    clouds: tuple[Float32, ...]  # (N_i, C) float32 of each sample in the unit sphere: all points, not yet sampled
+    grasps: Float32  # (S, G) float32, as fed to the head
+    labels: Float64  # (S, 50) float64 [counts]; NaN for an unlabelled sample
+    lengths: Float64  # (S, 5) float64 [m], for the range check of the card
+    config: ModelConfig  # the network configuration
+    ids: tuple[str, ...]  # (S,) ids of the samples
 
     @classmethod
     def build(cls, samples: Sequence[GraspSample], config: ModelConfig, *, unlabelled: bool = False) -> TrainingSet:

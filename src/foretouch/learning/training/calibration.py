@@ -37,19 +37,12 @@ Names = npt.NDArray[np.str_]
 
 @dataclass(frozen=True, eq=False)
 class HeldOutPredictions:
-    """Predictions of samples by models that were fitted without them.
+    """Predictions of samples by models that were fitted without them."""
 
-    Attributes:
-        predicted: (S, 50) [counts].
-        labels: (S, 50) [counts].
-        objects: (S,) names.
-        sessions: (S,) the unit that shares the lasting part of the error: an object, or a block of its recording.
-    """
-
-    predicted: Float64
-    labels: Float64
-    objects: Names
-    sessions: Names
+    predicted: Float64  # (S, 50) [counts]
+    labels: Float64  # (S, 50) [counts]
+    objects: Names  # (S,) names
+    sessions: Names  # (S,) the unit that shares the lasting part of the error: an object, or a block of its recording
 
     def take(self, chosen: npt.NDArray[np.bool_]) -> HeldOutPredictions:
         """The samples of an (S,) mask."""

@@ -16,8 +16,7 @@ from foretouch.learning.training.calibration import calibrate, calibration_folds
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.contact.forest import Forest
-from foretouch.models.contact.kernel_regression import KernelRegression, laplacian
+from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample

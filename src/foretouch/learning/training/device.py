@@ -142,17 +142,11 @@ class DeviceConfig(Settings):
 
 @dataclass(frozen=True)
 class TrainingDevice:
-    """A device, a precision and the processes that share each batch.
+    """A device, a precision and the processes that share each batch."""
 
-    Attributes:
-        device: Device of weights and batches.
-        precision: Precision of the search for winning points.
-        context: The processes.
-    """
-
-    device: torch.device
-    precision: torch.dtype
-    context: DistributedContext
+    device: torch.device  # device of weights and batches
+    precision: torch.dtype  # precision of the search for winning points
+    context: DistributedContext  # the processes
 
     @classmethod
     def of(cls, config: DeviceConfig, batch_size: int) -> TrainingDevice:

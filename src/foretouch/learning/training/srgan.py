@@ -52,7 +52,7 @@ from foretouch.learning.training.trainer import (
     shuffled_batches,
 )
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
-from foretouch.models.network.generator import CloudGenerator, GeneratorConfig, draw_noise
+from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
 from foretouch.tactile import columns, modality_size
 
 _CALIBRATION_BATCHES = 20

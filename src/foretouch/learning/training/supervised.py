@@ -30,7 +30,7 @@ from foretouch.learning.training.trainer import (
     shuffled_batches,
 )
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
-from foretouch.models.network.regressor import TouchNet
+from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import columns, modality_size
 from foretouch.types import Float64
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data import Indices, TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
-from foretouch.models.network.regressor import TouchNet
+from foretouch.models.network.networks import TouchNet
 
 SCHEDULES: Final = ("cosine", "constant")
 

@@ -20,8 +20,8 @@ from foretouch.learning.data import Indices, TrainingSet
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import OptimiserRule, ScheduledOptimiser
+from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.pointnet import Layer
-from foretouch.models.network.regressor import TouchNet
 
 
 def train_many(

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.pointnet import InputTransform, Layer
-from foretouch.models.network.regressor import TouchNet
 
 BLOCK = 16
 """Rows of one pass through the head."""
@@ -30,15 +30,10 @@ BLOCK = 16
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """x to x Wᵀ + b.
+    """x to x Wᵀ + b."""
 
-    Attributes:
-        weight: (out, in) float32.
-        bias: (out,) float32.
-    """
-
-    weight: Tensor
-    bias: Tensor
+    weight: Tensor  # (out, in) float32
+    bias: Tensor  # (out,) float32
 
     def __call__(self, x: Tensor) -> Tensor:
         """(..., in) to (..., out)."""

@@ -23,14 +23,10 @@ _MARGIN: Final = 0.1  # of a length's range, by which a grasp may leave it
 
 @dataclass(frozen=True, eq=False)
 class LengthRangeCheck:
-    """Ranges of the five lengths over the training samples, widened by a tenth on both sides.
+    """Ranges of the five lengths over the training samples, widened by a tenth on both sides."""
 
-    Attributes:
-        low, high: (5,) float64 [m], in the order of `LENGTHS`.
-    """
-
-    low: Float64
-    high: Float64
+    low: Float64  # (5,) float64 [m], in the order of `LENGTHS`
+    high: Float64  # (5,) float64 [m], in the order of `LENGTHS`
 
     @classmethod
     def fit(cls, lengths: Float64) -> LengthRangeCheck:

@@ -25,15 +25,10 @@ _DM_PER_M = 10.0
 
 @dataclass(frozen=True, eq=False)
 class PreparedCloud:
-    """One cloud in the frame of the network.
+    """One cloud in the frame of the network."""
 
-    Attributes:
-        points: (N, C) float32: x, y, z in the unit sphere, then colour or normal.
-        frame: From the cloud's frame to the unit sphere.
-    """
-
-    points: Float32
-    frame: UnitSphereFrame
+    points: Float32  # (N, C) float32: x, y, z in the unit sphere, then colour or normal
+    frame: UnitSphereFrame  # from the cloud's frame to the unit sphere
 
 
 def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:

@@ -64,19 +64,12 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Drawable:
-    """A prediction with its input.
+    """A prediction with its input."""
 
-    Attributes:
-        scene: The whole cloud, if it was received.
-        target: The object.
-        prediction: The prediction.
-        readings: Tactile readings of the executed grasp; None if it was not executed.
-    """
-
-    scene: Cloud | None
-    target: FoundObject
-    prediction: TouchPrediction
-    readings: TouchCut | None = None
+    scene: Cloud | None  # the whole cloud, if it was received
+    target: FoundObject  # the object
+    prediction: TouchPrediction  # the prediction
+    readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
 class MonitorNode(Node):

@@ -9,21 +9,13 @@ from foretouch.bounded_queue import BoundedQueue
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A serialised message.
+    """A serialised message."""
 
-    Attributes:
-        topic: Full name.
-        data: CDR.
-        received_ns: When the middleware received it [ns].
-        sent_ns: When it was published [ns].
-        sequence: Sequence number of its publisher; None where the middleware has none.
-    """
-
-    topic: str
-    data: bytes
-    received_ns: int
-    sent_ns: int
-    sequence: int | None
+    topic: str  # full name
+    data: bytes  # CDR
+    received_ns: int  # when the middleware received it [ns]
+    sent_ns: int  # when it was published [ns]
+    sequence: int | None  # sequence number of its publisher; None where the middleware has none
 
 
 class MessageQueue(BoundedQueue[Arrival]):

@@ -18,19 +18,12 @@ AFTER_CLOSE = "after close"
 
 @dataclass(frozen=True, kw_only=True)
 class TopicStatistics:
-    """Statistics of a topic beside the session's message counts.
+    """Statistics of a topic beside the session's message counts."""
 
-    Attributes:
-        waiting: Messages in the queue.
-        late: Messages that came after the session had ended by itself and its file was closed.
-        reliable: Whether lost messages are sent again.
-        rate_hz: Rate of arrival [Hz].
-    """
-
-    waiting: int = 0
-    late: int = 0
-    reliable: bool = True
-    rate_hz: float = 0.0
+    waiting: int = 0  # messages in the queue
+    late: int = 0  # messages that came after the session had ended by itself and its file was closed
+    reliable: bool = True  # whether lost messages are sent again
+    rate_hz: float = 0.0  # rate of arrival [Hz]
 
 
 def status_to_msg(

@@ -29,17 +29,11 @@ _OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
 
 @dataclass(frozen=True)
 class InputTopic:
-    """A topic to record.
+    """A topic to record."""
 
-    Attributes:
-        name: Name before remapping, which may be relative to the namespace.
-        message: Class of its messages.
-        depth: Queue size of the middleware.
-    """
-
-    name: str
-    message: type
-    depth: int
+    name: str  # name before remapping, which may be relative to the namespace
+    message: type  # class of its messages
+    depth: int  # queue size of the middleware
 
     @property
     def type_name(self) -> str:

@@ -22,8 +22,7 @@ from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Rejected
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.live_tare import LiveTare
-from foretouch.ros.touch.object_memory import ObjectMemory
+from foretouch.ros.touch.tactile_state import LiveTare, ObjectMemory
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction

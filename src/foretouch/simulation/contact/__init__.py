@@ -4,10 +4,19 @@
 Hertz, Winkler and the elastic layer share one problem and one solution; `grip` closes two fingers.
 """
 
-from foretouch.simulation.contact.grip import BALANCE_TOLERANCE, GripSolution, HeldWeight, solve_grip, weigh
-from foretouch.simulation.contact.hertz import solve_hertz
+from foretouch.simulation.contact.closed_form import bed_stiffness, solve_hertz, solve_winkler
+from foretouch.simulation.contact.grip import (
+    BALANCE_TOLERANCE,
+    LEVELS,
+    GripSolution,
+    HeldWeight,
+    Level,
+    choose_level,
+    solve_contact,
+    solve_grip,
+    weigh,
+)
 from foretouch.simulation.contact.layer import solve_layer
-from foretouch.simulation.contact.level import LEVELS, Level, choose_level, solve_contact
 from foretouch.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
@@ -27,7 +36,6 @@ from foretouch.simulation.contact.problem import (
     ContactSolution,
     Layer,
 )
-from foretouch.simulation.contact.winkler import bed_stiffness, solve_winkler
 
 __all__ = [
     "BALANCE_TOLERANCE",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two fingers on opposite sides of one object, and how they share its weight.
+"""Two fingers on opposite sides of one object, how they share its weight, and the choice of the contact level.
 
-Statics of a rigid body on two points: with a the unit vector from g1 to g2, L their distance, w the weight (a force vector) and c the centre of
-mass, the forces of the fingers on the object balance w, and their moments balance (c - m) x w about the
+Statics of a rigid body on two points: with a the unit vector from g1 to g2, L their distance, w the weight (a force
+vector) and c the centre of mass, the forces of the fingers on the object balance w, and their moments balance (c - m) x w about the
 midpoint m:
 
     along a:    F1 - F2 + w·a = 0, hence the second finger carries w·a more than the first;
@@ -16,31 +16,77 @@ that lies along that line. Commanded by depth, the sum of both depths is the han
 force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError
-from foretouch.simulation.contact.level import Level, solve_contact
-from foretouch.simulation.contact.problem import DEFAULT_CONFIG, Command, ContactConfig, ContactProblem, ContactSolution
+from foretouch.simulation.contact.closed_form import solve_hertz, solve_winkler
+from foretouch.simulation.contact.layer import solve_layer
+from foretouch.simulation.contact.problem import (
+    DEFAULT_CONFIG,
+    Command,
+    ContactConfig,
+    ContactProblem,
+    ContactSolution,
+    Layer,
+)
 from foretouch.types import Float64
+
+Level = Literal["auto", "hertz", "winkler", "layer"]
+LEVELS: Final = ("auto", "hertz", "winkler", "layer")
+
+_SOLVERS: Final = {"hertz": solve_hertz, "winkler": solve_winkler, "layer": solve_layer}
+
+
+def choose_level(layers: Sequence[Layer]) -> tuple[Level, str]:
+    """The level that `auto` means, and why.
+
+    The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft
+    objects are thick: their cells answer to each other.
+
+    Args:
+        layers: The compliant bodies, the pad's first.
+    """
+    if len(layers) == 1 and not math.isinf(layers[0].thickness_m):
+        return "winkler", "the object is rigid: only the thin skin deforms"
+    return "layer", "the object deforms too"
+
+
+def solve_contact(
+    problem: ContactProblem, command: Command, level: Level = "auto", config: ContactConfig = DEFAULT_CONFIG
+) -> ContactSolution:
+    """Solve one contact at the level asked for.
+
+    Args:
+        problem: Surfaces and layers.
+        command: A force or a depth.
+        level: One of `LEVELS`.
+        config: Tolerance and limits.
+
+    Raises:
+        ContactError: If there is no such level, or the level refuses the problem.
+    """
+    if level == "auto":
+        level, _ = choose_level(problem.layers)
+    solver = _SOLVERS.get(level)
+    if solver is None:
+        raise ContactError(f"level: {level!r} is none of {', '.join(LEVELS)}")
+    return solver(problem, command, config)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldWeight:
-    """What the object's weight asks of the fingers.
+    """What the object's weight asks of the fingers."""
 
-    Attributes:
-        axial_n: How much more the second finger pushes than the first [N].
-        tangential_n: (2, 3) float64, force of each finger on the object across the line of the contacts [N].
-        torsion_nm: Moment about that line that friction must hold [N m].
-    """
-
-    axial_n: float
-    tangential_n: Float64
-    torsion_nm: float
+    axial_n: float  # how much more the second finger pushes than the first [N]
+    tangential_n: Float64  # (2, 3) float64, force of each finger on the object across the line of the contacts [N]
+    torsion_nm: float  # moment about that line that friction must hold [N m]
 
     def slips(self, forces_n: tuple[float, float], friction: float) -> tuple[bool, bool]:
         """Whether each finger's tangential force exceeds Coulomb's limit at its normal force."""
@@ -83,16 +129,11 @@ _STEEPEST = 64.0  # largest factor on the force in one step
 
 @dataclass(frozen=True, eq=False)
 class GripSolution:
-    """Both contacts.
+    """Both contacts."""
 
-    Attributes:
-        first, second: Of the finger at g1 and of the one at g2.
-        steps: Tries of the force that the closing took; 0 where none was needed.
-    """
-
-    first: ContactSolution
-    second: ContactSolution
-    steps: int = 0
+    first: ContactSolution  # of the finger at g1 and of the one at g2
+    second: ContactSolution  # of the finger at g1 and of the one at g2
+    steps: int = 0  # tries of the force that the closing took; 0 where none was needed
 
     @property
     def imbalance(self) -> float:

@@ -64,15 +64,10 @@ class PadConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class ContactFrame:
-    """Where the pad is touched.
+    """Where the pad is touched."""
 
-    Attributes:
-        origin: (3,) float64 [m], on the skin, fingertip frame.
-        rotation: (3, 3) float64: columns are tangent x, tangent y and outward normal in the fingertip frame.
-    """
-
-    origin: Float64
-    rotation: Float64
+    origin: Float64  # (3,) float64 [m], on the skin, fingertip frame
+    rotation: Float64  # (3, 3) float64: columns are tangent x, tangent y and outward normal in the fingertip frame
 
     def points(self, x: Float64, y: Float64, depth: Float64) -> Float64:
         """(..., 3) float64 [m], fingertip frame, of points at (x, y) and `depth` below the tangent plane."""
@@ -81,21 +76,13 @@ class ContactFrame:
 
 @dataclass(frozen=True, eq=False)
 class PadWindow:
-    """The part of the pad that a contact is solved on.
+    """The part of the pad that a contact is solved on."""
 
-    Attributes:
-        frame: Where the pad is touched.
-        x: (N, N) float64 [m], cell centres in the contact frame; changes along a row.
-        y: (N, N) float64 [m]; changes along a column.
-        depth: (N, N) float64 [m], the undeformed skin below the tangent plane; infinite beside the pad.
-        points: (N, N, 3) float64 [m], the cells on the skin, fingertip frame; NaN beside the pad.
-    """
-
-    frame: ContactFrame
-    x: Float64
-    y: Float64
-    depth: Float64
-    points: Float64
+    frame: ContactFrame  # where the pad is touched
+    x: Float64  # (N, N) float64 [m], cell centres in the contact frame; changes along a row
+    y: Float64  # (N, N) float64 [m]; changes along a column
+    depth: Float64  # (N, N) float64 [m], the undeformed skin below the tangent plane; infinite beside the pad
+    points: Float64  # (N, N, 3) float64 [m], the cells on the skin, fingertip frame; NaN beside the pad
 
 
 def pad_window(config: PadConfig, direction: Float64) -> PadWindow:

@@ -34,18 +34,13 @@ DEFAULT_CONFIG = ContactConfig()  # made once: checking settings takes longer th
 class Layer:
     """An isotropic elastic layer, bonded to a rigid base.
 
-    Attributes:
-        modulus_pa: Young's modulus E [Pa].
-        poisson: Poisson's ratio ν, 0 to 0.5.
-        thickness_m: h [m]; infinite for a half-space.
-
     Raises:
         ContactError: If a value has no physical meaning.
     """
 
-    modulus_pa: float
-    poisson: float
-    thickness_m: float = math.inf
+    modulus_pa: float  # Young's modulus E [Pa]
+    poisson: float  # Poisson's ratio ν, 0 to 0.5
+    thickness_m: float = math.inf  # h [m]; infinite for a half-space
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.modulus_pa) and self.modulus_pa > 0.0):
@@ -65,16 +60,12 @@ class Layer:
 class Command:
     """The command of a finger: either a force or a depth.
 
-    Attributes:
-        force_n: Normal force, at least 0 [N].
-        depth_m: Approach of the bodies beyond first touch [m]; none or negative is no contact.
-
     Raises:
         ContactError: If neither or both are given, one is not finite, or the force is negative.
     """
 
-    force_n: float | None = None
-    depth_m: float | None = None
+    force_n: float | None = None  # normal force, at least 0 [N]
+    depth_m: float | None = None  # approach of the bodies beyond first touch [m]; none or negative is no contact
 
     def __post_init__(self) -> None:
         if (self.force_n is None) == (self.depth_m is None):
@@ -137,27 +128,16 @@ class ContactProblem:
 
 @dataclass(frozen=True, eq=False)
 class ContactSolution:
-    """What one contact is.
+    """What one contact is."""
 
-    Attributes:
-        pressure: (N, N) float64, at least 0 [Pa].
-        displacement: (L, N, N) float64 [m], how far each layer's surface is pushed in.
-        force_n: Σ pressure · cell [N].
-        area_m2: Area under pressure [m²].
-        depth_m: Approach of the bodies beyond first touch [m].
-        iterations: Steps that the solver took; 0 for a closed form.
-        residual: Its last relative change; 0 for a closed form.
-        converged: True: a solver that does not converge raises instead.
-    """
-
-    pressure: Float64
-    displacement: Float64
-    force_n: float
-    area_m2: float
-    depth_m: float
-    iterations: int = 0
-    residual: float = 0.0
-    converged: bool = True
+    pressure: Float64  # (N, N) float64, at least 0 [Pa]
+    displacement: Float64  # (L, N, N) float64 [m], how far each layer's surface is pushed in
+    force_n: float  # Σ pressure · cell [N]
+    area_m2: float  # area under pressure [m²]
+    depth_m: float  # approach of the bodies beyond first touch [m]
+    iterations: int = 0  # steps that the solver took; 0 for a closed form
+    residual: float = 0.0  # its last relative change; 0 for a closed form
+    converged: bool = True  # true: a solver that does not converge raises instead
 
     @property
     def touches_edge(self) -> bool:

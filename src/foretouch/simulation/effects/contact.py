@@ -8,7 +8,7 @@ import numpy as np
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip, weigh
 from foretouch.simulation.effect import Effect, Job, SampleState, called_for, keys
-from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, layers_of
+from foretouch.simulation.finger_contact import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from foretouch.errors import GraspError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
-from foretouch.simulation.hand import FingerFrame, finger_frames
+from foretouch.simulation.finger_contact import FingerFrame, finger_frames
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
 

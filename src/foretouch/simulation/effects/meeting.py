@@ -6,12 +6,11 @@ import math
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
-from foretouch.simulation.body import Body
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
-from foretouch.simulation.hand import FingerFrame
-from foretouch.simulation.pressing import pad_of, surface_behind
+from foretouch.simulation.finger_contact import FingerFrame, pad_of, surface_behind
 from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
 _BACK_M = 0.03  # how far outside the planned contact the rays start

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.body import Body
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.scene import ObjectConfig
 from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
 _PLACES = 100  # tried for one piece of clutter

@@ -9,6 +9,7 @@ import numpy as np
 from foretouch.errors import ContactError
 from foretouch.simulation.contact import ContactSolution, PadWindow, solve_contact
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
+from foretouch.simulation.finger_contact import command_of, contact_failure, contact_problem, pad_of, surface_behind
 from foretouch.simulation.fingertip import (
     Finger,
     creep,
@@ -23,7 +24,6 @@ from foretouch.simulation.fingertip import (
     warming,
     white_noise,
 )
-from foretouch.simulation.pressing import command_of, contact_failure, contact_problem, pad_of, surface_behind
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey

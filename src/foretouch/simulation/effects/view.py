@@ -4,10 +4,10 @@
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.body import Hits
 from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE
 from foretouch.simulation.effect import Effect, Job, SampleState, Window, always, called_for, keys
+from foretouch.simulation.solids import Hits
 from foretouch.simulation.view import CameraView
 from foretouch.simulation.world import World
 from foretouch.types import Float64

@@ -4,15 +4,23 @@
 Each effect is a pure function of its settings, its input and, where it is random, a generator given as an argument.
 """
 
-from foretouch.simulation.fingertip.ageing import (
+from foretouch.simulation.fingertip.disturbances import (
     CreepConfig,
+    NoiseConfig,
+    ScanConfig,
     SlipConfig,
+    SteadyNoise,
     TemperatureConfig,
     creep,
+    fresh_samples,
+    hold,
     kill_electrodes,
     slip_path,
+    steady_noise,
     temperature_drift,
+    wander,
     warming,
+    white_noise,
 )
 from foretouch.simulation.fingertip.fingertip import (
     MIDDLE_FINGER,
@@ -20,26 +28,20 @@ from foretouch.simulation.fingertip.fingertip import (
     ElectrodeConfig,
     Finger,
     FingerConfig,
+    FingertipConfig,
     FluidConfig,
+    Reading,
     counts_at,
     displaced_volume,
     draw_finger,
     electrode_counts,
     electrode_weights,
     pdc_counts,
+    quantise,
+    read_contact,
+    rest_reading,
     skin_approach,
 )
-from foretouch.simulation.fingertip.noise import (
-    NoiseConfig,
-    ScanConfig,
-    SteadyNoise,
-    fresh_samples,
-    hold,
-    steady_noise,
-    wander,
-    white_noise,
-)
-from foretouch.simulation.fingertip.reading import FingertipConfig, Reading, quantise, read_contact, rest_reading
 
 __all__ = [
     "MIDDLE_FINGER",

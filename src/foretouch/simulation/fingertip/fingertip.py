@@ -11,8 +11,8 @@ manual). With u the skin's displacement, b the depth at which skin meets core an
 c = (n · pad)^k, the share of liquid pressure where the skin is free: its rim is clamped to the nail side.
 The electrodes do not enter: where the contact lies decides them, and hardly V.
 
-**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core conducts; where the skin comes closer, the path narrows and the
-impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, Syntouch). Here:
+**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core conducts;
+where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, Syntouch). Here:
 
     s_e = Σ_cells w_e u (n · n_e)+ - V / A          how much closer the skin is at electrode e [m]
     Z_e = Z_rest,e · exp(gain_e · s_e / thinning)   a layer that thins ever more slowly
@@ -20,17 +20,23 @@ impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, S
 
 with u the skin's displacement, w_e a Gaussian about the electrode's position on the skin, n the contact's
 normal, n_e the electrode's, and V / A the even bulge by which the displaced liquid V lifts the skin's area A.
+
+`read_contact` turns a solved contact into the readings of the fingertip.
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ContactError
-from foretouch.simulation.contact.pad import ContactFrame, PadConfig
+from foretouch.errors import ConfigError, ContactError, TactileError
+from foretouch.simulation.contact.pad import ContactFrame, PadConfig, PadWindow
+from foretouch.simulation.contact.problem import ContactSolution
 from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
 from foretouch.types import ELECTRODES, Float64
 
@@ -63,19 +69,12 @@ THUMB: Final = FingerConfig(pdc_rest=2779.0, electrode_rest=3150.0)
 
 @dataclass(frozen=True, eq=False)
 class Finger:
-    """One fingertip.
+    """One fingertip."""
 
-    Attributes:
-        pdc_rest: PDC without contact [counts].
-        pdc_gain: Factor on its rise.
-        electrode_rest: (24,) float64 [counts].
-        electrode_gain: (24,) float64.
-    """
-
-    pdc_rest: float
-    pdc_gain: float
-    electrode_rest: Float64
-    electrode_gain: Float64
+    pdc_rest: float  # PDC without contact [counts]
+    pdc_gain: float  # factor on its rise
+    electrode_rest: Float64  # (24,) float64 [counts]
+    electrode_gain: Float64  # (24,) float64
 
 
 def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
@@ -200,3 +199,90 @@ def electrode_counts(config: ElectrodeConfig, approach: Float64, rest: Float64, 
 def counts_at(impedance_kohm: Float64) -> Float64:
     """E = 4095 / (1 + Z / 10 kOhm), counts not rounded."""
     return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
+
+
+_LOWEST_ELECTRODE: Final = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingertipConfig(Settings):
+    """How a fingertip turns contact into counts.
+
+    Raises:
+        ConfigError: If the lowest PDC is not below the highest.
+    """
+
+    electrodes: ElectrodeConfig = ElectrodeConfig()
+    fluid: FluidConfig = FluidConfig()
+    pdc_lowest: int = setting(0, "Lowest PDC the converter gives", unit="counts", minimum=0, maximum=FULL_SCALE)
+    pdc_highest: int = setting(
+        FULL_SCALE, "Highest PDC the converter gives", unit="counts", minimum=0, maximum=FULL_SCALE
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.pdc_lowest >= self.pdc_highest:
+            raise ConfigError(
+                f"FingertipConfig.pdc_lowest: {self.pdc_lowest} is not below pdc_highest {self.pdc_highest}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One fingertip before noise and rounding."""
+
+    pdc: float  # static pressure [counts]
+    electrodes: Float64  # (24,) float64 [counts]
+
+
+def rest_reading(finger: Finger) -> Reading:
+    """What the fingertip reads without contact."""
+    return Reading(finger.pdc_rest, finger.electrode_rest.copy())
+
+
+def read_contact(
+    config: FingertipConfig, pad: PadConfig, finger: Finger, window: PadWindow, solution: ContactSolution
+) -> Reading:
+    """What the fingertip reads in contact; without force, its rest to the bit.
+
+    Args:
+        config: How contact becomes counts.
+        pad: Shape of the pad and of the window.
+        finger: Its rest and gain.
+        window: Where it is touched.
+        solution: Of the contact; the first of its layers is the skin.
+
+    Raises:
+        ContactError: If the solution is on another grid.
+    """
+    if solution.force_n == 0.0:
+        return rest_reading(finger)
+    skin = solution.displacement[0]
+    volume = displaced_volume(config.fluid, skin, pad.step_m**2)
+    weights = electrode_weights(config.electrodes, pad, window.frame, window.points)
+    approach = skin_approach(config.electrodes, weights, skin, volume)
+    electrodes = electrode_counts(config.electrodes, approach, finger.electrode_rest, finger.electrode_gain)
+    return Reading(pdc_counts(config.fluid, window.frame, volume, finger.pdc_rest, finger.pdc_gain), electrodes)
+
+
+def quantise(
+    config: FingertipConfig, pdc: npt.ArrayLike, electrodes: npt.ArrayLike
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Round and clip as the 12-bit converter does: electrodes to 0..4095, PDC to its range.
+
+    Args:
+        config: The range of PDC.
+        pdc: (...) counts.
+        electrodes: (..., 24) counts.
+
+    Raises:
+        TactileError: If a value is not finite: a converter has no such count.
+    """
+    rounded = []
+    limits = ((pdc, config.pdc_lowest, config.pdc_highest), (electrodes, _LOWEST_ELECTRODE, FULL_SCALE))
+    for name, (values, low, high) in zip(("pdc", "electrodes"), limits, strict=True):
+        counts = np.asarray(values, np.float64)
+        if not np.isfinite(counts).all():
+            raise TactileError(f"{name}: {np.count_nonzero(~np.isfinite(counts))} values are not finite")
+        rounded.append(np.clip(np.rint(counts), low, high).astype(np.int64))
+    return rounded[0], rounded[1]

@@ -19,15 +19,10 @@ from foretouch.types import Float64
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """A closed surface made of triangles, counter-clockwise seen from outside.
+    """A closed surface made of triangles, counter-clockwise seen from outside."""
 
-    Attributes:
-        vertices: (V, 3) float64 [m], or of unit extent before it is scaled.
-        faces: (F, 3) int64, indices into `vertices`.
-    """
-
-    vertices: Float64
-    faces: npt.NDArray[np.int64]
+    vertices: Float64  # (V, 3) float64 [m], or of unit extent before it is scaled
+    faces: npt.NDArray[np.int64]  # (F, 3) int64, indices into `vertices`
 
     @property
     def bounds(self) -> Float64:

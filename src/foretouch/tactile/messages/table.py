@@ -54,17 +54,11 @@ class TactileConfig(Settings):
 
 @dataclass(frozen=True, eq=False)
 class TactileReading:
-    """The content of one tactile message.
+    """The content of one tactile message."""
 
-    Attributes:
-        stamp_ns: Stamp of its header [ns]; None where the type has none.
-        counts: (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts].
-        others: (K,) float32, in the order of `TactileReader.others`.
-    """
-
-    stamp_ns: int | None
-    counts: Float32
-    others: Float32
+    stamp_ns: int | None  # stamp of its header [ns]; None where the type has none
+    counts: Float32  # (50,) float32: PDC_TH, PDC_MF, E_TH, E_MF [counts]
+    others: Float32  # (K,) float32, in the order of `TactileReader.others`
 
 
 @dataclass(frozen=True)

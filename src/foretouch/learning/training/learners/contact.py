@@ -13,7 +13,7 @@ from foretouch.learning.data import Dataset, DataSplit, Indices
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.learning.training.learners.learner import CardCalibration, Learner, RunConfig, register
 from foretouch.learning.training.run_folder import RunFolder
-from foretouch.models.contact.checkpoint import save_contact
+from foretouch.models.contact.estimator import save_contact
 from foretouch.tactile import TactileRanges
 from foretouch.types import Float64
 

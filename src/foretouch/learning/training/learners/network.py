@@ -96,17 +96,11 @@ class SrganRun(NetworkRun):
 
 @dataclass
 class _Best:
-    """The best epoch so far, by validation.
+    """The best epoch so far, by validation."""
 
-    Attributes:
-        epoch: Its number, -1 without any.
-        error: Root mean square of its scaled errors.
-        weights: The network's weights by name, empty without any.
-    """
-
-    epoch: int
-    error: float
-    weights: dict[str, Tensor]
+    epoch: int  # its number, -1 without any
+    error: float  # root mean square of its scaled errors
+    weights: dict[str, Tensor]  # the network's weights by name, empty without any
 
 
 _N = TypeVar("_N", bound=NetworkRun)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact of two smooth, thick bodies in closed form (Hertz; Johnson 1985, section 4.2).
+"""Contact in closed form: two smooth, thick bodies (Hertz), and a bed of springs (Winkler).
+
+Hertz (Johnson 1985, section 4.2): two smooth, thick bodies.
 
 The gap about first touch is A x² + B y² in its principal axes, A <= B. The footprint is an ellipse with
 semi-axes a >= b, e² = 1 - b²/a², and with K, E the complete elliptic integrals of e (eqs. 4.26 to 4.28):
@@ -9,7 +11,15 @@ semi-axes a >= b, e² = 1 - b²/a², and with K, E the complete elliptic integra
 
 Layer thicknesses are left aside. Displacement is that of the circle of equal area, stretched to the ellipse
 (eqs. 3.41a and 3.42a): exact for round footprints, an approximation for long ones.
+
+Winkler (Johnson 1985, section 4.3): a bed of springs, in which the cells are independent.
+
+p = k d, d the overlap of the undeformed surfaces. A layer of thickness h that cannot give way sideways
+has k = E (1 - ν) / ((1 + ν) (1 - 2ν)) / h, which is E / h at ν = 0. Beds in series: 1/k = Σ 1/k_i.
+It is right for layers thin against the contact; towards ν = 0.5 or thick layers, use the elastic layer.
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -24,6 +34,7 @@ from foretouch.simulation.contact.problem import (
     ContactConfig,
     ContactProblem,
     ContactSolution,
+    Layer,
     no_contact,
     refuse_overload,
 )
@@ -159,3 +170,60 @@ def _displacement(rho: Float64, depth: float) -> Float64:
     outer = np.maximum(rho, 1.0)
     beside = ((2.0 - outer**2) * np.arcsin(1.0 / outer) + np.sqrt(outer**2 - 1.0)) / math.pi
     return np.asarray(depth * np.where(rho <= 1.0, 1.0 - rho**2 / 2.0, beside))
+
+
+_MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
+
+
+def bed_stiffness(layer: Layer) -> float:
+    """Pressure per indentation of one layer [Pa/m].
+
+    ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.
+
+    Raises:
+        ContactError: If the layer is a half-space, which has no bed.
+    """
+    if math.isinf(layer.thickness_m):
+        raise ContactError("thickness_m: a half-space has no Winkler bed; use the elastic layer or Hertz")
+    nu = min(layer.poisson, _MAX_POISSON)
+    confined = layer.modulus_pa * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    return confined / layer.thickness_m
+
+
+def solve_winkler(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
+    """Press two bodies together on a bed of springs; exact, without iteration.
+
+    Args:
+        problem: Surfaces and layers.
+        command: A force or a depth.
+        config: Limits.
+
+    Raises:
+        ContactError: If a layer is a half-space or compressed beyond `max_strain`.
+    """
+    if command.idle:
+        return no_contact(problem, command.depth_m or 0.0)
+    compliances = np.array([1.0 / bed_stiffness(layer) for layer in problem.layers])
+    k = 1.0 / float(compliances.sum())
+    if command.depth_m is None:
+        depth = _depth_for(problem.gap, float(command.force_n or 0.0) / (k * problem.cell_m2))
+    else:
+        depth = command.depth_m
+    pressure = k * np.maximum(depth - problem.gap, 0.0)
+    displacement = compliances[:, None, None] * pressure
+    refuse_overload(problem, displacement, depth, config)
+    area = int(np.count_nonzero(pressure)) * problem.cell_m2
+    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
+
+
+def _depth_for(gap: Float64, overlap_sum: float) -> float:
+    """The depth d at which Σ max(d - gap, 0) is `overlap_sum`.
+
+    The sum is piecewise linear in d with a kink at every gap. With the gaps in order, the n-th piece gives
+    d = (overlap_sum + Σ first n gaps) / n; it is the one whose d does not reach the next gap.
+    """
+    # The deepest the bed can go: all cells share the sum. Farther cells than a lone one would reach stay dry.
+    candidates = np.sort(gap[gap <= overlap_sum], axis=None)  # holds the cell with gap 0
+    depths = (overlap_sum + np.cumsum(candidates)) / np.arange(1, candidates.size + 1)
+    pieces = np.flatnonzero(depths[:-1] <= candidates[1:])
+    return float(depths[pieces[0]] if pieces.size else depths[-1])

@@ -1,31 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes, cylinders and spheres that rays can be cast against in closed form.
+"""Solids for ray casting: meshes with a size and a pose, and boxes, cylinders and spheres in closed form.
+
+A mesh stays in its unit box, and rays are transformed there instead: the search tree is built once a shape, for all
+sizes and poses. A ray's parameter t is the same in both frames, since the map between them is linear.
 
 A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's optical frame, t is
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
+from __future__ import annotations
+
 import itertools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Self
+from functools import lru_cache
+from typing import Any, Self
 
 import numpy as np
 
-from foretouch.types import Float64
+from foretouch.simulation.objects import TriangleMesh, unit_mesh
+from foretouch.types import Float32, Float64
+
+_MISS = 1e30  # embree answers 1e37 where a ray meets nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Where rays first meet a body."""
+
+    t: Float64  # (n,) float64, ray parameter; inf where there is nothing
+    normal: Float32  # (n, 3) float32, of the unit mesh's face, of any length; meaningless where there is nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A solid in the world."""
+
+    shape: str  # name of its shape
+    variant: int  # member of the family
+    size: Float64  # (3,) float64, edges of the bounding box in its own frame [m]
+    position: Float64  # (3,) float64, middle of that box in the world [m]
+    rotation: Float64  # (3, 3) float64, its axes as columns in the world
+
+    @property
+    def mesh(self) -> TriangleMesh:
+        """Its mesh in the unit box."""
+        return unit_mesh(self.shape, self.variant)
+
+    def corners(self) -> Float64:
+        """(8, 3) float64, corners of its bounding box in the world [m]."""
+        return self.position + (_UNIT_CORNERS * self.size) @ self.rotation.T
+
+    def cast(self, origins: Float64, directions: Float64) -> Hits:
+        """First hits of rays from outside.
+
+        Args:
+            origins: (3,) or (n, 3) float64, world [m].
+            directions: (n, 3) float64, world, of any length: t counts in that length.
+        """
+        to_unit = self.rotation / self.size  # world vectors times this are vectors of the unit box
+        start = ((origins - self.position) @ to_unit).astype(np.float32)
+        along = (directions @ to_unit).astype(np.float32)
+        start = np.ascontiguousarray(np.broadcast_to(start, along.shape))
+        answer = _search_tree(self.shape, self.variant).run(start, along, output=1)
+        t = answer["tfar"].astype(np.float64)
+        return Hits(np.where(t < _MISS, t, np.inf), answer["Ng"])
+
+    def world_normals(self, normal: Float32) -> Float64:
+        """Normals of unit-box faces (n, 3) as outward unit normals (n, 3) float64 in the world."""
+        turned = (normal / self.size) @ self.rotation.T  # normals go by the inverse transpose
+        return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True), np.float64)
+
+    def lowest(self) -> float:
+        """Height of its lowest point in the world [m]."""
+        return float(self.position[2] + (self.mesh.vertices @ (self.size * self.rotation[2])).min())
+
+
+_UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+@lru_cache(maxsize=256)
+def _search_tree(shape: str, variant: int) -> Any:
+    from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    mesh = unit_mesh(shape, variant)
+    scene = EmbreeScene(robust=True)  # watertight along edges: no ray slips into the body
+    EmbreeMesh(scene, mesh.vertices[mesh.faces].astype(np.float32))
+    scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree now
+    return scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Primitive(ABC):
-    """A solid with a pose.
+    """A solid with a pose."""
 
-    Attributes:
-        position: (3,) float64, its centre in the world [m].
-        rotation: (3, 3) float64, its axes as columns in the world.
-    """
-
-    position: Float64
-    rotation: Float64 = field(default_factory=lambda: np.eye(3))
+    position: Float64  # (3,) float64, its centre in the world [m]
+    rotation: Float64 = field(default_factory=lambda: np.eye(3))  # (3, 3) float64, its axes as columns in the world
 
     @property
     @abstractmethod
@@ -66,13 +137,9 @@ class Primitive(ABC):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Box(Primitive):
-    """A cuboid.
+    """A cuboid."""
 
-    Attributes:
-        size: (3,) float64, full edge lengths [m].
-    """
-
-    size: Float64
+    size: Float64  # (3,) float64, full edge lengths [m]
 
     @property
     def half_extents(self) -> Float64:
@@ -86,15 +153,10 @@ class Box(Primitive):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cylinder(Primitive):
-    """A solid cylinder about its own z axis.
+    """A solid cylinder about its own z axis."""
 
-    Attributes:
-        radius: [m]
-        height: [m]
-    """
-
-    radius: float
-    height: float
+    radius: float  # [m]
+    height: float  # [m]
 
     @property
     def half_extents(self) -> Float64:
@@ -109,13 +171,9 @@ class Cylinder(Primitive):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sphere(Primitive):
-    """A ball.
+    """A ball."""
 
-    Attributes:
-        radius: [m]
-    """
-
-    radius: float
+    radius: float  # [m]
 
     @property
     def half_extents(self) -> Float64:

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extremely randomised trees as plain arrays: fitted by scikit-learn, stored as tensors, evaluated by numpy.
+"""The two regressors of the contact model: a forest and a kernel ridge regression, stored as tensors.
 
-scikit-learn can save a forest only as a pickle, which the files of this package must not contain.
+The forest consists of extremely randomised trees as plain arrays, fitted by scikit-learn and evaluated by numpy: scikit-learn can save a forest only as a pickle, which the files of this package must not contain.
+
+The kernel ridge regression has a Laplacian kernel and fades to the mean far from the training data. It is the mean of a Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised columns [Rasmussen and
+Williams 2006, eq. 2.25], whose samples are as rough as tactile readings.
 """
 
 from __future__ import annotations
@@ -12,10 +15,11 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.models.files import TensorRecord
-from foretouch.types import Float64
+from foretouch.types import Float32, Float64
 
 _DTYPES: Final = {
     "roots": np.int32,
@@ -108,3 +112,37 @@ class Forest(TensorRecord):
             raise ModelError("leaf: names no value")
         if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
             raise ModelError("roots, value: a root is no node, or a value is not finite")
+
+
+@dataclass(frozen=True, eq=False)
+class KernelRegression(TensorRecord):
+    """S training rows of F columns and M outputs in units of their deviation from their mean."""
+
+    centre: Float64  # (F,) float64, which standardise the columns
+    scale: Float64  # (F,) float64, which standardise the columns
+    known: Float32  # (S, F) float32, the training rows, standardised
+    weight: Float32  # (S, M) float32
+    decay: Float64  # () float64, γ
+
+    def predict(self, rows: Float64) -> Float64:
+        """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
+        kernel = laplacian((rows - self.centre) / self.scale, self.known.astype(np.float64), float(self.decay))
+        weight = self.weight.astype(np.float64)
+        # Row by row, so that a prediction is equal to the last bit whatever the other rows are.
+        return np.array([row @ weight for row in kernel]).reshape(len(rows), weight.shape[1])
+
+    def _check(self) -> None:
+        for name, array in self.to_tensors().items():
+            if not np.isfinite(array).all():
+                raise ModelError(f"{name}: holds a value that is not finite")
+        rows, columns = self.weight.shape[:1], self.centre.shape
+        fits = self.scale.shape == columns and self.known.shape == rows + columns
+        if not fits or len(columns) != 1 or self.weight.ndim != 2 or self.decay.shape != ():
+            raise ModelError("kernel: its arrays do not fit together")
+        if not (self.scale > 0.0).all() or not self.decay > 0.0:
+            raise ModelError("scale, decay: a value is not above 0")
+
+
+def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
+    """(K, S) float64 kernel of (K, F) and (S, F) standardised rows."""
+    return np.asarray(np.exp(-decay / rows.shape[1] * cdist(rows, known, "cityblock")), np.float64)

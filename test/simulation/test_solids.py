@@ -3,8 +3,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from foretouch.simulation.body import Body
-from foretouch.simulation.primitives import Box, Cylinder, Primitive, Sphere
+from foretouch.simulation.solids import Body, Box, Cylinder, Primitive, Sphere
 
 ROTATION = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
 ROTATION = ROTATION * np.sign(np.linalg.det(ROTATION))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 
 from foretouch.errors import ModelError
-from foretouch.models.contact.forest import Forest
+from foretouch.models.contact.regressors import Forest
 
 HALF = 2.0**-11
 """Relative rounding of float16."""

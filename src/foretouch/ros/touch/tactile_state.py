@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the online adaptation remembers: the tare of the hand, and the touches of the current object. No node, no thread.
+
+The tare is taken from the readings while the hand touches nothing. A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `lag_s`: a contact is
+detected a moment after it has begun. The tare is the median over the last `window_s` of rest; during a grasp, the tare
+from before is kept, and ages.
+
+Ids of objects are valid within one cloud only. Therefore the current object is identified by its position and size: the
+mean and the standard deviation of its points along each axis. An object in the same frame is the same if no mean and
+no deviation has changed by more than `same_object_m` since the last touch. A different object that looks the same at
+the same position cannot be distinguished: after changing the object, call `forget_touches` or wait for
+`forget_after_s`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
+from foretouch.tactile import check_touch, offsets, restore
+from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.types import Cloud, Float32, Float64, Grasp, Touch
+
+_SECOND_NS = 1_000_000_000
+_MIN_READINGS = 5
+_RENEW_EVERY = 10  # readings: the tare hardly changes, and a median takes time
+_MIN_SPAN = 0.8  # of the window
+
+
+class LiveTare:
+    """The tare of a stream of readings. Not thread-safe.
+
+    Args:
+        config: Settings of the contact detector; its `window_s` and `lag_s` are used for the tare too.
+
+    Attributes:
+        fault: Why the last rest gives no tare, such as a dead sensor; "" without a fault or without a rest.
+    """
+
+    def __init__(self, config: ContactConfig) -> None:
+        self.fault = ""
+        self._detector = ContactDetector(config)
+        self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._window_ns = round(config.window_s * _SECOND_NS)
+        self._recent: deque[tuple[int, Float32]] = deque()
+        self._rest: list[Float32] = []
+        self._rest_ns = 0
+        self._rest_s = 0.0
+        self._tare: Touch | None = None
+        self._since_renewal = 0
+
+    def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
+        """Add a reading.
+
+        Args:
+            stamp_ns: Stamp of the reading [ns].
+            counts: (50,) as `Touch.vector()`.
+            now_s: Time of a clock that never goes back [s].
+        """
+        self._detector.update(stamp_ns, counts)
+        touching = [finger.touching for finger in self._detector.fingers.values()]
+        if any(touching):
+            self._recent.clear()  # its end may belong to the contact; the rest before it is kept
+            return
+        self._recent.append((stamp_ns, counts))
+        oldest = stamp_ns - self._lag_ns - self._window_ns
+        while self._recent[0][0] < oldest:
+            self._recent.popleft()
+        self._since_renewal += 1
+        if self._since_renewal >= _RENEW_EVERY and None not in touching:
+            self._renew(stamp_ns, now_s)
+
+    def tare(self, now_s: float, max_age_s: float) -> Touch | None:
+        """The median of the last rest; None if there is no recent one, or a sensor does not work."""
+        if self.age_s(now_s) > max_age_s:
+            return None
+        if self._tare is None and not self.fault:
+            touch = Touch.from_vector(np.median(self._rest, axis=0))
+            self.fault = "; ".join(check_touch(touch).faults)
+            self._tare = None if self.fault else touch
+        return self._tare
+
+    def age_s(self, now_s: float) -> float:
+        """Time since the last rest [s]; infinite if there was none."""
+        return now_s - self._rest_s if self._rest else float("inf")
+
+    def exclude(self, contact_ns: int, release_ns: int) -> None:
+        """Reset a tare from within a reported grasp, such as where the stream began in contact.
+
+        Args:
+            contact_ns: When contact was steady [ns].
+            release_ns: When the hand began to open [ns].
+        """
+        if self._rest and contact_ns <= self._rest_ns < release_ns:
+            self.reset()
+
+    def reset(self) -> None:
+        """Restart, after the clock has jumped or a contact was taken for rest."""
+        self._detector.reset()
+        self._recent.clear()
+        self._rest, self._tare, self.fault = [], None, ""
+
+    def _renew(self, stamp_ns: int, now_s: float) -> None:
+        newest = stamp_ns - self._lag_ns
+        rest = [counts for stamp, counts in self._recent if stamp <= newest]
+        spans = newest - self._recent[0][0] >= _MIN_SPAN * self._window_ns
+        if len(rest) >= _MIN_READINGS and spans:
+            self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / _SECOND_NS
+            self._tare, self.fault, self._since_renewal = None, "", 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Extent:
+    """Position and size of an object."""
+
+    frame_id: str  # frame of the cloud
+    numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
+
+    @classmethod
+    def of(cls, cloud: Cloud) -> _Extent:
+        points = cloud.xyz.reshape(-1, 3)
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
+        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]).astype(np.float64))
+
+    def is_near(self, other: _Extent, distance_m: float) -> bool:
+        if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
+            return False
+        return bool((np.abs(self.numbers - other.numbers) <= distance_m).all())
+
+
+class ObjectMemory:
+    """The touches of one object. Not thread-safe.
+
+    Args:
+        model: Its predictions are compared with the readings.
+    """
+
+    def __init__(self, model: TouchModel) -> None:
+        self._model = model
+        self._memory: ObjectResiduals | None = None
+        self._extent: _Extent | None = None
+        self._touched_s = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of touches."""
+        return 0 if self._memory is None else self._memory.count
+
+    def add(
+        self, cloud: Cloud, grasp: Grasp, reading: Touch, tare: Touch | None, now_s: float, same_object_m: float
+    ) -> None:
+        """Add a touch; touches of another object before it are forgotten.
+
+        Args:
+            cloud: Cloud of the object that the grasp was planned on.
+            grasp: The executed grasp.
+            reading: Tactile reading in contact [counts].
+            tare: Tactile reading before contact; None to compare readings without a tare.
+            now_s: Time of a clock that never goes back [s].
+            same_object_m: See above [m].
+
+        Raises:
+            TactileError: See `ObjectResiduals.add`.
+            CloudError: See `ObjectResiduals.add`.
+            ModelError: See `ObjectResiduals.add`.
+        """
+        extent, memory = _Extent.of(cloud), self._memory
+        if memory is None or self._extent is None or not extent.is_near(self._extent, same_object_m):
+            memory = ObjectResiduals(self._model, tare)
+        elif memory.tare is not None and tare is not None:
+            reading = restore(offsets(reading, tare), memory.tare)  # as the sensors read when the first one was taken
+        memory.add(cloud, grasp, reading)
+        self._memory, self._extent, self._touched_s = memory, extent, now_s
+
+    def of(self, cloud: Cloud, same_object_m: float) -> ObjectResiduals | None:
+        """The touches of the object in this cloud; None if it is another object or was not touched."""
+        if self._memory is None or self._extent is None:
+            return None
+        return self._memory if _Extent.of(cloud).is_near(self._extent, same_object_m) else None
+
+    def expire(self, now_s: float, after_s: float) -> None:
+        """Forget the touches if the last one is older than this [s]."""
+        if self._memory is not None and now_s - self._touched_s > after_s:
+            self.forget()
+
+    def forget(self) -> None:
+        """Forget all touches."""
+        self._memory = self._extent = None
