@@ -6,12 +6,11 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.errors import ConfigError, FileError, ForetouchError
 
 if TYPE_CHECKING:
@@ -211,7 +210,7 @@ def _build(arguments: argparse.Namespace) -> int:
         files[SPLITS_FILE] = make_splits(samples, arguments.seed)
         return files
 
-    with _progress("building", as_json=arguments.json) as advance:
+    with progress_bar("building", hidden=arguments.json, transient=True) as advance:
         result = build_store(arguments.sources, arguments.out, attach=attach, progress=advance)
     splits = json.loads(files[SPLITS_FILE])
     record = {
@@ -240,7 +239,7 @@ def _import(arguments: argparse.Namespace) -> int:
         fingers=arguments.fingers,
         tactile_config=TactileConfig(thumb=arguments.thumb, middle=arguments.middle),
     )
-    with _progress("importing", as_json=arguments.json) as advance:
+    with progress_bar("importing", hidden=arguments.json, transient=True) as advance:
         result = import_samples(
             arguments.source, arguments.out, identity=_identity(arguments), topics=topics, progress=advance
         )
@@ -272,7 +271,7 @@ def _name_and_value(text: str) -> tuple[str, str]:
 def _export(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.samples import export_samples
 
-    with _progress("exporting", as_json=arguments.json) as advance:
+    with progress_bar("exporting", hidden=arguments.json, transient=True) as advance:
         result = export_samples(arguments.source, arguments.out, arguments.format, advance)
     record = {
         "out": str(arguments.out),
@@ -282,22 +281,6 @@ def _export(arguments: argparse.Namespace) -> int:
         "lost": {name: count for name, count in result.lost.items() if count},
     }
     return _print_result("exported", record, as_json=arguments.json)
-
-
-@contextmanager
-def _progress(what: str, *, as_json: bool) -> Iterator[Callable[[], None]]:
-    """Count samples on stderr during a conversion; prints nothing for programs that read JSON."""
-    if as_json:
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed}} samples"), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda: bar.advance(task)
 
 
 def _print_result(title: str, record: Mapping[str, Any], *, as_json: bool) -> int:

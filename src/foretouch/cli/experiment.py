@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.config import parse_overrides
-from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.errors import ConfigError, FileError
 
 if TYPE_CHECKING:
     from foretouch.experiments import Experiment
@@ -106,7 +105,11 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
     from foretouch.experiments import run_sweep
 
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    with _progress(arguments.json) as progress:
+    with progress_bar("reading the data", hidden=arguments.json) as update:
+
+        def show(result: CellResult, done: int, total: int) -> None:
+            update(done, total, result.cell.key)
+
         result = run_sweep(
             experiment,
             settings,
@@ -116,7 +119,7 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             resume=arguments.resume,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
-            progress=progress,
+            progress=_print_result if arguments.json else show,
         )
     summary = {
         "status": "failed" if result.failures else "done",
@@ -156,44 +159,6 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
     print("".join(f", {name}" for name in summary["figures"]))
 
 
-@contextmanager
-def _progress(as_json: bool) -> Iterator[Callable[[CellResult, int, int], None]]:
-    """Progress bar with remaining time if stderr is a terminal; with --json a line per cell on stdout."""
-    if as_json:
-        yield _print_result
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}"),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("reading the data", total=None)
-
-        def update(result: CellResult, done: int, total: int) -> None:
-            bar.update(task, total=total, completed=done, description=result.cell.key)
-
-        try:
-            yield update
-        except ForetouchError:
-            bar.live.transient = True  # leave only the error line
-            raise
-
-
 def _print_result(result: CellResult, done: int, total: int) -> None:
     record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
     print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})
-    print(end="", flush=True)

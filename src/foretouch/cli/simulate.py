@@ -6,14 +6,12 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch import __version__
 from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError, FileError
 
@@ -135,7 +133,10 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
     }
     shown: list[GraspSample] = []
     start = time.perf_counter()
-    with StoreWriter(arguments.out, about) as writer, _progress(arguments.count, arguments.json) as advance:
+    with (
+        StoreWriter(arguments.out, about) as writer,
+        progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
+    ):
         for made in simulation.samples(arguments.count, workers):
             writer.write(made.sample)
             if len(shown) < _SHEET_SAMPLES:
@@ -150,11 +151,11 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         from foretouch.report.touch_figure import save_contact_sheet
 
         save_contact_sheet(arguments.out / SHEET, shown, f"{arguments.scene}, seed {scene.seed}")
-    _tell(simulation, writer.sha256, arguments, seconds)
+    _report(simulation, writer.sha256, arguments, seconds)
     return 0
 
 
-def _tell(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
+def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
     from foretouch.simulation.simulate import explain_scene
 
     count, effects = arguments.count, []
@@ -186,14 +187,3 @@ def _tell(simulation: Simulation, sha256: str, arguments: argparse.Namespace, se
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")
     print(f"sha256 {sha256}")
-
-
-@contextmanager
-def _progress(count: int, quiet: bool) -> Iterator[Callable[[], None]]:
-    """A bar on stderr for a person, nothing for a program; what it yields is to be called once a sample."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task("simulating", total=count)
-        yield lambda: bar.advance(task)

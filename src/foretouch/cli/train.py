@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.evaluate import show_scores
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -73,9 +72,17 @@ def _train(arguments: argparse.Namespace, config: RunConfig, data: Dataset, *, q
 
     options = {"resume": arguments.resume, "workers": arguments.workers}
     if arguments.json or quiet:
-        train_run(config, data, arguments.out, print_now, **options)
+        train_run(config, data, arguments.out, print_json, **options)
         return 0
-    with _progress() as (report, last):
+    last: dict[str, Any] = {}
+    with progress_bar("training") as update:
+
+        def report(record: Mapping[str, Any]) -> None:
+            last.clear()
+            last.update(record)
+            if "losses" in record:  # a contact model has no epochs
+                update(record["epoch"] + 1, record["epochs"], _words(record))
+
         card = train_run(config, data, arguments.out, report, **options)
     epochs = f"{last['epochs']} epochs" if last["epochs"] else "fitted"
     print(f"{card}: {epochs} on {data.name}, sha256 {data.sha256[:12]}")
@@ -88,7 +95,7 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
     from foretouch.learning.training.run import compare_splits, make_learner
 
     records: list[Mapping[str, Any]] = []
-    report = print_now if arguments.json else records.append
+    report = print_json if arguments.json else records.append
     compare_splits(make_learner(config, data), arguments.compare.split(","), report, arguments.workers)
     if records:
         scored = [record for record in records if "skill" in record]
@@ -105,37 +112,6 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
         title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
         print_table(title, ["split", "predictor", "mean", *modalities], rows)
     return 0
-
-
-def print_now(record: Mapping[str, Any]) -> None:
-    """Print one JSON line at once, so that a training can be followed through a pipe."""
-    print_json(record)
-    print(end="", flush=True)
-
-
-@contextmanager
-def _progress() -> Iterator[tuple[Callable[[Mapping[str, Any]], None], dict[str, Any]]]:
-    """A progress bar with losses and the time left, on stderr; beside it the last record."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    last: dict[str, Any] = {}
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
-    bar = Progress(*columns, console=Console(stderr=True))
-    task = bar.add_task("epoch", total=None)
-
-    def report(record: Mapping[str, Any]) -> None:
-        last.clear()
-        last.update(record)
-        if "losses" in record:
-            bar.start()  # not before: a contact model has no epochs, and an error is printed without a bar
-            bar.update(task, total=record["epochs"], completed=record["epoch"] + 1, description=_words(record))
-
-    try:
-        yield report, last
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 def _words(record: Mapping[str, Any]) -> str:
