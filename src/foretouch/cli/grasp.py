@@ -7,15 +7,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.inputs import (
-    Record,
-    add_input_arguments,
-    add_plan_arguments,
-    grasp_record,
-    pipeline_config,
-    process_inputs,
-    target_objects,
-)
+from foretouch.cli import inputs
 from foretouch.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -24,8 +16,8 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs and the settings of GeoGrasp."""
-    add_input_arguments(parser)
-    add_plan_arguments(parser)
+    inputs.add_input_arguments(parser)
+    inputs.add_plan_arguments(parser)
     parser.add_argument("--tip-mm", type=float, help="size of the gripper's fingertip [mm]")
     parser.add_argument("--count", type=int, help="maximum number of grasps")
     slide = parser.add_mutually_exclusive_group()
@@ -42,18 +34,18 @@ def run(arguments: argparse.Namespace) -> int:
 
     options = {"grasp.tip_mm": arguments.tip_mm, "grasp.count": arguments.count}
     changes = {key: value for key, value in options.items() if value is not None}
-    pipeline = Pipeline(pipeline_config(arguments, changes))
+    pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     rng = None if arguments.vary is None else np.random.default_rng(arguments.vary)
 
-    def process(item: SourceItem) -> Iterator[Record]:
-        for one in target_objects(item, arguments, pipeline):
+    def process(item: SourceItem) -> Iterator[inputs.Record]:
+        for one in inputs.target_objects(item, arguments, pipeline):
             plan = pipeline.plan(one, slide_m=arguments.slide_m, rng=rng)
             yield {
                 "object": one.id,
                 "status": plan.status,
                 "reason": plan.reason,
                 "plane": one.plane.coefficients,
-                "grasps": [grasp_record(grasp) for grasp in plan.grasps],
+                "grasps": [inputs.grasp_record(grasp) for grasp in plan.grasps],
                 "initial_points": plan.initial_points,
                 "axis": plan.axis,
                 "centroid": plan.centroid,
@@ -62,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "failed": not plan.grasps,
             }
 
-    return process_inputs(arguments, process, _show)
+    return inputs.process_inputs(arguments, process, _show)
 
 
 def _show(record: dict[str, Any]) -> None:

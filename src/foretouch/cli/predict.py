@@ -13,16 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.inputs import (
-    Record,
-    add_input_arguments,
-    add_plan_arguments,
-    grasp_record,
-    pipeline_config,
-    process_inputs,
-    six_numbers,
-    target_objects,
-)
+from foretouch.cli import inputs
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError, DatasetError, FileError, GraspError, TactileError
 
@@ -230,11 +221,11 @@ _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
-    add_input_arguments(parser)
-    add_plan_arguments(parser)
+    inputs.add_input_arguments(parser)
+    inputs.add_plan_arguments(parser)
     parser.add_argument(
         "--grasp",
-        type=six_numbers,
+        type=inputs.six_numbers,
         action="append",
         metavar="x1,y1,z1,x2,y2,z2",
         help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
@@ -248,12 +239,12 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.pipeline import Pipeline
 
     changes = {"model": arguments.model} if arguments.model else {}
-    pipeline = Pipeline(pipeline_config(arguments, changes))
+    pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
     model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
     adaptation = read_adaptation(arguments, pipeline.model)
 
-    def answer(item: SourceItem) -> Iterator[Record]:
-        targets = target_objects(item, arguments, pipeline)
+    def answer(item: SourceItem) -> Iterator[inputs.Record]:
+        targets = inputs.target_objects(item, arguments, pipeline)
         if adaptation.touched and len(targets) > 1:
             raise ConfigError(
                 f"--touched: the cloud holds {len(targets)} objects and the touches are of one; select it with --target"
@@ -277,13 +268,13 @@ def run(arguments: argparse.Namespace) -> int:
                 "failed": not predictions or bool(refused),
             }
 
-    return process_inputs(arguments, answer, _show)
+    return inputs.process_inputs(arguments, answer, _show)
 
 
-def prediction_record(prediction: TouchPrediction) -> Record:
+def prediction_record(prediction: TouchPrediction) -> inputs.Record:
     """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
     columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
-    record: Record = {"grasp": grasp_record(prediction.grasp)}
+    record: inputs.Record = {"grasp": inputs.grasp_record(prediction.grasp)}
     for name in _MODALITIES:
         record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
     return record | {
@@ -326,7 +317,7 @@ def _show(record: dict[str, Any]) -> None:
     print_table(title, ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows)
 
 
-def _text(modality: Record) -> str:
+def _text(modality: inputs.Record) -> str:
     """Value and half width; for 24 electrodes, the smallest and the largest value and the mean half width."""
     import numpy as np
 

@@ -16,26 +16,13 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from foretouch.dataset.record import Identity
+from foretouch.dataset.recording import scan
 from foretouch.dataset.recording.edits import EditLog, read_edits
 from foretouch.dataset.recording.folder import is_dataset, recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import COUNTS, SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.recording.recovery import samples_after_damage
-from foretouch.dataset.recording.scan import (
-    INDEX_HEAD,
-    Chunk,
-    Damage,
-    RawMessage,
-    RawRecord,
-    check_record,
-    chunk_at,
-    declaration,
-    magic_damage,
-    mapped,
-    messages_of,
-    records,
-)
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import DatasetError, FileError
 
@@ -77,7 +64,7 @@ class RecordedDataset:
         self._samples: list[_Sample] = []
         with ExitStack() as stack:
             for file in self.files:
-                data = stack.enter_context(mapped(file))
+                data = stack.enter_context(scan.mapped(file))
                 self._samples += [_Sample(file, data, offset) for offset in sample_offsets(file, data)]
             self._open = stack.pop_all()
         self.unfinished = [file for file in self.files if not _is_finished(file)]
@@ -132,7 +119,7 @@ class RecordedDataset:
         """
         total = MessageCounts()
         for file in self.files:
-            with mapped(file) as data:
+            with scan.mapped(file) as data:
                 total.add(_last_counts(file, data))
         return total
 
@@ -144,8 +131,8 @@ class RecordedDataset:
 
 def _last_counts(path: Path, data: memoryview) -> MessageCounts:
     last = MessageCounts()
-    for record in records(data, len(MAGIC)):
-        content = declaration(data, record) if isinstance(record, RawRecord) else None
+    for record in scan.records(data, len(MAGIC)):
+        content = scan.declaration(data, record) if isinstance(record, scan.RawRecord) else None
         if isinstance(content, Metadata) and content.name == COUNTS:
             try:
                 last = MessageCounts.from_mapping(content.metadata)
@@ -187,30 +174,30 @@ def sample_offsets(path: Path, data: memoryview) -> Iterator[SampleOffset]:
     """
     schemas: set[int] = set()
     channels: set[int] = set()
-    damage = magic_damage(data)
+    damage = scan.magic_damage(data)
     if damage is not None and len(data) >= len(MAGIC):
         raise damage.error(path)
-    waiting: Chunk | None = None
+    waiting: scan.Chunk | None = None
     indexed: set[int] = set()  # channels of the waiting chunk, according to the index after it
-    for record in records(data, len(MAGIC)):
-        if isinstance(record, RawRecord) and record.opcode == Opcode.MESSAGE_INDEX:
-            _require(path, check_record(data, record))
-            indexed.add(INDEX_HEAD.unpack_from(data, record.start)[0])
+    for record in scan.records(data, len(MAGIC)):
+        if isinstance(record, scan.RawRecord) and record.opcode == Opcode.MESSAGE_INDEX:
+            _require(path, scan.check_record(data, record))
+            indexed.add(scan.INDEX_HEAD.unpack_from(data, record.start)[0])
             continue
-        if waiting is not None and (not indexed or indexed & channels or isinstance(record, Damage)):
+        if waiting is not None and (not indexed or indexed & channels or isinstance(record, scan.Damage)):
             yield from _offsets_in(path, data, waiting, channels)
         waiting, indexed = None, set()
-        if isinstance(record, Damage):
+        if isinstance(record, scan.Damage):
             if record.rule.startswith("cut off"):
                 return
             raise record.error(path)
         if record.opcode == Opcode.DATA_END:
             return
         if record.opcode == Opcode.CHUNK:
-            waiting = _require(path, chunk_at(data, record))
+            waiting = _require(path, scan.chunk_at(data, record))
             continue
-        _require(path, check_record(data, record))
-        content = _require(path, declaration(data, record))
+        _require(path, scan.check_record(data, record))
+        content = _require(path, scan.declaration(data, record))
         if isinstance(content, Schema) and content.name == SAMPLE_TYPE:
             schemas.add(content.id)
         elif isinstance(content, Channel) and content.schema_id in schemas:
@@ -221,22 +208,22 @@ def sample_offsets(path: Path, data: memoryview) -> Iterator[SampleOffset]:
 
 def sample_ids(path: Path) -> list[str]:
     """The ids in a file, including those after damage that `repair` would save (raises as `sample_offsets`)."""
-    with mapped(path) as data:
+    with scan.mapped(path) as data:
         ids = [_id_of(path, data, offset) for offset in sample_offsets(path, data)]
-        cut = next((one.offset for one in records(data, len(MAGIC)) if isinstance(one, Damage)), len(data))
+        cut = next((one.offset for one in scan.records(data, len(MAGIC)) if isinstance(one, scan.Damage)), len(data))
         return ids + [decode_sample(bytes(cdr)).record.sample.id for cdr in samples_after_damage(data, cut)]
 
 
-def _require(path: Path, found: _T | Damage) -> _T:
-    if isinstance(found, Damage):
+def _require(path: Path, found: _T | scan.Damage) -> _T:
+    if isinstance(found, scan.Damage):
         raise found.error(path)
     return found
 
 
-def _offsets_in(path: Path, data: memoryview, chunk: Chunk, channels: set[int]) -> Iterator[SampleOffset]:
-    for item in messages_of(data, chunk.start, chunk.end):
+def _offsets_in(path: Path, data: memoryview, chunk: scan.Chunk, channels: set[int]) -> Iterator[SampleOffset]:
+    for item in scan.messages_of(data, chunk.start, chunk.end):
         message = _require(path, item)
-        if isinstance(message, RawMessage) and message.channel in channels:
+        if isinstance(message, scan.RawMessage) and message.channel in channels:
             yield SampleOffset(message.start, message.end, message.log_time_ns)
 
 

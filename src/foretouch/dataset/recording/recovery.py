@@ -7,48 +7,36 @@ from collections.abc import Iterator
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
+from foretouch.dataset.recording import scan
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import ABOUT, COUNTS, decode_sample, is_intact
-from foretouch.dataset.recording.scan import (
-    Chunk,
-    Damage,
-    Declaration,
-    RawMessage,
-    RawRecord,
-    check_record,
-    chunk_at,
-    declaration,
-    messages_of,
-    next_chunk,
-    records,
-)
 from foretouch.errors import DatasetError
 
 _HEAD = 31  # bytes of a message record before its CDR
 _MESSAGE_START = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
 
-def intact_parts(data: memoryview, start: int = len(MAGIC)) -> Iterator[Chunk | RawRecord | Damage]:
+def intact_parts(data: memoryview, start: int = len(MAGIC)) -> Iterator[scan.Chunk | scan.RawRecord | scan.Damage]:
     """The chunks and records found from offset `start` on, in order; a `Damage` stands for skipped bytes."""
     while start < len(data):
-        for record in records(data, start):
+        for record in scan.records(data, start):
             start = record.offset
-            if isinstance(record, Damage):
+            if isinstance(record, scan.Damage):
                 yield record
                 break
             if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
             chunk = record.opcode == Opcode.CHUNK
-            item = chunk_at(data, record) if chunk else check_record(data, record) or record
-            if isinstance(item, Damage):
+            item = scan.chunk_at(data, record) if chunk else scan.check_record(data, record) or record
+            if isinstance(item, scan.Damage):
                 yield item
                 break
             yield item
             start = record.end
         else:
             return
-        following = next_chunk(data, start + 1)
+        following = scan.next_chunk(data, start + 1)
         start = len(data) if following is None else following.offset
 
 
@@ -69,16 +57,16 @@ class Declarations:
         self.counts = MessageCounts()
         verified: list[Schema | Channel] = []
         for item in intact_parts(data):
-            if isinstance(item, RawRecord):
-                self._add(declaration(data, item))
-            elif isinstance(item, Chunk) and item.intact(data):
-                inside = messages_of(data, item.start, item.end)
-                contents = (declaration(data, record) for record in inside if isinstance(record, RawRecord))
+            if isinstance(item, scan.RawRecord):
+                self._add(scan.declaration(data, item))
+            elif isinstance(item, scan.Chunk) and item.intact(data):
+                inside = scan.messages_of(data, item.start, item.end)
+                contents = (scan.declaration(data, record) for record in inside if isinstance(record, scan.RawRecord))
                 verified += [content for content in contents if isinstance(content, (Schema, Channel))]
         for content in verified:  # copies under a checksum replace the others
             self._add(content)
 
-    def _add(self, content: Declaration | Damage | None) -> None:
+    def _add(self, content: scan.Declaration | scan.Damage | None) -> None:
         if isinstance(content, Schema):
             self.schemas[content.id] = content
         elif isinstance(content, Channel):
@@ -95,14 +83,14 @@ class Declarations:
 def samples_after_damage(data: memoryview, start: int) -> Iterator[memoryview]:
     """The intact samples from an invalid record on."""
     for item in intact_parts(data, start):
-        if isinstance(item, Damage):
-            following = next_chunk(data, item.offset + 1)
+        if isinstance(item, scan.Damage):
+            following = scan.next_chunk(data, item.offset + 1)
             yield from samples_in(data, item.offset, len(data) if following is None else following.offset)
-        elif isinstance(item, Chunk) and not item.intact(data):
+        elif isinstance(item, scan.Chunk) and not item.intact(data):
             yield from samples_in(data, item.start, item.end)
-        elif isinstance(item, Chunk):
-            inside = messages_of(data, item.start, item.end)
-            found = (data[one.start : one.end] for one in inside if isinstance(one, RawMessage))
+        elif isinstance(item, scan.Chunk):
+            inside = scan.messages_of(data, item.start, item.end)
+            found = (data[one.start : one.end] for one in inside if isinstance(one, scan.RawMessage))
             yield from filter(is_readable, found)
 
 
@@ -126,8 +114,8 @@ def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, in
     for match in _MESSAGE_START.finditer(data, start, end):
         length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
         heads[match.start()] = match.start() + 9 + length
-    for record in records(data, start, end):
-        heads[record.offset] = end if isinstance(record, Damage) else record.end
+    for record in scan.records(data, start, end):
+        heads[record.offset] = end if isinstance(record, scan.Damage) else record.end
     return sorted(heads.items())
 
 

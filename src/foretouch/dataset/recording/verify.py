@@ -16,23 +16,12 @@ from typing import Final
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
 
+from foretouch.dataset.recording import scan
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TYPE, decode_sample
-from foretouch.dataset.recording.scan import (
-    Damage,
-    RawMessage,
-    RawRecord,
-    chunk_at,
-    declaration,
-    magic_damage,
-    mapped,
-    messages_of,
-    parse,
-    records,
-)
 from foretouch.errors import DatasetError
 
 _DECLARATIONS: Final = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA}
@@ -52,7 +41,7 @@ class FileReport:
     messages: Counter[str] = field(default_factory=Counter)  # messages by topic
     counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
     about: dict[str, str] = field(default_factory=dict)  # schema version, hand, camera and so on, as text
-    faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
+    faults: list[scan.Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
     def clean(self) -> bool:
@@ -82,7 +71,7 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     for report in reports:
         for sample_id in report.ids:
             if sample_id in owners:
-                report.faults.append(Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
+                report.faults.append(scan.Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
             owners.setdefault(sample_id, report.path)
     return reports
 
@@ -94,7 +83,7 @@ def verify_file(path: str | Path) -> FileReport:
         FileError: If it cannot be read.
     """
     report = FileReport(Path(path))
-    with mapped(report.path) as data:
+    with scan.mapped(report.path) as data:
         report.size = len(data)
         _Verification(report, data).run()
     del report.faults[_MAX_FAULTS:]
@@ -113,7 +102,7 @@ class _Verification:
         self.chunks: list[int] = []
 
     def run(self) -> None:
-        if (damage := magic_damage(self.data)) is not None:
+        if (damage := scan.magic_damage(self.data)) is not None:
             self.report.faults.append(damage)
         if (end := self._data_section()) is not None:
             self._summary(end)
@@ -124,12 +113,12 @@ class _Verification:
         self._check_counts()
 
     def _fault(self, offset: int, rule: str) -> None:
-        self.report.faults.append(Damage(offset, rule))
+        self.report.faults.append(scan.Damage(offset, rule))
 
-    def _data_section(self) -> RawRecord | None:
+    def _data_section(self) -> scan.RawRecord | None:
         """Check up to the record that ends the data, and return that record; None if it is missing."""
-        for number, record in enumerate(records(self.data, len(MAGIC))):
-            if isinstance(record, Damage):
+        for number, record in enumerate(scan.records(self.data, len(MAGIC))):
+            if isinstance(record, scan.Damage):
                 self.report.faults.append(record)
                 return None
             if number == 0 and not self._is_header(record):
@@ -145,35 +134,35 @@ class _Verification:
                 self._declaration(record)
         return None
 
-    def _is_header(self, record: RawRecord) -> bool:
-        header = parse(Header, self.data, record) if record.opcode == Opcode.HEADER else None
+    def _is_header(self, record: scan.RawRecord) -> bool:
+        header = scan.parse(Header, self.data, record) if record.opcode == Opcode.HEADER else None
         return isinstance(header, Header) and header.profile == "ros2"
 
-    def _check_data_crc(self, record: RawRecord) -> None:
+    def _check_data_crc(self, record: scan.RawRecord) -> None:
         stored = int.from_bytes(self.data[record.start : record.end], "little")
         if stored != zlib.crc32(self.data[: record.offset]) or record.end - record.start != 4:
             self._fault(record.offset, "damaged: the bytes before do not match this checksum")
 
-    def _chunk(self, record: RawRecord) -> None:
-        chunk = chunk_at(self.data, record)
-        if isinstance(chunk, Damage):
+    def _chunk(self, record: scan.RawRecord) -> None:
+        chunk = scan.chunk_at(self.data, record)
+        if isinstance(chunk, scan.Damage):
             self.report.faults.append(chunk)
             return
         if not chunk.intact(self.data):
             self._fault(chunk.offset, "damaged: a chunk that does not match its checksum")
             return
         self.chunks.append(chunk.offset)
-        for item in messages_of(self.data, chunk.start, chunk.end):
-            if isinstance(item, Damage):
+        for item in scan.messages_of(self.data, chunk.start, chunk.end):
+            if isinstance(item, scan.Damage):
                 self.report.faults.append(item)
-            elif isinstance(item, RawMessage):
+            elif isinstance(item, scan.RawMessage):
                 self._message(item)
             else:
                 self._declaration(item)
 
-    def _declaration(self, record: RawRecord) -> None:
-        content = declaration(self.data, record)
-        if isinstance(content, Damage):
+    def _declaration(self, record: scan.RawRecord) -> None:
+        content = scan.declaration(self.data, record)
+        if isinstance(content, scan.Damage):
             self.report.faults.append(content)
         elif isinstance(content, Schema):
             self.schemas[content.id] = content
@@ -187,7 +176,7 @@ class _Verification:
             except DatasetError as err:
                 self._fault(record.offset, str(err))
 
-    def _message(self, message: RawMessage) -> None:
+    def _message(self, message: scan.RawMessage) -> None:
         channel = self.channels.get(message.channel)
         schema = None if channel is None else self.schemas.get(channel.schema_id)
         if channel is None or schema is None:
@@ -203,14 +192,14 @@ class _Verification:
         else:
             self.report.ids.append(stored.record.sample.id)
 
-    def _summary(self, data_end: RawRecord) -> None:
+    def _summary(self, data_end: scan.RawRecord) -> None:
         chunks: list[int] = []
-        for record in records(self.data, data_end.end):
-            if isinstance(record, Damage):
+        for record in scan.records(self.data, data_end.end):
+            if isinstance(record, scan.Damage):
                 self.report.faults.append(record)
                 return
             if record.opcode == Opcode.CHUNK_INDEX:
-                index = parse(ChunkIndex, self.data, record)
+                index = scan.parse(ChunkIndex, self.data, record)
                 chunks += [index.chunk_start_offset] if isinstance(index, ChunkIndex) else []
             elif record.opcode == Opcode.STATISTICS:
                 self._statistics(record)
@@ -221,13 +210,13 @@ class _Verification:
                 return
         self._fault(len(self.data), "cut off: no footer")
 
-    def _statistics(self, record: RawRecord) -> None:
-        statistics = parse(Statistics, self.data, record)
+    def _statistics(self, record: scan.RawRecord) -> None:
+        statistics = scan.parse(Statistics, self.data, record)
         declared = statistics.message_count if isinstance(statistics, Statistics) else None
         if self.report.clean and declared not in (None, self.found.total()):
             self._fault(record.offset, f"declares {declared} messages, {self.found.total()} are there")
 
-    def _footer(self, summary: int, record: RawRecord) -> None:
+    def _footer(self, summary: int, record: scan.RawRecord) -> None:
         self.report.finished = True
         if record.end - record.start != _FOOTER.size:
             self._fault(record.offset, "damaged: a footer of another size")

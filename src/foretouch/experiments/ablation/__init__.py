@@ -18,14 +18,7 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.experiments.ablation.results import (
-    NOTHING,
-    TARE,
-    TARES_AND_TOUCHES,
-    ablation_rows,
-    ablation_tables,
-    draw_ablation_figure,
-)
+from foretouch.experiments.ablation import results as tables
 from foretouch.experiments.ablation.variants import FULL, GROUP_EDITS, ModelVariant, fit_variants
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.folds import split_by_fold, split_objects
@@ -106,8 +99,8 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
             rows += score(table, name, model, draws, settings.shown, tare=simulated)
     for tare, count in product((False, True), (0, *settings.touches)) if simulated else ():
         touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
-        name = " + ".join(filter(None, (TARE if tare else "", touches))) or NOTHING
-        rows += score(f"{_GROUNDS[ground]}{TARES_AND_TOUCHES}", name, models[FULL], draws, count, tare=tare)
+        name = " + ".join(filter(None, (tables.TARE if tare else "", touches))) or tables.NOTHING
+        rows += score(f"{_GROUNDS[ground]}{tables.TARES_AND_TOUCHES}", name, models[FULL], draws, count, tare=tare)
     return rows
 
 
@@ -142,7 +135,7 @@ def _rows(
 
 
 def _tabulate(settings: AblationSettings, rows: Sequence[Row]) -> list[Row]:
-    return ablation_rows(rows, settings.bootstrap)
+    return tables.ablation_rows(rows, settings.bootstrap)
 
 
 EXPERIMENT = Experiment(
@@ -168,8 +161,8 @@ EXPERIMENT = Experiment(
     cells=_cells,
     run=_run,
     tabulate=_tabulate,
-    summarise=ablation_tables,
-    figure=draw_ablation_figure,
+    summarise=tables.ablation_tables,
+    figure=tables.draw_ablation_figure,
     prepare=prepare_both,
     free=("grounds", "seeds", "divisions", "bootstrap"),
     data_folder="vision2tactile",

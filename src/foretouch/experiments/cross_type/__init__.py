@@ -18,16 +18,8 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch.experiments.shared import real_grasps
 from foretouch.experiments.shared.folds import FoldRunner, TableFold
-from foretouch.experiments.shared.real_grasps import (
-    ALL_OBJECTS,
-    FREE,
-    PRESETS,
-    RealGraspSettings,
-    labelled,
-    load,
-    score_table,
-)
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
 from foretouch.learning.data import Dataset, Fold, Indices, random_folds
 from foretouch.learning.evaluation.metrics import MEAN
@@ -78,7 +70,7 @@ class ObjectTypes(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrossTypeSettings(RealGraspSettings):
+class CrossTypeSettings(real_grasps.RealGraspSettings):
     """Settings of `cross_type`."""
 
     types: ObjectTypes = ObjectTypes()
@@ -111,14 +103,14 @@ _RUNNER = FoldRunner(_folds)
 def _cells(settings: CrossTypeSettings, data: Dataset) -> list[Cell]:
     """The cells of all folds; each lists the objects of no type, as the results do."""
     known = {*settings.types.cylinders, *settings.types.boxes}
-    untyped = sorted({sample.object for sample in labelled(data)} - known)
+    untyped = sorted({sample.object for sample in real_grasps.labelled(data)} - known)
     return [Cell(cell.key, {**cell.values, "untyped": untyped}) for cell in _RUNNER.cells(settings, data)]
 
 
 def _tabulate(settings: CrossTypeSettings, rows: Sequence[Row]) -> list[Row]:
     """Scores of each table, of both directions together, and P1's published errors."""
     crossed = [{**row, "table": ACROSS} for row in rows if " to " in row["table"]]
-    table = score_table(settings, [*rows, *crossed])
+    table = real_grasps.score_table(settings, [*rows, *crossed])
     untyped = " ".join(rows[0]["untyped"]) if rows else ""
     return [{**row, "untyped": untyped} for row in [*table, *_published(table)]]
 
@@ -126,10 +118,10 @@ def _tabulate(settings: CrossTypeSettings, rows: Sequence[Row]) -> list[Row]:
 def _published(table: Sequence[Row]) -> list[Row]:
     rows = []
     for name, figures in PUBLISHED.items():
-        beside = next((row for row in table if row["table"] == name and row["object"] == ALL_OBJECTS), None)
+        beside = next((row for row in table if row["table"] == name and row["object"] == real_grasps.ALL_OBJECTS), None)
         if beside is None:
             continue
-        empty: Row = {**dict.fromkeys(beside), "table": name, "predictor": _P1, "object": ALL_OBJECTS}
+        empty: Row = {**dict.fromkeys(beside), "table": name, "predictor": _P1, "object": real_grasps.ALL_OBJECTS}
         for modality, (rmse, nrmse) in figures.items():
             rows.append({**empty, "modality": modality, "rmse": rmse, "nrmse_p1": nrmse})
     return rows
@@ -149,7 +141,9 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
 def _rmse_tables(rows: Sequence[Row]) -> list[Table]:
     tables = []
     for name in PUBLISHED:
-        shown = [r for r in rows if (r["table"], r["object"]) == (name, ALL_OBJECTS) and r["modality"] != MEAN]
+        shown = [
+            r for r in rows if (r["table"], r["object"]) == (name, real_grasps.ALL_OBJECTS) and r["modality"] != MEAN
+        ]
         predictors = sorted(dict.fromkeys(row["predictor"] for row in shown), key=lambda one: one == _P1)
         body = [[one, *(_rmse(shown, one, key) for key in MODALITIES)] for one in predictors]
         tables.append(Table(f"{name}: RMSE in counts (over P1's divisors)", ["rmse", *MODALITIES], body))
@@ -164,7 +158,7 @@ def _rmse(rows: Sequence[Row], predictor: str, modality: str) -> str:
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:
     """Draw `rmse.png`, the tables that P1 has too, and `skill.png`, all tables."""
-    together = [row for row in rows if row["object"] == ALL_OBJECTS]
+    together = [row for row in rows if row["object"] == real_grasps.ALL_OBJECTS]
     tables = list(dict.fromkeys(row["table"] for row in together if row["predictor"] == _P1))
     figure = new_figure(12.0, 3.4)
     panels = figure.subplots(1, len(MODALITIES), sharey=False)
@@ -198,13 +192,13 @@ EXPERIMENT = Experiment(
     module=__name__,
     order=30,
     settings=CrossTypeSettings,
-    presets=PRESETS,
-    load=load,
+    presets=real_grasps.PRESETS,
+    load=real_grasps.load,
     cells=_cells,
     run=_RUNNER.run,
     tabulate=_tabulate,
     summarise=_summarise,
     figure=_draw,
-    free=FREE,
+    free=real_grasps.FREE,
     data_folder="vision2tactile",
 )

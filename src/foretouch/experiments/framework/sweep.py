@@ -8,16 +8,9 @@ from typing import Any
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
+from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.executors import CellResult, Job, in_processes, on_ray
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.framework.manifest import (
-    environment,
-    open_folder,
-    read_cells,
-    write_cell,
-    write_manifest,
-    write_results,
-)
 
 Progress = Callable[[CellResult, int, int], None]
 
@@ -73,11 +66,11 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = open_folder(out, fixed, resume=resume, free=experiment.free)
-        done = read_cells(out, cells)
+        manifest = manifests.open_folder(out, fixed, resume=resume, free=experiment.free)
+        done = manifests.read_cells(out, cells)
         manifest["preset"] = preset
-        manifest["sessions"].append(environment(workers, address) | {"cells_before": len(done)})
-        write_manifest(out, manifest)
+        manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
+        manifests.write_manifest(out, manifest)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         job = Job.make(experiment, plain, path.absolute(), data.sha256)
         open_cells = [cell for cell in cells if cell.key not in done]
@@ -85,14 +78,14 @@ def run_sweep(
             if cell_result.rows is None:
                 result.failures[cell_result.cell.key] = cell_result.error
             else:
-                write_cell(out, cell_result)
+                manifests.write_cell(out, cell_result)
             if progress is not None:
                 progress(cell_result, number, len(cells))
-        finished = read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
+        finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
-        write_results(out, result.rows)
+        manifests.write_results(out, result.rows)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
-        write_manifest(out, manifest)
+        manifests.write_manifest(out, manifest)
     except OSError as err:
         raise FileError(out, err.strerror or str(err)) from err
     return result

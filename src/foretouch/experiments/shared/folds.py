@@ -9,17 +9,8 @@ import numpy as np
 
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.shared import real_grasps
 from foretouch.experiments.shared.predictors import find_predictor
-from foretouch.experiments.shared.real_grasps import (
-    FREE,
-    PRESETS,
-    RealGraspSettings,
-    error_rows,
-    labelled,
-    load,
-    score_table,
-    seeded_predictors,
-)
 from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
 from foretouch.learning.data import Dataset, Fold, labels_of, make_folds
 from foretouch.types import GraspSample
@@ -42,27 +33,27 @@ class FoldRunner:
 
     folds: MakeFolds  # (settings, labelled samples, seed) to the folds; deterministic
 
-    def cells(self, settings: RealGraspSettings, data: Dataset) -> list[Cell]:
+    def cells(self, settings: real_grasps.RealGraspSettings, data: Dataset) -> list[Cell]:
         """A cell for each fold, predictor and seed."""
-        samples = labelled(data)
+        samples = real_grasps.labelled(data)
         return [
             Cell(
                 "+".join((name, one.table, one.fold.name, f"seed{seed}")).replace(" ", "_"),
                 {"table": one.table, "part": one.fold.name, "predictor": name, "seed": seed},
             )
-            for seed, name in seeded_predictors(settings)
+            for seed, name in real_grasps.seeded_predictors(settings)
             for one in self.folds(settings, samples, seed)
         ]
 
-    def run(self, cell: Cell, settings: RealGraspSettings, data: Dataset) -> list[Row]:
+    def run(self, cell: Cell, settings: real_grasps.RealGraspSettings, data: Dataset) -> list[Row]:
         """Fit and test once."""
-        samples = labelled(data)
+        samples = real_grasps.labelled(data)
         table, part, seed = (cell.values[key] for key in ("table", "part", "seed"))
         folds = [one.fold for one in self.folds(settings, samples, seed) if one.table == table]
         train, test = split_by_fold(samples, folds, part)
         labels = labels_of(train)
         fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels, seed)
-        return error_rows(test, fitted.predict(test), labels_of(test), labels.mean(axis=0))
+        return real_grasps.error_rows(test, fitted.predict(test), labels_of(test), labels.mean(axis=0))
 
 
 def split_experiment(*, name: str, question: str, module: str, split: str, order: int) -> Experiment[Any, Any]:
@@ -76,7 +67,7 @@ def split_experiment(*, name: str, question: str, module: str, split: str, order
         order: Position in lists of experiments.
     """
 
-    def folds(settings: RealGraspSettings, samples: Sequence[GraspSample], seed: int) -> list[TableFold]:
+    def folds(settings: real_grasps.RealGraspSettings, samples: Sequence[GraspSample], seed: int) -> list[TableFold]:
         del settings
         if not samples:
             raise DatasetError("experiment: no sample is labelled")
@@ -88,15 +79,15 @@ def split_experiment(*, name: str, question: str, module: str, split: str, order
         question=question,
         module=module,
         order=order,
-        settings=RealGraspSettings,
-        presets=PRESETS,
-        load=load,
+        settings=real_grasps.RealGraspSettings,
+        presets=real_grasps.PRESETS,
+        load=real_grasps.load,
         cells=runner.cells,
         run=runner.run,
-        tabulate=score_table,
+        tabulate=real_grasps.score_table,
         summarise=skill_tables,
         figure=draw_skill_figure,
-        free=FREE,
+        free=real_grasps.FREE,
         data_folder="vision2tactile",
     )
 

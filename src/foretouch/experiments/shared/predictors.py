@@ -17,14 +17,7 @@ import numpy as np
 
 from foretouch.errors import ConfigError
 from foretouch.learning.data import TrainingSet, labels_of
-from foretouch.learning.evaluation.baselines import (
-    TREES,
-    Baseline,
-    geometry_trees,
-    object_mean,
-    object_time_trees,
-    training_mean,
-)
+from foretouch.learning.evaluation import baselines
 from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
@@ -33,7 +26,7 @@ RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touc
 """The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
-def network(name: str, effort: float) -> Baseline:
+def network(name: str, effort: float) -> baselines.Baseline:
     """A recipe as a baseline, which is trained again in each call.
 
     Args:
@@ -109,7 +102,7 @@ class _OffsetCorrected:
     object's offset, where a is the variance of a single residual over that of the offsets.
     """
 
-    def __init__(self, baseline: Baseline, train: Sequence[GraspSample], labels: Float64, seed: int) -> None:
+    def __init__(self, baseline: baselines.Baseline, train: Sequence[GraspSample], labels: Float64, seed: int) -> None:
         self._baseline = partial(baseline, train, labels)
         self._seed = seed
         self._cache: dict[str, Float64] = {}  # by id: a baseline is fitted in each call
@@ -128,13 +121,13 @@ class _OffsetCorrected:
         return np.asarray(self.predict(samples) + weight * residuals.mean(axis=0), np.float64)
 
 
-def with_offset_correction(baseline: Baseline) -> Fit:
+def with_offset_correction(baseline: baselines.Baseline) -> Fit:
     """A baseline as a predictor that adds the shrunken mean of the touches' residuals (a = `SHRINKAGE`)."""
     return partial(_OffsetCorrected, baseline)
 
 
 def _trees(baseline: Callable[..., Float64], effort: float) -> Fit:
-    return with_offset_correction(partial(baseline, trees=max(1, round(effort * TREES))))
+    return with_offset_correction(partial(baseline, trees=max(1, round(effort * baselines.TREES))))
 
 
 def _contact(effort: float) -> Fit:
@@ -145,10 +138,10 @@ def _contact(effort: float) -> Fit:
 
 
 PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
-    "training_mean": lambda _: with_offset_correction(training_mean),
-    "object_mean": lambda _: with_offset_correction(object_mean),
-    "object_time_trees": lambda effort: _trees(object_time_trees, effort),
-    "geometry_trees": lambda effort: _trees(geometry_trees, effort),
+    "training_mean": lambda _: with_offset_correction(baselines.training_mean),
+    "object_mean": lambda _: with_offset_correction(baselines.object_mean),
+    "object_time_trees": lambda effort: _trees(baselines.object_time_trees, effort),
+    "geometry_trees": lambda effort: _trees(baselines.geometry_trees, effort),
     "contact": _contact,
     "p1_pointnet": lambda effort: with_offset_correction(network("p1_pointnet", effort)),
     "p2_pointnet": lambda effort: with_offset_correction(network("p2_pointnet", effort)),

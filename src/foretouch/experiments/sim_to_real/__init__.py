@@ -23,18 +23,11 @@ from typing import Final
 import numpy as np
 
 from foretouch.config import setting
+from foretouch.experiments import unseen_object
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.predictors import PREDICTORS, Fit, find_predictor, with_offset_correction
 from foretouch.experiments.shared.real_grasps import FREE, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
-from foretouch.experiments.unseen_object import (
-    UnseenObjectSettings,
-    draw_touches,
-    left_out_cells,
-    left_out_rows,
-    summarise_touches,
-    tabulate_touches,
-)
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
@@ -115,7 +108,7 @@ def _slopes(f: Float64, labels: Float64) -> Float64:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimToRealSettings(UnseenObjectSettings, BothSettings):
+class SimToRealSettings(unseen_object.UnseenObjectSettings, BothSettings):
     """Settings of `sim_to_real`."""
 
     scene: str = setting("config/scenes/rigid.yaml", "Scene of the simulated training grasps")
@@ -130,7 +123,7 @@ class SimToRealSettings(UnseenObjectSettings, BothSettings):
 
 def _run(cell: Cell, settings: SimToRealSettings, data: RealAndSimulated) -> list[Row]:
     fit = _predictor(cell.values["predictor"], settings, data, cell.values["seed"])
-    return left_out_rows(fit, cell, settings, data.real)
+    return unseen_object.left_out_rows(fit, cell, settings, data.real)
 
 
 def _predictor(name: str, settings: SimToRealSettings, data: RealAndSimulated, seed: int) -> Fit:
@@ -153,11 +146,11 @@ EXPERIMENT = Experiment(
     settings=SimToRealSettings,
     presets={"full": {}, "smoke": {"samples": 100, "effort": 0.1, "draws": 3, "bootstrap.draws": 200}},
     load=load_both,
-    cells=lambda settings, data: left_out_cells(settings, data.real),
+    cells=lambda settings, data: unseen_object.left_out_cells(settings, data.real),
     run=_run,
-    tabulate=tabulate_touches,
-    summarise=summarise_touches,
-    figure=draw_touches,
+    tabulate=unseen_object.tabulate_touches,
+    summarise=unseen_object.summarise_touches,
+    figure=unseen_object.draw_touches,
     prepare=prepare_both,
     free=FREE,
     data_folder="vision2tactile",

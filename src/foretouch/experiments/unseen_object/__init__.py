@@ -22,17 +22,8 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch.experiments.shared import real_grasps
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fit, Fitted, find_predictor
-from foretouch.experiments.shared.real_grasps import (
-    ALL_OBJECTS,
-    FREE,
-    RealGraspSettings,
-    error_rows,
-    labelled,
-    load,
-    score_table,
-    seeded_predictors,
-)
 from foretouch.experiments.shared.skill import skill_tables
 from foretouch.learning.data import Dataset, Indices, labels_of, make_folds
 from foretouch.report.panels import Rows, new_figure, save
@@ -64,7 +55,7 @@ _OFFSET: Final = 0.12  # between markers, so that intervals do not hide each oth
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnseenObjectSettings(RealGraspSettings):
+class UnseenObjectSettings(real_grasps.RealGraspSettings):
     """Settings of `unseen_object`."""
 
     seeds: tuple[int, ...] = setting((0,), "Seeds of the predictors", minimum=0)
@@ -110,15 +101,15 @@ def left_out_cells(settings: UnseenObjectSettings, data: Dataset) -> list[Cell]:
     """A cell for each predictor, seed and object that is left out."""
     return [
         Cell(f"{name}+{fold.name}+seed{seed}", {"part": fold.name, "predictor": name, "seed": seed})
-        for seed, name in seeded_predictors(settings)
-        for fold in make_folds(labelled(data), "object", 0)
+        for seed, name in real_grasps.seeded_predictors(settings)
+        for fold in make_folds(real_grasps.labelled(data), "object", 0)
     ]
 
 
 def left_out_rows(fit: Fit, cell: Cell, settings: UnseenObjectSettings, data: Dataset) -> list[Row]:
     """Fit to all objects but the cell's, and return the `touch_rows` of that one."""
-    train = [sample for sample in labelled(data) if sample.object != cell.values["part"]]
-    test = [sample for sample in labelled(data) if sample.object == cell.values["part"]]
+    train = [sample for sample in real_grasps.labelled(data) if sample.object != cell.values["part"]]
+    test = [sample for sample in real_grasps.labelled(data) if sample.object == cell.values["part"]]
     labels = labels_of(train)
     return touch_rows(fit(train, labels, cell.values["seed"]), test, labels.mean(axis=0), settings)
 
@@ -143,7 +134,7 @@ def touch_rows(
     for count in settings.touches:
         tested, predicted = zip(*_predict_draws(fitted, samples, count, settings), strict=True)
         scored = [sample for draw in tested for sample in draw]
-        errors = error_rows(scored, np.concatenate(predicted), labels_of(scored), mean)
+        errors = real_grasps.error_rows(scored, np.concatenate(predicted), labels_of(scored), mean)
         rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 
@@ -167,7 +158,7 @@ def _table(count: int) -> str:
 def tabulate_touches(settings: UnseenObjectSettings, rows: Sequence[Row]) -> list[Row]:
     """Scores of the rows of `touch_rows`, with the number of touches as a column."""
     touches = {row["table"]: row["touches"] for row in rows}
-    return [{"touches": touches[row["table"]], **row} for row in score_table(settings, rows)]
+    return [{"touches": touches[row["table"]], **row} for row in real_grasps.score_table(settings, rows)]
 
 
 def summarise_touches(rows: Sequence[Row]) -> list[Table]:
@@ -182,11 +173,11 @@ def draw_touches(rows: Rows, folder: Path) -> list[Path]:
     """Draw `touches.png`: all objects together above, each object below (with the released model, if it was run)."""
     predictors = list(dict.fromkeys(row["predictor"] for row in rows))
     chosen = _RELEASED if _RELEASED in predictors else predictors[-1]
-    objects = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
+    objects = sorted({row["object"] for row in rows} - {real_grasps.ALL_OBJECTS})
     figure = new_figure(14.0, 7.5)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True, sharey="row")
     for axes, modality in zip(above, MODALITIES, strict=True):
-        subset = [row for row in rows if row["modality"] == modality and row["object"] == ALL_OBJECTS]
+        subset = [row for row in rows if row["modality"] == modality and row["object"] == real_grasps.ALL_OBJECTS]
         draw_over_touches(axes, subset, "predictor", predictors)
         axes.set_title(modality)
     for axes, modality in zip(below, MODALITIES, strict=True):
@@ -230,12 +221,12 @@ EXPERIMENT = Experiment(
         "quick": {},
         "smoke": {"effort": 0.1, "draws": 5},
     },
-    load=load,
+    load=real_grasps.load,
     cells=left_out_cells,
     run=_run,
     tabulate=tabulate_touches,
     summarise=summarise_touches,
     figure=draw_touches,
-    free=FREE,
+    free=real_grasps.FREE,
     data_folder="vision2tactile",
 )

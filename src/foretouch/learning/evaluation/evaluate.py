@@ -15,16 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import DatasetError, ModelError
-from foretouch.learning.data import (
-    Dataset,
-    Fold,
-    HoldOut,
-    SplitPart,
-    TrainingSet,
-    fold_workers,
-    labels_of,
-    predict_folds,
-)
+from foretouch.learning import data as datasets
 from foretouch.learning.evaluation.baselines import BASELINES, Baseline, training_mean
 from foretouch.learning.evaluation.metrics import Score, score
 from foretouch.models.card import read_card
@@ -39,8 +30,8 @@ MODEL: Final = "model"
 def cross_validate(
     samples: Sequence[GraspSample],
     labels: Float64,
-    model: HoldOut,
-    folds: Sequence[Fold],
+    model: datasets.HoldOut,
+    folds: Sequence[datasets.Fold],
     ranges: TactileRanges,
     *,
     seed: int = 0,
@@ -62,25 +53,27 @@ def cross_validate(
     Returns:
         Scores of `MODEL` and of each baseline, by modality; (S, 50) held-out predictions of the model [counts].
     """
-    predictors: dict[str, HoldOut] = {MODEL: model}
+    predictors: dict[str, datasets.HoldOut] = {MODEL: model}
     for name, baseline in baselines.items():
         predictors[name] = partial(_baseline, samples, labels, baseline, seed)
-    with fold_workers(workers) as run:
-        predicted = {name: predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
-    reference = predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
+    with datasets.fold_workers(workers) as run:
+        predicted = {name: datasets.predict_folds(predictor, folds, run) for name, predictor in predictors.items()}
+    reference = datasets.predict_folds(partial(_baseline, samples, labels, training_mean, seed), folds)
     scores = {name: score(values, labels, reference, ranges) for name, values in predicted.items()}
     return scores, predicted[MODEL]
 
 
-def _baseline(samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: Fold) -> Float64:
+def _baseline(
+    samples: Sequence[GraspSample], labels: Float64, baseline: Baseline, seed: int, fold: datasets.Fold
+) -> Float64:
     train = [samples[i] for i in fold.train]
     return baseline(train, labels[fold.train], [samples[i] for i in fold.test], seed)
 
 
 def evaluate_model(
     model: str | Path,
-    data: Dataset,
-    parts: Sequence[SplitPart],
+    data: datasets.Dataset,
+    parts: Sequence[datasets.SplitPart],
     *,
     seed: int = 0,
     baselines: Mapping[str, Baseline] = BASELINES,
@@ -108,7 +101,7 @@ def evaluate_model(
         raise DatasetError(f"{data.name}: the split tests no sample")
     tested = [data.samples[k] for k in chosen]
     found = _predict(find_card(model), tested)
-    labels = labels_of(tested)
+    labels = datasets.labels_of(tested)
     reference = _fitted(data, parts, training_mean, seed)
     # The columns that the model does not predict are not scored, but must be finite.
     values = {MODEL: np.where(np.isnan(found.counts), reference, found.counts)}
@@ -174,7 +167,7 @@ def _by_networks(card_path: Path, card: Mapping[str, Any], samples: Sequence[Gra
     loaded = [load_network(member) for member in members]
     counts = np.full((len(samples), TOUCH_SIZE), np.nan)
     for net, _ in loaded:
-        prepared = TrainingSet.build(samples, net.config)
+        prepared = datasets.TrainingSet.build(samples, net.config)
         counts[:, columns(net.config.outputs)] = predict_set(net, prepared, np.arange(len(samples)))
     named = {output for net, _ in loaded for output in net.config.outputs}
     trained_on = frozenset(str(member["data"].get("sha256")) for _, member in loaded)
@@ -182,10 +175,10 @@ def _by_networks(card_path: Path, card: Mapping[str, Any], samples: Sequence[Gra
     return _Predictions(counts, None, 0, modalities, loaded[0][0].config.ranges, trained_on)
 
 
-def _fitted(data: Dataset, parts: Sequence[SplitPart], baseline: Baseline, seed: int) -> Float64:
+def _fitted(data: datasets.Dataset, parts: Sequence[datasets.SplitPart], baseline: Baseline, seed: int) -> Float64:
     """(S, 50) predictions of a baseline for the test samples of each part, in order."""
     rows = []
     for part in parts:
         train, test = ([data.samples[k] for k in data.index(ids)] for ids in (part.train, part.test))
-        rows.append(baseline(train, labels_of(train), test, seed))
+        rows.append(baseline(train, datasets.labels_of(train), test, seed))
     return np.concatenate(rows)

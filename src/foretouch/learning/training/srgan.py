@@ -33,24 +33,10 @@ from torch import Tensor, nn
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.training import losses as loss_terms
+from foretouch.learning.training import trainer
 from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, TrainingDevice
-from foretouch.learning.training.losses import (
-    Features,
-    SrganLossConfig,
-    discriminator_loss,
-    generator_loss,
-    gradient_penalty,
-    labeled_loss,
-)
 from foretouch.learning.training.supervised import set_target_scaling
-from foretouch.learning.training.trainer import (
-    OPTIMISERS,
-    SCHEDULES,
-    OptimiserRule,
-    ScheduledOptimiser,
-    Trainer,
-    shuffled_batches,
-)
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
 from foretouch.tactile import columns, modality_size
@@ -68,13 +54,13 @@ class SrganConfig(DeviceConfig):
 
     epochs: int = setting(30, "Passes over the labelled samples", minimum=1, maximum=100_000)
     batch_size: int = setting(10, "Samples of each source per step", minimum=2, maximum=4096)
-    optimiser: str = setting("adam", "Optimiser", choices=OPTIMISERS)
+    optimiser: str = setting("adam", "Optimiser", choices=trainer.OPTIMISERS)
     learning_rate: float = setting(0.01, "Largest learning rate of the regressor", minimum=1e-7, maximum=10.0)
     generator_learning_rate: float | None = setting(
         None, "Largest learning rate of the generator; by default the regressor's", minimum=1e-7, maximum=10.0
     )
     weight_decay: float = setting(0.0, "Weight decay", minimum=0.0, maximum=10.0)
-    schedule: str = setting("constant", "Schedule of the learning rate", choices=SCHEDULES)
+    schedule: str = setting("constant", "Schedule of the learning rate", choices=trainer.SCHEDULES)
     target_scaling: str = setting(
         "ranges", "Scaling of the labels, as in supervised training", choices=("standardised", "ranges")
     )
@@ -82,7 +68,7 @@ class SrganConfig(DeviceConfig):
     batch_norm: str = setting("frozen", "Statistics of batch norm; see the module", choices=("frozen", "per_source"))
     seed: int = setting(0, "Seed of weights, order, points and noise", minimum=0)
     generator: GeneratorConfig = GeneratorConfig()
-    loss: SrganLossConfig = SrganLossConfig()
+    loss: loss_terms.SrganLossConfig = loss_terms.SrganLossConfig()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,7 +78,7 @@ class SrganConfig(DeviceConfig):
             )
 
 
-class SrganTrainer(Trainer):
+class SrganTrainer(trainer.Trainer):
     """Trains a regressor and a generator, one step each per batch.
 
     Args:
@@ -124,8 +110,8 @@ class SrganTrainer(Trainer):
         steps = config.epochs * (len(labelled) // config.batch_size)
         rate = config.learning_rate if config.generator_learning_rate is None else config.generator_learning_rate
         for name, module, largest in (("net", self.net, config.learning_rate), ("generator", self.generator, rate)):
-            rule = OptimiserRule(config.optimiser, largest, config.weight_decay, config.schedule)
-            self.optimisers[name] = ScheduledOptimiser(module, rule, steps, self.training_device.context)
+            rule = trainer.OptimiserRule(config.optimiser, largest, config.weight_decay, config.schedule)
+            self.optimisers[name] = trainer.ScheduledOptimiser(module, rule, steps, self.training_device.context)
         if config.batch_norm == "frozen":
             # Each process for itself and over whole batches, so that processes do not differ by rounding.
             dataclasses.replace(self.training_device, context=SINGLE_PROCESS).prepare(self.net)
@@ -144,7 +130,7 @@ class SrganTrainer(Trainer):
             self.net.train()
         size = self.config.batch_size
         repeated = _repeated_batches(self._unlabelled, size, len(self._labelled) // size, self.rng)
-        pairs = zip(shuffled_batches(self._labelled, size, self.rng), repeated, strict=True)
+        pairs = zip(trainer.shuffled_batches(self._labelled, size, self.rng), repeated, strict=True)
         for number, (labelled, unlabelled) in enumerate(pairs):
             real = self._points(unlabelled)
             losses = self._regressor_step(number, labelled, unlabelled, real)
@@ -159,9 +145,9 @@ class SrganTrainer(Trainer):
         error = scaled - self.net.to_scaled(self.training_device.shard(self._labels[labelled]))
         penalty = None
         if self.config.loss.gradient_penalty > 0.0:
-            penalty = gradient_penalty(self.net.features, real, fake, torch.default_generator, context)
-        labeled = labeled_loss(error, torch.zeros_like(error), self._sizes, context=context)
-        loss = discriminator_loss(labeled, features, self.config.loss, penalty, context)
+            penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator, context)
+        labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self._sizes, context=context)
+        loss = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty, context)
         self.require_finite({"labeled": labeled}, number, context.shard(labelled), error, features.labeled)
         parts = loss.parts | {"total": loss.total}
         self.require_finite(parts, number, context.shard(unlabelled), features.unlabeled)
@@ -173,12 +159,12 @@ class SrganTrainer(Trainer):
             with torch.no_grad():
                 aim = self.net.features(real)
             made = self.net.features(self._fake(len(unlabelled)))
-            loss = generator_loss(made, aim, self.config.loss, self.training_device.context)
+            loss = loss_terms.generator_loss(made, aim, self.config.loss, self.training_device.context)
             self.require_finite(loss.parts, number, self.training_device.context.shard(unlabelled), aim)
             self.optimisers["generator"].step(loss.total)
         return {"generator": float(loss.total.detach())}
 
-    def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> Features:
+    def _all_features(self, labelled: Tensor, unlabelled: Tensor, fake: Tensor) -> loss_terms.Features:
         """f(x) of the three sources; in one pass, which is faster, where that gives the same features.
 
         Where fake clouds enter no loss (`as_printed`), their features are not computed.
@@ -186,15 +172,15 @@ class SrganTrainer(Trainer):
         if self.config.loss.reading == "as_printed":
             if self.config.batch_norm == "frozen":
                 known, other = self.net.features(torch.cat([labelled, unlabelled])).chunk(2)
-                return Features(known, other, None)
+                return loss_terms.Features(known, other, None)
             known = self.net.features(labelled)
             with statistics_kept(self.net):
-                return Features(known, self.net.features(unlabelled), None)
+                return loss_terms.Features(known, self.net.features(unlabelled), None)
         if self.config.batch_norm == "frozen" and labelled.shape[1:] == fake.shape[1:]:
-            return Features(*self.net.features(torch.cat([labelled, unlabelled, fake])).chunk(3))
+            return loss_terms.Features(*self.net.features(torch.cat([labelled, unlabelled, fake])).chunk(3))
         known = self.net.features(labelled)
         with statistics_kept(self.net):
-            return Features(known, self.net.features(unlabelled), self.net.features(fake))
+            return loss_terms.Features(known, self.net.features(unlabelled), self.net.features(fake))
 
     def _fake(self, count: int) -> Tensor:
         noise = draw_noise(count, self.config.generator, torch.default_generator)
@@ -217,7 +203,7 @@ class SrganTrainer(Trainer):
 
 def _repeated_batches(index: Indices, size: int, count: int, rng: np.random.Generator) -> Iterator[Indices]:
     """`count` batches from as many shuffles of the samples as they take."""
-    return islice(chain.from_iterable(shuffled_batches(index, size, rng) for _ in repeat(None)), count)
+    return islice(chain.from_iterable(trainer.shuffled_batches(index, size, rng) for _ in repeat(None)), count)
 
 
 @contextmanager

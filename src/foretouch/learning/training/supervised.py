@@ -19,16 +19,9 @@ from torch import Tensor
 from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.learning.data import Indices, TrainingSet
+from foretouch.learning.training import trainer as training
 from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
-from foretouch.learning.training.trainer import (
-    OPTIMISERS,
-    SCHEDULES,
-    OptimiserRule,
-    ScheduledOptimiser,
-    Trainer,
-    shuffled_batches,
-)
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.tactile import columns, modality_size
@@ -75,10 +68,10 @@ class TrainConfig(DeviceConfig):
 
     epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
     batch_size: int = setting(32, "Samples per step", minimum=2, maximum=4096)
-    optimiser: str = setting("adamw", "Optimiser", choices=OPTIMISERS)
+    optimiser: str = setting("adamw", "Optimiser", choices=training.OPTIMISERS)
     learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
     weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
-    schedule: str = setting("cosine", "Schedule of the learning rate", choices=SCHEDULES)
+    schedule: str = setting("cosine", "Schedule of the learning rate", choices=training.SCHEDULES)
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
     target_scaling: str = setting(
         "standardised",
@@ -98,7 +91,7 @@ class TrainConfig(DeviceConfig):
     seed: int = setting(0, "Seed of weights, order and points", minimum=0)
 
 
-class SupervisedTrainer(Trainer):
+class SupervisedTrainer(training.Trainer):
     """Trains on the labelled samples `index` alone: the papers' PointNets and our own.
 
     Attributes:
@@ -118,9 +111,9 @@ class SupervisedTrainer(Trainer):
         set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
         self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
         self._grasp_inputs = torch.from_numpy(data.grasps)
-        rule = OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
+        rule = training.OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
         steps = config.epochs * self.batch_count
-        self.optimisers["net"] = ScheduledOptimiser(self.net, rule, steps, self.training_device.context)
+        self.optimisers["net"] = training.ScheduledOptimiser(self.net, rule, steps, self.training_device.context)
         self.sizes = [modality_size(name) for name in data.config.outputs]
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
@@ -139,7 +132,7 @@ class SupervisedTrainer(Trainer):
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
         """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
-        for batch in shuffled_batches(self._index, self.config.batch_size, self.rng):
+        for batch in training.shuffled_batches(self._index, self.config.batch_size, self.rng):
             points, grasps = self._inputs(batch)
             yield batch, points, grasps, self.net.to_scaled(self.training_device.shard(self._labels[batch]))
 

@@ -12,15 +12,8 @@ from std_msgs.msg import Header
 
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.messages import requests
 from foretouch.ros.messages.conversions import pose_stamped
-from foretouch.ros.messages.requests import (
-    RefusalError,
-    plan_targets,
-    read_plane,
-    read_table,
-    read_targets,
-    status_name,
-)
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction
@@ -78,7 +71,7 @@ class GraspSampler:
         """
         cost = goal.cost or SampleGrasps.Goal.PRESSURE
         if cost not in _COSTS:
-            raise RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
+            raise requests.RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
         header, targets = _targets(goal, latest)
         config = self._grasp.replace(count=goal.count) if goal.count else self._grasp
         pipeline = Pipeline(PipelineConfig(grasp=config))
@@ -87,12 +80,12 @@ class GraspSampler:
         for target in targets:
             if cancelled():
                 break
-            plan = plan_targets(pipeline, [target], header)
+            plan = requests.plan_targets(pipeline, [target], header)
             fresh = self._rate(target, plan.grasps, header, cost)
             feedback(_feedback(fresh, header))
             candidates += fresh
         if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
-            raise RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
+            raise requests.RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
         return _result(sorted(candidates, key=lambda c: c.cost), header, plan)
 
     def _rate(self, target: FoundObject, grasps: Sequence[Grasp], header: Header, cost: str) -> list[_Candidate]:
@@ -123,12 +116,14 @@ def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObjec
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
-            raise RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
-        return goal.cloud.header, read_targets(goal.cloud, read_plane(goal.table[0]))
+            raise requests.RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
+        return goal.cloud.header, requests.read_targets(goal.cloud, requests.read_plane(goal.table[0]))
     if latest is None:
-        raise RefusalError(Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet")
+        raise requests.RefusalError(
+            Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet"
+        )
     header = latest.cloud.header
-    return header, read_targets(latest.cloud, read_table(latest.table, header))
+    return header, requests.read_targets(latest.cloud, requests.read_table(latest.table, header))
 
 
 def _feedback(candidates: Sequence[_Candidate], header: Header) -> Any:
@@ -141,7 +136,7 @@ def _feedback(candidates: Sequence[_Candidate], header: Header) -> Any:
 
 def _result(candidates: Sequence[_Candidate], header: Header, plan: GraspArray) -> Any:
     if not candidates:
-        raise RefusalError(plan.status, plan.reason)
+        raise requests.RefusalError(plan.status, plan.reason)
     return SampleGrasps.Result(
         grasp_state=_SUCCESS,
         status=Status.OK,
@@ -152,9 +147,9 @@ def _result(candidates: Sequence[_Candidate], header: Header, plan: GraspArray) 
     )
 
 
-def failed(refusal: RefusalError) -> Any:
+def failed(refusal: requests.RefusalError) -> Any:
     """The result of a goal that was refused."""
-    return SampleGrasps.Result(grasp_state=f"{status_name(refusal.status)}: {refusal}", status=refusal.status)
+    return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
 
 
 def _finite(cost: float) -> float:

@@ -28,16 +28,7 @@ from functools import lru_cache
 import numpy as np
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact.problem import (
-    DEFAULT_CONFIG,
-    Command,
-    ContactConfig,
-    ContactProblem,
-    ContactSolution,
-    Layer,
-    no_contact,
-    refuse_overload,
-)
+from foretouch.simulation.contact import problem as problems
 from foretouch.types import Float64
 
 _REACH = 3  # cells on each side of first touch that its curvature is fitted on
@@ -55,7 +46,11 @@ class _Paraboloid:
     y0: float
 
 
-def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
+def solve_hertz(
+    problem: problems.ContactProblem,
+    command: problems.Command,
+    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
+) -> problems.ContactSolution:
     """Press two bodies together as half-spaces that touch on a paraboloid.
 
     Args:
@@ -68,7 +63,7 @@ def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig
             layer is compressed beyond `max_strain`.
     """
     if command.idle:
-        return no_contact(problem, command.depth_m or 0.0)
+        return problems.no_contact(problem, command.depth_m or 0.0)
     shape = _fit(problem)
     ratio, k, d = _ellipse(shape.b / shape.a)
     modulus = problem.contact_modulus_pa
@@ -85,11 +80,11 @@ def solve_hertz(problem: ContactProblem, command: Command, config: ContactConfig
     pressure = _pressure(rho, force / problem.cell_m2)
     shares = np.array([modulus / layer.plane_modulus_pa for layer in problem.layers])
     displacement = shares[:, None, None] * _displacement(rho, depth)
-    refuse_overload(problem, displacement, depth, config)
-    return ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
+    problems.refuse_overload(problem, displacement, depth, config)
+    return problems.ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
 
 
-def _fit(problem: ContactProblem) -> _Paraboloid:
+def _fit(problem: problems.ContactProblem) -> _Paraboloid:
     """Least squares of a quadratic on the cells about the least gap."""
     n = problem.gap.shape[0]
     row, column = np.unravel_index(int(np.argmin(problem.gap)), problem.gap.shape)
@@ -146,7 +141,7 @@ def _ellipse_table() -> tuple[Float64, Float64, Float64, Float64]:
     return circle, ratios, ks, ds
 
 
-def _stretched_radius(problem: ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:
+def _stretched_radius(problem: problems.ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:
     """(N, N): √(u²/a² + v²/b²), 1 at the rim of the footprint."""
     offset = (np.arange(problem.gap.shape[0]) - (problem.gap.shape[0] - 1) / 2.0) * problem.step_m
     x, y = offset[None, :] - shape.x0, offset[:, None] - shape.y0
@@ -175,7 +170,7 @@ def _displacement(rho: Float64, depth: float) -> Float64:
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 
 
-def bed_stiffness(layer: Layer) -> float:
+def bed_stiffness(layer: problems.Layer) -> float:
     """Pressure per indentation of one layer [Pa/m].
 
     ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.
@@ -190,7 +185,11 @@ def bed_stiffness(layer: Layer) -> float:
     return confined / layer.thickness_m
 
 
-def solve_winkler(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
+def solve_winkler(
+    problem: problems.ContactProblem,
+    command: problems.Command,
+    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
+) -> problems.ContactSolution:
     """Press two bodies together on a bed of springs; exact, without iteration.
 
     Args:
@@ -202,7 +201,7 @@ def solve_winkler(problem: ContactProblem, command: Command, config: ContactConf
         ContactError: If a layer is a half-space or compressed beyond `max_strain`.
     """
     if command.idle:
-        return no_contact(problem, command.depth_m or 0.0)
+        return problems.no_contact(problem, command.depth_m or 0.0)
     compliances = np.array([1.0 / bed_stiffness(layer) for layer in problem.layers])
     k = 1.0 / float(compliances.sum())
     if command.depth_m is None:
@@ -211,9 +210,9 @@ def solve_winkler(problem: ContactProblem, command: Command, config: ContactConf
         depth = command.depth_m
     pressure = k * np.maximum(depth - problem.gap, 0.0)
     displacement = compliances[:, None, None] * pressure
-    refuse_overload(problem, displacement, depth, config)
+    problems.refuse_overload(problem, displacement, depth, config)
     area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
+    return problems.ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
 
 
 def _depth_for(gap: Float64, overlap_sum: float) -> float:

@@ -26,16 +26,9 @@ from typing import Final, Literal
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError
+from foretouch.simulation.contact import problem as contacts
 from foretouch.simulation.contact.closed_form import solve_hertz, solve_winkler
 from foretouch.simulation.contact.layer import solve_layer
-from foretouch.simulation.contact.problem import (
-    DEFAULT_CONFIG,
-    Command,
-    ContactConfig,
-    ContactProblem,
-    ContactSolution,
-    Layer,
-)
 from foretouch.types import Float64
 
 Level = Literal["auto", "hertz", "winkler", "layer"]
@@ -44,7 +37,7 @@ LEVELS: Final = ("auto", "hertz", "winkler", "layer")
 _SOLVERS: Final = {"hertz": solve_hertz, "winkler": solve_winkler, "layer": solve_layer}
 
 
-def choose_level(layers: Sequence[Layer]) -> tuple[Level, str]:
+def choose_level(layers: Sequence[contacts.Layer]) -> tuple[Level, str]:
     """The level that `auto` means, and why.
 
     The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft
@@ -59,8 +52,11 @@ def choose_level(layers: Sequence[Layer]) -> tuple[Level, str]:
 
 
 def solve_contact(
-    problem: ContactProblem, command: Command, level: Level = "auto", config: ContactConfig = DEFAULT_CONFIG
-) -> ContactSolution:
+    problem: contacts.ContactProblem,
+    command: contacts.Command,
+    level: Level = "auto",
+    config: contacts.ContactConfig = contacts.DEFAULT_CONFIG,
+) -> contacts.ContactSolution:
     """Solve one contact at the level asked for.
 
     Args:
@@ -131,8 +127,8 @@ _STEEPEST = 64.0  # largest factor on the force in one step
 class GripSolution:
     """Both contacts."""
 
-    first: ContactSolution  # of the finger at g1 and of the one at g2
-    second: ContactSolution  # of the finger at g1 and of the one at g2
+    first: contacts.ContactSolution  # of the finger at g1 and of the one at g2
+    second: contacts.ContactSolution  # of the finger at g1 and of the one at g2
     steps: int = 0  # tries of the force that the closing took; 0 where none was needed
 
     @property
@@ -143,13 +139,13 @@ class GripSolution:
 
 
 def solve_grip(
-    problems: Sequence[ContactProblem],
-    commands: Sequence[Command],
+    problems: Sequence[contacts.ContactProblem],
+    commands: Sequence[contacts.Command],
     *,
     balanced: bool,
     axial_load_n: float = 0.0,
     level: Level = "auto",
-    config: ContactConfig = DEFAULT_CONFIG,
+    config: contacts.ContactConfig = contacts.DEFAULT_CONFIG,
 ) -> GripSolution:
     """Close both fingers on the object.
 
@@ -190,17 +186,23 @@ def _common(forces: Sequence[float]) -> float:
 
 
 def _at_force(
-    problems: Sequence[ContactProblem], force: float, load: float, level: Level, config: ContactConfig
+    problems: Sequence[contacts.ContactProblem], force: float, load: float, level: Level, config: contacts.ContactConfig
 ) -> GripSolution:
     pushes = (force - load / 2.0, force + load / 2.0)
     if min(pushes) < 0.0:
         raise ContactError(f"axial_load_n: {load:g} N opens a grip of {force:g} N")
-    first, second = (solve_contact(p, Command(force_n=f), level, config) for p, f in zip(problems, pushes, strict=True))
+    first, second = (
+        solve_contact(p, contacts.Command(force_n=f), level, config) for p, f in zip(problems, pushes, strict=True)
+    )
     return GripSolution(first, second)
 
 
 def _at_closing(
-    problems: Sequence[ContactProblem], closing: float, load: float, level: Level, config: ContactConfig
+    problems: Sequence[contacts.ContactProblem],
+    closing: float,
+    load: float,
+    level: Level,
+    config: contacts.ContactConfig,
 ) -> GripSolution:
     """Find the common force whose two depths add up to `closing`.
 
@@ -208,10 +210,12 @@ def _at_closing(
     the power of the last two tries, inside a bracket that they tighten.
     """
     if closing <= 0.0:
-        first, second = (solve_contact(p, Command(depth_m=min(closing, 0.0)), level, config) for p in problems)
+        first, second = (solve_contact(p, contacts.Command(depth_m=min(closing, 0.0)), level, config) for p in problems)
         return GripSolution(first, second)
     floor = abs(load) / 2.0
-    force = max(solve_contact(problems[0], Command(depth_m=closing / 2.0), level, config).force_n, floor * 1.01)
+    force = max(
+        solve_contact(problems[0], contacts.Command(depth_m=closing / 2.0), level, config).force_n, floor * 1.01
+    )
     low, high, power, last = floor, math.inf, 0.6, None
     for step in range(1, _MAX_STEPS + 1):
         grip = _at_force(problems, force, load, level, config)

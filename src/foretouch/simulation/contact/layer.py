@@ -38,17 +38,8 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
+from foretouch.simulation.contact import problem as problems
 from foretouch.simulation.contact.closed_form import bed_stiffness
-from foretouch.simulation.contact.problem import (
-    DEFAULT_CONFIG,
-    Command,
-    ContactConfig,
-    ContactProblem,
-    ContactSolution,
-    Layer,
-    no_contact,
-    refuse_overload,
-)
 from foretouch.types import Float64
 
 Complex128 = npt.NDArray[np.complex128]
@@ -87,7 +78,7 @@ def love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: floa
     )
 
 
-def layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
+def layer_influence(layer: problems.Layer, n: int, step_m: float) -> Float64:
     """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa.
 
     Raises:
@@ -111,7 +102,7 @@ def layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
 
 
 @lru_cache(maxsize=_CACHED)
-def influence_spectrum(layer: Layer, n: int, step_m: float) -> Complex128:
+def influence_spectrum(layer: problems.Layer, n: int, step_m: float) -> Complex128:
     """(2n, n + 1) complex128: the spectrum that turns an n x n pressure into displacement without wrapping.
 
     The coefficients fill a grid of twice the size, so that the cyclic convolution of the padded pressure
@@ -287,7 +278,7 @@ class Box:
         return cls(size, row, column)
 
 
-def expected_pressure(problem: ContactProblem, command: Command) -> Float64:
+def expected_pressure(problem: problems.ContactProblem, command: problems.Command) -> Float64:
     """(N, N) float64 [Pa]: at least one cell is pressed; all pressed ones have a finite gap."""
     gaps = np.sort(problem.gap[np.isfinite(problem.gap)], axis=None)
     count = np.arange(1, gaps.size + 1)
@@ -312,7 +303,7 @@ def expected_pressure(problem: ContactProblem, command: Command) -> Float64:
     return np.asarray(shape * (mean / float(shape.sum())))
 
 
-def _stiffness(problem: ContactProblem, radius: npt.NDArray[np.float64]) -> Float64:
+def _stiffness(problem: problems.ContactProblem, radius: npt.NDArray[np.float64]) -> Float64:
     compliance = np.zeros_like(radius)
     for layer in problem.layers:
         bed = 0.0 if math.isinf(layer.thickness_m) else bed_stiffness(layer)
@@ -325,7 +316,11 @@ _MARGIN = 2  # cells around the expected footprint
 _OVERLAP = 2e-2  # of the depth: how far the surfaces may still overlap before it is solved again on the window
 
 
-def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig = DEFAULT_CONFIG) -> ContactSolution:
+def solve_layer(
+    problem: problems.ContactProblem,
+    command: problems.Command,
+    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
+) -> problems.ContactSolution:
     """Press two bodies together, each cell answering to all others.
 
     Args:
@@ -338,21 +333,21 @@ def solve_layer(problem: ContactProblem, command: Command, config: ContactConfig
         ContactError: If a layer is compressed beyond `max_strain`.
     """
     if command.idle:
-        return no_contact(problem, command.depth_m or 0.0)
+        return problems.no_contact(problem, command.depth_m or 0.0)
     gap = np.minimum(problem.gap, _ABSENT_M)
     pressure, end = _solve_in_box(problem, command, config, gap)
     displacement = _displacements(problem, pressure)
     if end.residual >= config.tolerance or _overlap(displacement, gap, end.depth) > _OVERLAP * abs(end.depth):
         end = _solve_in_window(problem, command, config, gap, end.iterations)
         pressure, displacement = end.pressure, _displacements(problem, end.pressure)
-    refuse_overload(problem, displacement, end.depth, config)
+    problems.refuse_overload(problem, displacement, end.depth, config)
     force = float(pressure.sum()) * problem.cell_m2
     area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return ContactSolution(pressure, displacement, force, area, end.depth, end.iterations, end.residual)
+    return problems.ContactSolution(pressure, displacement, force, area, end.depth, end.iterations, end.residual)
 
 
 def _solve_in_box(
-    problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64
+    problem: problems.ContactProblem, command: problems.Command, config: problems.ContactConfig, gap: Float64
 ) -> tuple[Float64, Descent]:
     """The pressure on the window, if only the expected footprint and its margin may carry any."""
     guess = expected_pressure(problem, command)
@@ -364,7 +359,11 @@ def _solve_in_box(
 
 
 def _solve_in_window(
-    problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64, spent: int
+    problem: problems.ContactProblem,
+    command: problems.Command,
+    config: problems.ContactConfig,
+    gap: Float64,
+    spent: int,
 ) -> Descent:
     """From even pressure wherever both surfaces exist: slower, and sure where the guess misled."""
     even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
@@ -379,7 +378,13 @@ def _solve_in_window(
     return end
 
 
-def _descend(problem: ContactProblem, command: Command, config: ContactConfig, gap: Float64, start: Float64) -> Descent:
+def _descend(
+    problem: problems.ContactProblem,
+    command: problems.Command,
+    config: problems.ContactConfig,
+    gap: Float64,
+    start: Float64,
+) -> Descent:
     """Step until the tolerance is met or the iterations are spent."""
     total = None if command.force_n is None else command.force_n / problem.cell_m2
     descent = Descent(gap, _spectra(problem, gap.shape[0]).sum(axis=0), start, depth=command.depth_m, total=total)
@@ -388,12 +393,12 @@ def _descend(problem: ContactProblem, command: Command, config: ContactConfig, g
     return descent
 
 
-def _spectra(problem: ContactProblem, n: int) -> Complex128:
+def _spectra(problem: problems.ContactProblem, n: int) -> Complex128:
     """(L, 2n, n + 1), of each layer."""
     return np.stack([influence_spectrum(layer, n, problem.step_m) for layer in problem.layers])
 
 
-def _displacements(problem: ContactProblem, pressure: Float64) -> Float64:
+def _displacements(problem: problems.ContactProblem, pressure: Float64) -> Float64:
     return convolve(pressure, _spectra(problem, pressure.shape[0]))
 
 

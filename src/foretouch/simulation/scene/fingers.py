@@ -6,27 +6,18 @@ from dataclasses import dataclass
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.grasp import GeoGraspConfig
+from foretouch.simulation import fingertip as sensor
 from foretouch.simulation.contact import ContactConfig, PadConfig
-from foretouch.simulation.fingertip import (
-    THUMB,
-    CreepConfig,
-    FingerConfig,
-    FingertipConfig,
-    NoiseConfig,
-    ScanConfig,
-    SlipConfig,
-    TemperatureConfig,
-)
 from foretouch.simulation.scene.ranges import require_range
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThumbConfig(FingerConfig):
+class ThumbConfig(sensor.FingerConfig):
     """A thumb: other rests than the middle finger."""
 
-    pdc_rest: float = setting(THUMB.pdc_rest, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    pdc_rest: float = setting(sensor.THUMB.pdc_rest, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
     electrode_rest: float = setting(
-        THUMB.electrode_rest, "Electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+        sensor.THUMB.electrode_rest, "Electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
     )
 
 
@@ -61,7 +52,7 @@ class TimelineConfig(Settings):
 class DriftConfig(Settings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
-    temperature: TemperatureConfig = TemperatureConfig()
+    temperature: sensor.TemperatureConfig = sensor.TemperatureConfig()
     session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-up, low and high", unit="s", minimum=0.0)
     tare_age_s: tuple[float, ...] = setting((2.0, 30.0), "Age of the tare at the touch", unit="s", minimum=0.0)
 
@@ -104,18 +95,18 @@ class FingersConfig(Settings):
 
     pad: PadConfig = PadConfig()
     contact: ContactConfig = ContactConfig()
-    fingertip: FingertipConfig = FingertipConfig()
+    fingertip: sensor.FingertipConfig = sensor.FingertipConfig()
     thumb: ThumbConfig = ThumbConfig()
-    middle: FingerConfig = FingerConfig()
+    middle: sensor.FingerConfig = sensor.FingerConfig()
     thumb_posture: PostureConfig = PostureConfig()
     middle_posture: PostureConfig = PostureConfig()
     timeline: TimelineConfig | None = None
-    creep: CreepConfig | None = None
-    slip: SlipConfig | None = None
+    creep: sensor.CreepConfig | None = None
+    slip: sensor.SlipConfig | None = None
     drift: DriftConfig | None = None
     sessions: SessionsConfig | None = None
-    noise: NoiseConfig | None = None
-    scan: ScanConfig | None = None
+    noise: sensor.NoiseConfig | None = None
+    scan: sensor.ScanConfig | None = None
     dead: DeadConfig | None = None
 
     def __post_init__(self) -> None:
