@@ -59,8 +59,8 @@ def test_variants_that_differ_only_after_touches(models) -> None:
         np.testing.assert_array_equal(models[name].expected, models[FULL].expected)
         after = models[name].predict(ASKED, TOUCHED, tare=False)
         assert np.abs(after - models[FULL].predict(ASKED, TOUCHED, tare=False)).max() > 1e-3
-    between = models["diagonal B"].calibration.regimes["new"].between
-    np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.regimes["new"].between)))
+    between = models["diagonal B"].calibration.groups["new"].between
+    np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.groups["new"].between)))
 
 
 def test_feature_sets_begin_with_the_object(sides) -> None:

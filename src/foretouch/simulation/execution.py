@@ -115,7 +115,7 @@ class SimulatedHand:
     """Two fingertips and the objects of a scene.
 
     Args:
-        scene: The scene. Its camera takes no part, and its `fingers.timeline` is replaced by `config`.
+        scene: The scene. Its camera is not used, and its `fingers.timeline` is replaced by `config`.
         config: Timing of a grasp.
     """
 

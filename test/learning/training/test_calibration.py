@@ -126,7 +126,7 @@ def test_differences_on_few_objects_promise_less_of_further_ones() -> None:
     assert_allclose(new.worth, known.worth * 10 / 40)
     assert (new.within > known.within).all()  # differences that count for less explain less
     assert_allclose(
-        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].regimes["new"].worth, new.worth
+        make_calibration(np.zeros(SIZE), {"known": held_out, "new": held_out})[0].groups["new"].worth, new.worth
     )
 
 
@@ -214,7 +214,7 @@ def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:
     rng = np.random.default_rng(11)
     many, few = population(rng, lasting(rng), 20, 4), population(rng, lasting(rng), 8, 4)
     trust, facts = make_calibration(np.full(SIZE, 3000.0), {"known": few, "new": many})
-    assert (set(trust.regimes), facts["level"]) == ({"known", "new"}, COVERAGE)
+    assert (set(trust.groups), facts["level"]) == ({"known", "new"}, COVERAGE)
     told = facts["regimes"]["new"]
     assert (told["objects"], told["samples"], told["cut"]) == (20, 80, 0.945)
     assert facts["regimes"]["known"]["cut"] == 0.95

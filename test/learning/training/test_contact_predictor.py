@@ -101,14 +101,14 @@ def test_a_tare_takes_the_drift_away(tared) -> None:
 
 def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
     assert (bare.rest_recorded, tared.rest_recorded) == (False, True)
-    assert set(bare.calibration[0].regimes) == {"known", "new"}
-    assert set(tared.calibration[0].regimes) == {"known", "new", "known_tare", "new_tare"}
+    assert set(bare.calibration[0].groups) == {"known", "new"}
+    assert set(tared.calibration[0].groups) == {"known", "new", "known_tare", "new_tare"}
     assert_allclose(tared.rest, np.mean([sample.tare.vector() for sample in TARED[:40]], axis=0))
     assert_array_equal(tared.calibration[0].rest, tared.rest)
 
 
 def test_drift_that_a_tare_takes_away_is_not_doubted(tared) -> None:
-    regimes = tared.calibration[0].regimes
+    regimes = tared.calibration[0].groups
     for name in ("known", "new"):
         assert regimes[f"{name}_tare"].half_width.mean() < regimes[name].half_width.mean()
 
@@ -123,7 +123,7 @@ def test_doubt_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> N
         fitted = fit_contact(rows[fold.train], labels[fold.train], list(objects[fold.train]), FEW_TREES)
         predicted[fold.test] = fitted.predict_rows(rows[fold.test])[0]
     wanted = fit_group(HeldOutPredictions(predicted, labels, objects, sessions), new=name == "new")
-    found = bare.calibration[0].regimes[name]
+    found = bare.calibration[0].groups[name]
     for field in ("between", "within", "worth", "spread", "half_width"):
         assert_allclose(getattr(found, field), getattr(wanted, field))
     assert bare.calibration[1]["regimes"][name]["objects"] == 4
