@@ -36,9 +36,9 @@ def test_every_model_of_the_package_has_skill_files_and_intervals(call: Call) ->
 
 def test_coverage_and_guarantee_are_those_of_the_card(call: Call, tmp_path: Path) -> None:
     (record,) = call("models", save_calibrated_contact(tmp_path), "--json").records
-    told = record["calibration"]
-    assert (record["kind"], told["level"], told["objects"], told["promise"]) == ("contact", 0.9, 4, 0.8)
-    assert told["regimes"]["new_tare"] == {"objects": 4, "samples": 40, "coverage": 0.91}
+    result = record["calibration"]
+    assert (record["kind"], result["level"], result["objects"], result["promise"]) == ("contact", 0.9, 4, 0.8)
+    assert result["regimes"]["new_tare"] == {"objects": 4, "samples": 40, "coverage": 0.91}
     table = call("models", tmp_path / "contact.json").out
     assert "0.91" in table
     assert "the guaranteed coverage of one more object is at most 80%" in table

@@ -64,10 +64,10 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call: Call, model: str, 
     answer = call("predict", session, "--model", model, "--tare", tmp_path / "t.json", "--json")
     core, tare = load_model(model), Touch.from_vector(REST + 20)
     with open_samples(session) as samples:
-        for told, found in zip(answer.records, samples.records(), strict=True):
+        for result, found in zip(answer.records, samples.records(), strict=True):
             (wanted,) = core.predict(found.sample.cloud, [found.sample.grasp], tare=tare)
-            assert_reported(told["predictions"][0], wanted)
-            assert (wanted.reference, told["touched"]) == ("tare", 0)
+            assert_reported(result["predictions"][0], wanted)
+            assert (wanted.reference, result["touched"]) == ("tare", 0)
 
 
 def test_touches_and_own_tares_adapt_it_as_residuals_do(call: Call, model: str, session: Path) -> None:
@@ -75,14 +75,14 @@ def test_touches_and_own_tares_adapt_it_as_residuals_do(call: Call, model: str, 
     core = load_model(model)
     with open_samples(session) as found:
         samples = [one.sample for one in found.records()]
-    for told, sample in zip(answer.records, samples, strict=True):
+    for result, sample in zip(answer.records, samples, strict=True):
         residuals = ObjectResiduals(core, sample.tare)
         for one in (one for one in samples if one.id != sample.id):  # its own reading is not used
             moved = Touch.from_vector(one.touch.vector() - one.tare.vector() + sample.tare.vector())
             residuals.add(one.cloud, one.grasp, moved)
         (wanted,) = core.predict(sample.cloud, [sample.grasp], residuals=residuals)
-        assert_reported(told["predictions"][0], wanted)
-        assert (wanted.reference, told["touched"]) == ("touches", 4)
+        assert_reported(result["predictions"][0], wanted)
+        assert (wanted.reference, result["touched"]) == ("touches", 4)
 
 
 def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: Path, tmp_path: Path) -> None:
@@ -100,8 +100,8 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
     words = ("predict", session, "--model", model)
     before, after = (call(*words, *more, "--json").records[0] for more in ((), ("--touched", session)))
 
-    def width(told: dict[str, Any]) -> float:
-        one = told["predictions"][0]["PDC_TH"]
+    def width(result: dict[str, Any]) -> float:
+        one = result["predictions"][0]["PDC_TH"]
         return float(one["upper"] - one["lower"])
 
     assert width(after) < width(before)
@@ -150,7 +150,7 @@ def test_touches_of_several_objects_or_of_another_are_refused(
     assert "ball, cup: touches must be of one object" in both.err
     answer = call("predict", other, "--model", model, "--touched", session, "--json")
     assert answer.status == 1
-    assert all("is of cup, the touches are of ball" in told["reason"] for told in answer.records)
+    assert all("is of cup, the touches are of ball" in result["reason"] for result in answer.records)
 
 
 def test_a_cloud_has_no_tare_of_its_own(call: Call, model: str, files: Path) -> None:
@@ -164,8 +164,8 @@ def test_a_cloud_has_no_tare_of_its_own(call: Call, model: str, files: Path) -> 
 def test_touches_of_one_object_are_refused_for_two(call: Call, model: str, files: Path, session: Path) -> None:
     words = ("predict", files / "scene.npz", "--model", model, "--touched", session, "--json")
     assert "the cloud holds 2 objects" in call(*words, "--target", "all").records[0]["reason"]
-    (told,) = call(*words, "--target", "nearest").records
-    assert told["predictions"][0]["reference"] == "touches"
+    (result,) = call(*words, "--target", "nearest").records
+    assert result["predictions"][0]["reference"] == "touches"
 
 
 def test_the_contact_model_needs_no_torch(files: Path, session: Path, tmp_path: Path) -> None:
@@ -182,6 +182,6 @@ def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call: Call, model: s
     folder = real_data / "vision2tactile" / "coffee"
     first, second, *_ = sorted(folder.iterdir())
     words = ("predict", first, "--model", model, "--tare", first / "tactile.tac", "--touched", second, "--json")
-    (told,) = call(*words).records
-    assert told["predictions"][0]["reference"] == "touches"
-    assert told["touched"] == 1
+    (result,) = call(*words).records
+    assert result["predictions"][0]["reference"] == "touches"
+    assert result["touched"] == 1

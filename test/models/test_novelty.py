@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.novelty import SizeNoveltyDetector
+from foretouch.models.novelty import LengthRangeCheck, SizeNoveltyDetector
 
 HERE = np.array([0.0, 0.0, 1.2])
 SIDES = np.array([[0.05, 0.08, 0.1], [0.06, 0.06, 0.15], [0.1, 0.12, 0.05]])
@@ -106,3 +106,19 @@ def test_damage_is_refused_by_name(trained, name: str, value: Any, rule: str) ->
         del tensors[name]
     with pytest.raises(ModelError, match=rule):
         SizeNoveltyDetector.from_tensors(tensors)
+
+
+def test_lengths_may_leave_their_range_by_a_tenth_of_it() -> None:
+    check = LengthRangeCheck.fit(np.array([[1.0] * 5, [2.0] * 5]))
+    rows = np.array([[0.91, 1.0, 1.5, 2.0, 2.09], [0.89, 1.5, 1.5, 1.5, 1.5], [1.5] * 4 + [2.11]])
+    assert check.within(rows).tolist() == [True, False, False]
+    assert not check.within(np.full((1, 5), np.nan)).any()
+    again = LengthRangeCheck.from_card(check.to_card())
+    assert_array_equal([again.low, again.high], [check.low, check.high])
+
+
+@pytest.mark.parametrize("change", [{"gap_m": None}, {"gap_m": [1.0]}, {"gap_m": [2.0, 1.0]}, {"gap_m": ["a", "b"]}])
+def test_ranges_of_a_card_that_cannot_be_right_are_refused(change: dict[str, Any]) -> None:
+    card = LengthRangeCheck(np.zeros(5), np.ones(5)).to_card() | change
+    with pytest.raises(ModelError, match=r"familiar: must give \[low, high\] for each of range_m"):
+        LengthRangeCheck.from_card(card)

@@ -49,12 +49,11 @@ class Adaptation:
     Args:
         model: The model to adapt.
         tare: For every prediction; None without.
-        own: Whether each sample's own tare is used instead.
         touched: Labelled samples of one object.
+        own: Whether each sample's own tare is used instead.
 
     Attributes:
-        touched: As given.
-        object: Their label; "" if the object has no name.
+        object: Label of the touched object; "" if it has no name.
     """
 
     def __init__(
@@ -184,11 +183,9 @@ def _reading(path: Path, entry: Any) -> Touch:
 
 def _same(one: GraspSample, other: GraspSample) -> bool:
     """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
-    import numpy as np
-
     if one.touch is None or other.touch is None or one.id != other.id:
         return False
-    return np.array_equal(one.touch.vector(), other.touch.vector())
+    return bool((one.touch.vector() == other.touch.vector()).all())
 
 
 def _own_tare(sample: GraspSample | None) -> Touch:

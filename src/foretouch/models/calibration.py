@@ -205,7 +205,7 @@ def calibration_file(
     facts: Mapping[str, Any],
     fallback: Fallback | None = None,
 ) -> dict[Path, bytes]:
-    """`<name>.trust.safetensors` with its content; adds its name and hash to the card. Arguments as of `add_calibration`."""
+    """`<name>.trust.safetensors` with its content; adds its name and hash to the card. Arguments as in `add_calibration`."""
     tensors = calibration.to_tensors()
     if fallback is not None:
         tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}

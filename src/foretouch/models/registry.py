@@ -45,7 +45,7 @@ def find_card(name_or_path: str | Path) -> Path:
     """Path of a model's card. Whether a path exists is checked for names and folders only.
 
     Args:
-        name_or_path: As of `load_model`.
+        name_or_path: As in `load_model`.
 
     Raises:
         ModelError: If it is none of a name, the path of a card or of weights, and a folder with one model.

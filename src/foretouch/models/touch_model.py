@@ -61,10 +61,7 @@ class TouchModel:
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
 
     Attributes:
-        name: From the card.
-        sha256: From the card: of the weights, or over those of all members.
-        card: As read.
-        calibration: As given.
+        name, sha256: From the card; the hash is of the weights, or over those of all members.
         ranges: Ranges outside which a predicted value is flagged.
     """
 
@@ -92,8 +89,7 @@ class TouchModel:
     ) -> list[TouchPrediction]:
         """Predict the readings of both fingertips at each grasp.
 
-        The cloud's features are computed once. A prediction does not depend on the other grasps of the call,
-        to the last bit, and one cloud always gives the same.
+        Predictions are deterministic, and independent of the other grasps of the call to the last bit.
 
         Args:
             cloud: The object's points [m]; points without depth are ignored.
@@ -109,7 +105,7 @@ class TouchModel:
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position.
-            ModelError: If it lacks a colour that the model needs; if tare or residuals are given to a model without
+            ModelError: If the cloud lacks a colour that the model needs; if tare or residuals are given to a model without
                 calibration, or both are; if the residuals are of another model.
             TactileError: If the tare is not a reading of working sensors.
         """
@@ -158,25 +154,17 @@ class TouchModel:
     ) -> list[TouchPrediction]:
         outside = np.any(self.ranges.outside(estimate.counts), axis=1)
         predictions = []
-        for grasp, counts, width, out, known in zip(
+        for grasp, counts, width, outside_range, inside in zip(
             grasps, estimate.counts, half, outside, estimate.in_distribution, strict=True
         ):
             if not np.isfinite(counts).all():
                 reason = "the model gives a value that is not finite"
                 predictions.append(TouchPrediction(grasp, None, status="refused", reason=reason))
                 continue
-            flags = {"out_of_range": bool(out), "unfamiliar": not known}
-            bounded = self.calibration is not None
-            predictions.append(
-                TouchPrediction(
-                    grasp,
-                    Touch.from_vector(counts),
-                    lower=Touch.from_vector(counts - width) if bounded else None,
-                    upper=Touch.from_vector(counts + width) if bounded else None,
-                    reference=reference,
-                    flags=tuple(name for name, is_set in flags.items() if is_set),
-                )
-            )
+            flags = ("out_of_range",) * bool(outside_range) + ("unfamiliar",) * (not inside)
+            bounds = (Touch.from_vector(end) for end in (counts - width, counts + width))
+            lower, upper = (None, None) if self.calibration is None else bounds
+            predictions.append(TouchPrediction(grasp, Touch.from_vector(counts), lower, upper, reference, flags))
         return predictions
 
 
@@ -190,8 +178,6 @@ class ObjectResiduals:
         tare: A reading without contact, if there is one; predictions that use these residuals are shifted to it.
 
     Attributes:
-        model: As given.
-        tare: As given.
         count: Number of touches.
     """
 

@@ -36,7 +36,7 @@ def save_contact(
         name: Of the model and of its files.
         estimator: The fitted model.
         facts: `summary`, `config`, `data`, `split`, `skill`, `baselines`, `limits` of the card; empty if omitted.
-        calibration: With its facts for the card, as of `add_calibration`.
+        calibration: With its facts for the card, as in `add_calibration`.
 
     Returns:
         Path of the card.

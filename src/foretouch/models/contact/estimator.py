@@ -54,7 +54,7 @@ class ContactEstimator:
     ranges: TactileRanges = P2_RANGES
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        """As of `Estimator`."""
+        """See `Estimator.estimate`."""
         return Estimate(*self.predict_rows(ContactScene(cloud.xyz).describe(grasps)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:

@@ -81,7 +81,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """The model of one network, with its calibration.
 
     Raises:
-        ModelError: As of `load_network`; if a file of the calibration is damaged, or a modality is not predicted.
+        ModelError: As `load_network`; if a file of the calibration is damaged, or a modality is not predicted.
     """
     calibration, fallback = load_calibration(card_path, card)
     member, _ = _load_member(card_path)
@@ -92,7 +92,7 @@ def load_ensemble(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """The model of several networks; it has no calibration.
 
     Raises:
-        ModelError: As of `load_network`; if a member was replaced, or a modality is not predicted exactly once.
+        ModelError: As `load_network`; if a member was replaced, or a modality is not predicted exactly once.
     """
     loaded = [_load_member(card_path.with_name(Path(str(member)).name)) for member in card["members"]]
     found = combined_sha256([sha256 for _, sha256 in loaded])

@@ -67,7 +67,7 @@ class ModelConfig(Settings):
 
     @property
     def channel_count(self) -> int:
-        """3 or 6."""
+        """Values of each point: 3 or 6."""
         return _CHANNELS[self.channels]
 
     @property
@@ -78,9 +78,7 @@ class ModelConfig(Settings):
     @property
     def grasp_size(self) -> int:
         """Grasp inputs of the head: 0, 15 or 17."""
-        if not self.use_grasp:
-            return 0
-        return GRASP_SIZE + (METRIC_SIZE if self.metric_inputs else 0)
+        return (GRASP_SIZE if self.use_grasp else 0) + (METRIC_SIZE if self.metric_inputs else 0)
 
     @property
     def head_size(self) -> int:

@@ -70,9 +70,8 @@ class NetworkEstimator:
         self.ranges = TactileRanges(**limits)
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        """As of `Estimator`; out of distribution where a length leaves its range or the object's sizes are novel."""
-        counts = np.zeros((len(grasps), TOUCH_SIZE))
-        in_distribution = np.ones(len(grasps), np.bool_)
+        """See `Estimator.estimate`; out of distribution where a length leaves its range or the object's sizes are novel."""
+        counts, in_distribution = np.zeros((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
         for member in self._members:
             prepared = prepare_cloud(cloud, member.config)
             counts[:, columns(member.config.outputs)] = _run(member, prepared, grasps)

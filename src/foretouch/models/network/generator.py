@@ -3,7 +3,7 @@
 
     noise 6 x 6 ─ transposed convolution, kernel 5, stride 5, three times ─► 30 ─► 150 ─► 750 ─ tanh ─► 750 x 6
 
-Kernel and stride are equal, so windows do not overlap: each column of the noise becomes 125 points of its own.
+Kernel and stride are equal, so windows do not overlap: each column of the noise becomes 125 separate points.
 
 P2 does not specify the channels between the layers (here 6, as at both ends) and the activation between them
 (here ReLU; without one the three layers would be one linear map).
@@ -80,10 +80,10 @@ class CloudGenerator(nn.Module):
                 f"GeneratorConfig.channels: {config.channels} are fewer than the {model.channel_count} of {model.channels}"
             )
         self.config = config
-        seen = _NAMES[model.channels]
-        self.unused_channels = tuple(f"unused_{k}" for k in range(len(seen), config.channels))
-        self.channel_names = seen + self.unused_channels
-        self._seen = len(seen)
+        used = _NAMES[model.channels]
+        self.unused_channels = tuple(f"unused_{k}" for k in range(len(used), config.channels))
+        self.channel_names = used + self.unused_channels
+        self._used = len(used)
         widths = [config.noise_channels, *config.widths, config.channels]
         layers = [nn.ConvTranspose1d(a, b, config.stride, config.stride) for a, b in pairwise(widths)]
         self.layers = nn.ModuleList(layers)
@@ -106,7 +106,7 @@ class CloudGenerator(nn.Module):
     def clouds(self, noise: Tensor) -> Tensor:
         """(B, N, C) fake clouds as inputs of the network: without the unused channels."""
         fake: Tensor = self(noise)
-        return fake[..., : self._seen].contiguous()
+        return fake[..., : self._used].contiguous()
 
 
 def draw_noise(count: int, config: GeneratorConfig, rng: torch.Generator) -> Tensor:

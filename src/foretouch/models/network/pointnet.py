@@ -57,7 +57,7 @@ def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtyp
 
 @torch.no_grad()
 def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
-    """(B, F) int64: the point with the largest x Wᵀ; arguments as of `pooled_affine`."""
+    """(B, F) int64: the point with the largest x Wᵀ; arguments as in `pooled_affine`."""
     if precision.itemsize < x.dtype.itemsize:
         x, weight = x.to(precision), weight.to(precision)
     across = weight.T.contiguous()

@@ -68,8 +68,8 @@ def prepare_cloud(cloud: Cloud, config: ModelConfig, rng: np.random.Generator | 
             gives the same input. Training passes its own, so that other points are chosen each time.
 
     Raises:
-        CloudError: As of `finite_points`.
-        ModelError: As of `finite_points`.
+        CloudError: As `finite_points`.
+        ModelError: As `finite_points`.
     """
     usable = finite_points(cloud, config)
     rng = np.random.default_rng(config.sampler_seed) if rng is None else rng

@@ -63,7 +63,7 @@ class TouchNet(nn.Module):
         return scaled
 
     def counts(self, points: Tensor, grasp: Tensor | None = None) -> Tensor:
-        """(B, M) predictions [counts]; arguments as of `forward`."""
+        """(B, M) predictions [counts]; arguments as in `forward`."""
         return self.to_counts(self(points, grasp))
 
     def to_counts(self, scaled: Tensor) -> Tensor:
