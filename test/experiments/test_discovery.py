@@ -74,7 +74,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_folder_of_ones_own(folder: Path, capsys, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_of_ones_own(
+    folder: Path, capsys: pytest.CaptureFixture[str], numbers: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(folder.parent)
     out = folder.parent / "out"
     words = ["experiment", "my_lab.stiffness", "-o", str(out), "--data", str(numbers), "--workers", "1", "--json"]
