@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch train` and `foretouch evaluate` on a small simulated data set."""
+"""`foretouch train` and `foretouch evaluate` on a small simulated dataset."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_people_get_a_table(call, simulated, tmp_path) -> None:
     assert "E_MF" in scored.out
 
 
-def test_what_is_wrong_is_told_in_one_line(call, simulated, tmp_path) -> None:
+def test_errors_are_one_line(call, simulated, tmp_path) -> None:
     out = ["-o", tmp_path / "run"]
     unknown = call("train", RECIPES / "p2.yaml", f"data={simulated}", "train.epoch=3", *out)
     assert unknown.status == 1
@@ -70,9 +70,9 @@ def test_what_is_wrong_is_told_in_one_line(call, simulated, tmp_path) -> None:
 
 
 @pytest.mark.real_data
-def test_the_shipped_model_knows_what_it_was_trained_on(call, real_data) -> None:
+def test_the_released_model_recognises_its_training_data(call, real_data) -> None:
     folder = real_data / "vision2tactile"
     answer = call("evaluate", "default", folder, "--json")
     assert answer.status == 0, answer.err
     assert answer.records[0]["same_data"] is True
-    assert answer.records[0]["PDC_TH"]["skill"] > 0.5  # by heart: its skill on held-out grasps is half of that
+    assert answer.records[0]["PDC_TH"]["skill"] > 0.5  # training samples: its skill on held-out grasps is half of that

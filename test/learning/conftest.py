@@ -21,7 +21,7 @@ SMALL = ModelConfig(
 
 
 def make_sample(rng: np.random.Generator, name: str, number: int) -> GraspSample:
-    """A box whose height sets PDC_TH, grasped at a place that sets the electrodes."""
+    """A box whose height sets PDC_TH, grasped at a position that sets the electrodes."""
     size = rng.uniform(0.03, 0.09, 3)
     xyz = rng.uniform(-0.5, 0.5, (120, 3)) * size + [0.0, 0.0, 1.2]
     along = rng.uniform(-0.4, 0.4) * size[1]

@@ -8,8 +8,6 @@ A ray is o + t·d. The direction is not normalised: with d_z = 1 in the camera's
 the depth itself. All is float64; a ray that misses has t = inf.
 """
 
-from __future__ import annotations
-
 import itertools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace

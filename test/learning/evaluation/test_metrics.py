@@ -37,9 +37,9 @@ def test_agrees_with_scikit_learn(actual, rng) -> None:
     mean = np.tile(actual.mean(axis=0), (30, 1))
     scores = score(predicted, actual, mean)
     for name in MODALITIES:
-        place = columns([name])
-        assert scores[name].skill == pytest.approx(r2_score(actual[:, place], predicted[:, place]))
-        pooled = root_mean_squared_error(actual[:, place].ravel(), predicted[:, place].ravel())
+        column = columns([name])
+        assert scores[name].skill == pytest.approx(r2_score(actual[:, column], predicted[:, column]))
+        pooled = root_mean_squared_error(actual[:, column].ravel(), predicted[:, column].ravel())
         assert scores[name].rmse == pytest.approx(pooled)
 
 

@@ -97,8 +97,8 @@ def test_every_object_weighs_the_same_however_many_samples_it_has() -> None:
 def test_each_modality_has_its_own_cut() -> None:
     rng = np.random.default_rng(0)
     labels = rng.normal(size=(400, SIZE)) * 10.0
-    place = columns(["E_TH"])
-    labels[:, place] = rng.standard_t(3, (400, 24)) * 10.0  # heavy tails
+    column = columns(["E_TH"])
+    labels[:, column] = rng.standard_t(3, (400, 24)) * 10.0  # heavy tails
     names = np.array([f"{k % 40:02}" for k in range(400)])
     regime = fit_group(HeldOutPredictions(np.zeros_like(labels), labels, names, names))
     factor = regime.half_width / np.sqrt(regime.spread)
@@ -215,10 +215,10 @@ def test_the_card_s_facts_name_what_the_promise_rests_on() -> None:
     many, few = population(rng, lasting(rng), 20, 4), population(rng, lasting(rng), 8, 4)
     trust, facts = make_calibration(np.full(SIZE, 3000.0), {"known": few, "new": many})
     assert (set(trust.groups), facts["level"]) == ({"known", "new"}, COVERAGE)
-    told = facts["regimes"]["new"]
-    assert (told["objects"], told["samples"], told["cut"]) == (20, 80, 0.945)
+    group = facts["regimes"]["new"]
+    assert (group["objects"], group["samples"], group["cut"]) == (20, 80, 0.945)
     assert facts["regimes"]["known"]["cut"] == 0.95
-    assert set(told["coverage"]["E_MF"]) == {"mean", *np.unique(many.objects)}
+    assert set(group["coverage"]["E_MF"]) == {"mean", *np.unique(many.objects)}
 
 
 def test_the_order_of_samples_does_not_matter() -> None:

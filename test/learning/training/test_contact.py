@@ -33,7 +33,7 @@ def kernel_ridge(rows: np.ndarray, targets: np.ndarray, ridge: float, decay: flo
     mean, deviation = rows.mean(axis=0), rows.std(axis=0)
     deviation[deviation < 1e-9] = 1.0
     model = KernelRidge(alpha=ridge, kernel="laplacian", gamma=decay / rows.shape[1])
-    return model.fit((rows - mean) / deviation, targets), lambda asked: (asked - mean) / deviation
+    return model.fit((rows - mean) / deviation, targets), lambda test: (test - mean) / deviation
 
 
 def chosen_ridge(estimator: ContactEstimator, rows: np.ndarray, labels: np.ndarray, config: ContactConfig) -> float:
@@ -125,8 +125,8 @@ def test_forests_are_scikit_learn_s() -> None:
     config = ContactConfig(trees=6, leaf=2, feature_share=0.5, seed=3)
     estimator = fit_contact(rows, labels, [sample.object for sample in SAMPLES], config)
     scaled = (labels - labels.mean(axis=0)) / labels.std(axis=0)
-    for name, place in (("together", np.arange(50)), *((name, columns([name])) for name in MODALITIES)):
-        target = scaled[:, place] if len(place) > 1 else scaled[:, place[0]]
+    for name, column in (("together", np.arange(50)), *((name, columns([name])) for name in MODALITIES)):
+        target = scaled[:, column] if len(column) > 1 else scaled[:, column[0]]
         theirs = ExtraTreesRegressor(6, min_samples_leaf=2, max_features=0.5, random_state=3).fit(rows, target)
         wanted = theirs.predict(rows).reshape(len(rows), -1)
         # Leaves are rounded to float16: 5e-4 of values below 4 deviations.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What experiments ask of a contact predictor is what the shipped model answers."""
+"""The contact predictor of experiments gives the intervals of the touch model."""
 
 import numpy as np
 import pytest
@@ -26,19 +26,19 @@ def fitted(sides) -> ContactPredictor:
 
 @pytest.mark.parametrize("tare", [False, True])
 @pytest.mark.parametrize("touches", [0, 3])
-def test_intervals_are_those_of_the_model_that_ships(fitted, sides, tare: bool, touches: int) -> None:
+def test_intervals_are_those_of_the_touch_model(fitted, sides, tare: bool, touches: int) -> None:
     model = TouchModel(fitted.estimator, {"name": "toy", "sha256": ""}, fitted.calibration[0])
     held = sides[1]
     counts, half = fitted.intervals_after(held[:touches], held[touches:], tare=tare)
     for sample, row, width in zip(held[touches:], counts, half, strict=True):
-        # A tare is of its own sample here, a memory has one: so what was touched is told as changes from that one.
-        memory = ObjectResiduals(model, sample.tare if tare else None)
-        for felt in held[:touches]:
-            shift = sample.tare.vector() - felt.tare.vector() if tare else 0.0
-            memory.add(felt.cloud, felt.grasp, type(felt.touch).from_vector(felt.touch.vector() + shift))
-        (told,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
-        np.testing.assert_allclose(told.value.vector(), row, atol=1e-6)
-        np.testing.assert_allclose(told.upper.vector() - told.value.vector(), width, rtol=1e-9)
+        # Each sample has its own tare, residuals have one: so readings are shifted to that one.
+        residuals = ObjectResiduals(model, sample.tare if tare else None)
+        for one in held[:touches]:
+            shift = sample.tare.vector() - one.tare.vector() if tare else 0.0
+            residuals.add(one.cloud, one.grasp, type(one.touch).from_vector(one.touch.vector() + shift))
+        (prediction,) = model.predict(sample.cloud, [sample.grasp], residuals=residuals)
+        np.testing.assert_allclose(prediction.value.vector(), row, atol=1e-6)
+        np.testing.assert_allclose(prediction.upper.vector() - prediction.value.vector(), width, rtol=1e-9)
 
 
 def test_a_tare_that_is_missing_is_named(fitted) -> None:
@@ -47,7 +47,7 @@ def test_a_tare_that_is_missing_is_named(fitted) -> None:
 
 
 def test_mean_over_objects() -> None:
-    """Of numbers that are all the same nothing is in doubt; below six objects no interval is told."""
+    """Equal numbers have an interval of no width; below six objects there is no interval."""
     same = mean_over_objects(np.full(8, 0.9))
     assert (same.value, same.low, same.high) == pytest.approx((0.9, 0.9, 0.9))
     spread = mean_over_objects(np.linspace(0.6, 1.0, 9))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contact model calibrated: equal to the shipped model's predictions, honest in what it held out."""
+"""The contact model calibrated: equal to the released model's predictions, with intervals from held-out samples."""
 
 from __future__ import annotations
 
@@ -38,65 +38,67 @@ def tared() -> ContactPredictor:
     return ContactPredictor(TARED[:40], labels_of(TARED[:40]), FEW_TREES)
 
 
-def as_shipped(
+def by_touch_model(
     model: TouchModel, touched: list[GraspSample], sample: GraspSample, *, tare: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(50,) value and half width by the model with a memory, whose readings are moved to the sample's tare."""
-    memory = ObjectResiduals(model, sample.tare if tare else None)
+    """(50,) value and half width by a touch model whose residuals are from readings moved to the sample's tare."""
+    residuals = ObjectResiduals(model, sample.tare if tare else None)
     for one in touched:
         reading = restore(offsets(one.touch, one.tare), sample.tare) if tare else one.touch
-        memory.add(one.cloud, one.grasp, reading)
-    (found,) = model.predict(sample.cloud, [sample.grasp], residuals=memory)
+        residuals.add(one.cloud, one.grasp, reading)
+    (found,) = model.predict(sample.cloud, [sample.grasp], residuals=residuals)
     return found.value.vector(), found.upper.vector() - found.value.vector()
 
 
 @KINDS
 @pytest.mark.parametrize("touches", [0, 1, 3])
-def test_predictions_after_touches_are_those_of_the_shipped_model(tared, tmp_path, touches: int, tare: bool) -> None:
+def test_predictions_after_touches_are_those_of_the_touch_model(tared, tmp_path, touches: int, tare: bool) -> None:
     card = save_contact(tmp_path, "toy", tared.estimator, {})
     add_calibration(card, *tared.calibration)
     model = load_model(card)
-    touched, asked = TARED[40 : 40 + touches], TARED[44:]
-    counts, half = tared.intervals_after(touched, asked, tare=tare)
-    wanted = [as_shipped(model, touched, sample, tare=tare) for sample in asked]
+    touched, remaining = TARED[40 : 40 + touches], TARED[44:]
+    counts, half = tared.intervals_after(touched, remaining, tare=tare)
+    wanted = [by_touch_model(model, touched, sample, tare=tare) for sample in remaining]
     assert_allclose(counts, [value for value, _ in wanted], atol=1e-9)
     assert_allclose(half, [width for _, width in wanted], atol=1e-9)
-    assert_array_equal(tared.predict_after(touched, asked, tare=tare), counts)
+    assert_array_equal(tared.predict_after(touched, remaining, tare=tare), counts)
 
 
-def test_without_touches_it_is_the_estimate_from_sight(bare) -> None:
-    asked = BARE[40:]
-    wanted, familiar = bare.estimator.predict_rows(describe_samples(asked))
-    assert_array_equal(bare.predict(asked), wanted)
-    assert_array_equal(bare.predict_after([], asked), wanted)
-    assert_array_equal(bare.familiar(asked), familiar)
+def test_without_touches_it_is_the_estimate_from_vision(bare) -> None:
+    remaining = BARE[40:]
+    wanted, familiar = bare.estimator.predict_rows(describe_samples(remaining))
+    assert_array_equal(bare.predict(remaining), wanted)
+    assert_array_equal(bare.predict_after([], remaining), wanted)
+    assert_array_equal(bare.familiar(remaining), familiar)
 
 
-def test_labels_and_tares_of_what_is_asked_are_not_looked_at(tared) -> None:
+def test_labels_and_tares_of_predicted_samples_are_not_used(tared) -> None:
     blind = [replace(sample, id=f"blind/{k}", touch=None, tare=None) for k, sample in enumerate(TARED[40:])]
     assert_array_equal(tared.predict(blind), tared.predict(TARED[40:]))
 
 
 def test_neighbours_have_no_influence(tared) -> None:
-    touched, asked = TARED[40:43], TARED[43:]
-    together = tared.predict_after(touched, asked, tare=True)
-    alone = [tared.predict_after(touched, [sample], tare=True)[0] for sample in asked]
+    touched, remaining = TARED[40:43], TARED[43:]
+    together = tared.predict_after(touched, remaining, tare=True)
+    alone = [tared.predict_after(touched, [sample], tare=True)[0] for sample in remaining]
     assert_array_equal(together, alone)
 
 
 def test_touches_of_a_new_object_help_on_its_other_grasps(bare) -> None:
-    """The objects' lasting offsets are what touches tell."""
-    touched, asked = BARE[40:43], BARE[43:]
-    before, after = (np.abs(bare.predict_after(one, asked) - labels_of(asked)).mean() for one in ([], touched))
+    """Touches measure the lasting offsets of the objects."""
+    touched, remaining = BARE[40:43], BARE[43:]
+    before, after = (np.abs(bare.predict_after(one, remaining) - labels_of(remaining)).mean() for one in ([], touched))
     assert after < before
 
 
 def test_a_tare_takes_the_drift_away(tared) -> None:
-    asked = TARED[40:]
-    without, with_tare = (tared.predict_after([], asked, tare=tare) - labels_of(asked) for tare in (False, True))
+    remaining = TARED[40:]
+    without, with_tare = (
+        tared.predict_after([], remaining, tare=tare) - labels_of(remaining) for tare in (False, True)
+    )
     assert np.abs(with_tare).mean() < 0.7 * np.abs(without).mean()
-    drift = np.array([sample.tare.vector() for sample in asked]) - tared.rest
-    assert_allclose(with_tare + labels_of(asked), tared.predict(asked) + drift)
+    drift = np.array([sample.tare.vector() for sample in remaining]) - tared.rest
+    assert_allclose(with_tare + labels_of(remaining), tared.predict(remaining) + drift)
 
 
 def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
@@ -107,14 +109,14 @@ def test_rest_comes_from_tares_where_they_were_recorded(bare, tared) -> None:
     assert_array_equal(tared.calibration[0].rest, tared.rest)
 
 
-def test_drift_that_a_tare_takes_away_is_not_doubted(tared) -> None:
+def test_drift_that_a_tare_takes_away_is_not_in_the_intervals(tared) -> None:
     regimes = tared.calibration[0].groups
     for name in ("known", "new"):
         assert regimes[f"{name}_tare"].half_width.mean() < regimes[name].half_width.mean()
 
 
 @pytest.mark.parametrize("name", ["known", "new"])
-def test_doubt_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> None:
+def test_calibration_is_that_of_models_that_never_saw_the_sample(bare, name: str) -> None:
     rows, labels = describe_samples(BARE[:40]), labels_of(BARE[:40])
     objects = np.array([sample.object for sample in BARE[:40]])
     folds, sessions = calibration_folds(BARE[:40], 0)[name]
@@ -166,7 +168,7 @@ def test_a_touch_without_a_reading_is_refused_by_name(bare) -> None:
         bare.predict_after([BARE[40], replace(BARE[41], touch=None)], BARE[43:])
 
 
-def test_one_object_alone_predicts_but_cannot_tell_its_doubt() -> None:
+def test_one_object_alone_predicts_but_cannot_be_calibrated() -> None:
     alone = ContactPredictor(BARE[:10], labels_of(BARE[:10]), FEW_TREES)
     assert np.isfinite(alone.predict(BARE[10:20])).all()
     with pytest.raises(DatasetError, match=r"folds: all samples are of .*; to keep groups apart takes 2"):
@@ -179,9 +181,9 @@ def test_intervals_narrow_on_real_grasps_and_hold_most_of_what_was_read(real_dat
 
     samples = [read_sample(folder) for folder in sample_folders(real_data / "vision2tactile")[::9]]
     held = max({sample.object for sample in samples}, key=[sample.object for sample in samples].count)
-    train, asked = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
+    train, remaining = ([s for s in samples if (s.object == held) is inside] for inside in (False, True))
     fitted = ContactPredictor(train, labels_of(train), FEW_TREES)
-    counts, half = fitted.intervals_after(asked[:3], asked[3:])
-    before = fitted.intervals_after([], asked[3:])[1]
+    counts, half = fitted.intervals_after(remaining[:3], remaining[3:])
+    before = fitted.intervals_after([], remaining[3:])[1]
     assert (half <= before).all()
-    assert (np.abs(counts - labels_of(asked[3:])) <= half).mean() > 0.6
+    assert (np.abs(counts - labels_of(remaining[3:])) <= half).mean() > 0.6

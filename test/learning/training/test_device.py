@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where training happens: the device that is asked for, and a search of low precision that still learns."""
+"""The training device: as configured, and a search of low precision that still learns."""
 
 import numpy as np
 import pytest

@@ -193,20 +193,20 @@ def test_a_contact_model_trains_and_is_evaluated_with_its_intervals(data, tmp_pa
     assert said[-1]["status"] == "done"
     row = said[-1]["scores"]["model"]["PDC_TH"]
     assert 0.0 <= row["coverage90"] <= 1.0
-    told = json.loads(card.read_text())
-    assert told["skill"][f"object/{part}"]["PDC_TH"] == row
-    assert told["calibration"]["regimes"]["new"]["objects"] == len({s.object for s in data.samples}) - 1
+    card_content = json.loads(card.read_text())
+    assert card_content["skill"][f"object/{part}"]["PDC_TH"] == row
+    assert card_content["calibration"]["regimes"]["new"]["objects"] == len({s.object for s in data.samples}) - 1
     again = train_run(run, data, tmp_path / "run", quiet, resume=True)
-    assert json.loads(again.read_text())["sha256"] == told["sha256"]
+    assert json.loads(again.read_text())["sha256"] == card_content["sha256"]
 
 
 def test_one_object_alone_gives_a_contact_model_without_a_calibration(data, tmp_path) -> None:
     name = data.samples[0].object
     alone = Dataset("alone", tuple(s for s in data.samples if s.object == name), "sha", {})
     card = train_run(run_config(method="contact", contact={"trees": 5}), alone, tmp_path / "run", quiet)
-    told = json.loads(card.read_text())
-    assert told["calibration"] is None
-    assert told["limits"][0].startswith("No calibration: ")
+    card_content = json.loads(card.read_text())
+    assert card_content["calibration"] is None
+    assert card_content["limits"][0].startswith("No calibration: ")
 
 
 def test_a_contact_model_has_no_validation() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a run is told by file, field and rule, and nothing that stood there is lost."""
+"""Errors of a run name file, field and rule, and no earlier result is lost."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_without_any_label_there_is_nothing_to_learn(data, tmp_path, method: str
 
 
 @pytest.mark.parametrize("method", ["supervised", "contact"])
-def test_a_bad_label_is_named_and_the_mended_data_train_in_the_same_folder(data, tmp_path, method: str) -> None:
+def test_a_bad_label_is_named_and_the_corrected_data_train_in_the_same_folder(data, tmp_path, method: str) -> None:
     first = data.samples[0]
     faulty = with_first(data, replace(first, touch=replace(first.touch, pdc_mf=-22072.0)))
     run = run_config(**{**CONTACT, "method": method})
@@ -106,14 +106,14 @@ def test_a_loss_that_is_not_finite_leaves_the_state_before(data, tmp_path, monke
     assert plain["epoch"] == 2
     assert all(torch.isfinite(value).all() for value in tensors.values())
     monkeypatch.undo()
-    mended = train_run(every, data, tmp_path / "run", quiet, resume=True)
+    resumed = train_run(every, data, tmp_path / "run", quiet, resume=True)
     whole = train_run(every, data, tmp_path / "whole", quiet)
-    one, two = (load_file(card.with_suffix(".safetensors")) for card in (mended, whole))
+    one, two = (load_file(card.with_suffix(".safetensors")) for card in (resumed, whole))
     assert all(torch.equal(one[key], two[key]) for key in one)
 
 
 @pytest.mark.parametrize("full", [CONFIG_FILE, STATE_FILE])
-def test_a_full_disk_at_the_first_epoch_is_told_and_the_run_begins_again(data, tmp_path, full: str) -> None:
+def test_a_full_disk_at_the_first_epoch_is_reported_and_the_run_begins_again(data, tmp_path, full: str) -> None:
     run = tmp_path / "run"
     run.mkdir()
     (run / f"{full}.part").symlink_to("/dev/full")
@@ -122,7 +122,7 @@ def test_a_full_disk_at_the_first_epoch_is_told_and_the_run_begins_again(data, t
     assert train_run(run_config(), data, run, quiet).is_file()
 
 
-def test_a_full_disk_under_the_log_is_told(tmp_path) -> None:
+def test_a_full_disk_under_the_log_is_reported(tmp_path) -> None:
     (tmp_path / LOG_FILE).symlink_to("/dev/full")
     with pytest.raises(FileError, match=f"{LOG_FILE}: cannot be written: No space left"):
         RunFolder(tmp_path).log({"epoch": 0})
@@ -190,7 +190,7 @@ def test_models_of_others_in_the_folder_are_not_written_over(data, tmp_path) -> 
     assert contents(card.parent) == before
 
 
-def test_splits_of_a_store_tell_why_one_is_missing(data, store) -> None:
+def test_splits_of_a_store_give_the_reason_one_is_missing(data, store) -> None:
     file = store / "splits.json"
     text = file.read_text()
     book = json.loads(text)

@@ -114,9 +114,9 @@ def test_the_papers_recipe_runs(samples, small) -> None:
 
 def test_every_modality_counts_alike() -> None:
     scaled = torch.zeros(4, 50)
-    for place in (0, slice(2, 26)):
+    for column in (0, slice(2, 26)):
         target = torch.zeros(4, 50)
-        target[:, place] = 2.0
+        target[:, column] = 2.0
         assert float(labeled_loss(scaled, target, SIZES, "mse")) == pytest.approx(1.0)  # 2² over four modalities
         assert float(labeled_loss(scaled, target, SIZES, "rmse")) == pytest.approx(0.5, abs=1e-5)
 

@@ -108,7 +108,7 @@ class PointnetTrainer(SrganTrainer):
         for number, batch in enumerate(shuffled_batches(self._labelled, self.config.batch_size, self.rng)):
             scaled = self.net(self._points(batch), self._grasps(batch))
             error = scaled - self.net.to_scaled(self._labels[batch])
-            loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self._sizes)
+            loss = self.config.loss.weight_labeled * labeled_loss(error, torch.zeros_like(error), self.sizes)
             self.require_finite({"labeled": loss}, number, batch, error)
             self.optimisers["net"].step(loss)
             yield {"labeled": float(loss.detach())}

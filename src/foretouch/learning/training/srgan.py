@@ -39,7 +39,7 @@ from foretouch.learning.training.device import SINGLE_PROCESS, DeviceConfig, Tra
 from foretouch.learning.training.supervised import set_target_scaling
 from foretouch.models.network.batch_norm import Inputs, calibrate, freeze, statistics_kept
 from foretouch.models.network.networks import CloudGenerator, GeneratorConfig, draw_noise
-from foretouch.tactile import columns, modality_size
+from foretouch.tactile import columns
 
 _CALIBRATION_BATCHES = 20
 
@@ -102,11 +102,8 @@ class SrganTrainer(trainer.Trainer):
         self.config = config
         super().__init__(data, config.seed, config.epochs, TrainingDevice.of(config, config.batch_size))
         self._labelled, self._unlabelled = labelled, unlabelled
-        self._sizes = [modality_size(name) for name in data.config.outputs]
         outputs = columns(data.config.outputs)
         set_target_scaling(self.net, data.labels[np.ix_(labelled, outputs)], config.target_scaling)
-        self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
-        self._grasp_inputs = torch.from_numpy(data.grasps)
         steps = config.epochs * (len(labelled) // config.batch_size)
         rate = config.learning_rate if config.generator_learning_rate is None else config.generator_learning_rate
         for name, module, largest in (("net", self.net, config.learning_rate), ("generator", self.generator, rate)):
@@ -146,7 +143,7 @@ class SrganTrainer(trainer.Trainer):
         penalty = None
         if self.config.loss.gradient_penalty > 0.0:
             penalty = loss_terms.gradient_penalty(self.net.features, real, fake, torch.default_generator, context)
-        labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self._sizes, context=context)
+        labeled = loss_terms.labeled_loss(error, torch.zeros_like(error), self.sizes, context=context)
         loss = loss_terms.discriminator_loss(labeled, features, self.config.loss, penalty, context)
         self.require_finite({"labeled": labeled}, number, context.shard(labelled), error, features.labeled)
         parts = loss.parts | {"total": loss.total}

@@ -24,7 +24,7 @@ from foretouch.learning.training.device import DeviceConfig, TrainingDevice
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.models.network.config import GRASP_SIZE, ModelConfig
 from foretouch.models.network.networks import TouchNet
-from foretouch.tactile import columns, modality_size
+from foretouch.tactile import columns
 from foretouch.types import Float64
 
 
@@ -94,9 +94,6 @@ class TrainConfig(DeviceConfig):
 class SupervisedTrainer(training.Trainer):
     """Trains on the labelled samples `index` alone: the papers' PointNets and our own.
 
-    Attributes:
-        sizes: Number of values of each modality.
-
     Raises:
         DatasetError: If there are fewer samples than one batch.
     """
@@ -109,12 +106,9 @@ class SupervisedTrainer(training.Trainer):
         self._index = index
         outputs = columns(data.config.outputs)
         set_target_scaling(self.net, data.labels[np.ix_(index, outputs)], config.target_scaling)
-        self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
-        self._grasp_inputs = torch.from_numpy(data.grasps)
         rule = training.OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
         steps = config.epochs * self.batch_count
         self.optimisers["net"] = training.ScheduledOptimiser(self.net, rule, steps, self.training_device.context)
-        self.sizes = [modality_size(name) for name in data.config.outputs]
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:
         self.net.train()

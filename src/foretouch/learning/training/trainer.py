@@ -15,6 +15,7 @@ from foretouch.errors import DatasetError, ModelError
 from foretouch.learning.data import Indices, TrainingSet
 from foretouch.learning.training.device import SINGLE_PROCESS, DistributedContext, TrainingDevice
 from foretouch.models.network.networks import TouchNet
+from foretouch.tactile import columns, modality_size
 
 SCHEDULES: Final = ("cosine", "constant")
 
@@ -101,6 +102,7 @@ class Trainer(ABC):
         net: The network on the training device, in the mode that the last epoch left.
         epoch: Number of completed epochs.
         rng: Generator of order and points.
+        sizes: Number of values of each predicted modality.
         modules, optimisers: All trained networks and their optimisers by name; `net` is one of them.
     """
 
@@ -119,6 +121,10 @@ class Trainer(ABC):
         for module in self.modules.values():
             training_device.prepare(module)
         self.optimisers: dict[str, ScheduledOptimiser] = {}
+        outputs = columns(data.config.outputs)
+        self.sizes = [modality_size(name) for name in data.config.outputs]
+        self._labels = torch.from_numpy(data.labels[:, outputs].astype(np.float32))
+        self._grasp_inputs = torch.from_numpy(data.grasps)
 
     def run_epoch(self) -> dict[str, float]:
         """One pass over the training samples.

@@ -20,8 +20,6 @@ P2 does not specify the channels between the layers (here 6, as at both ends) an
 Shapes: B clouds, L length of the noise, N points, C channels of the noise and of the cloud.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final

@@ -19,8 +19,6 @@ has k = E (1 - ν) / ((1 + ν) (1 - 2ν)) / h, which is E / h at ν = 0. Beds in
 It is right for layers thin against the contact; towards ν = 0.5 or thick layers, use the elastic layer.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

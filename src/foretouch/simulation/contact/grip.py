@@ -16,8 +16,6 @@ that lies along that line. Commanded by depth, the sum of both depths is the han
 force is solved for; the balance is then exact and the closing holds to `_CLOSING_TOLERANCE`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

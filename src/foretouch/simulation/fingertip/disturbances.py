@@ -7,8 +7,6 @@ the last one, about 17 of 24, and repeats the rest: a block of about eight that 
 `steady_noise` estimates the noise of steady counts, for recordings and for the simulation alike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -24,8 +24,6 @@ normal, n_e the electrode's, and V / A the even bulge by which the displaced liq
 `read_contact` turns a solved contact into the readings of the fingertip.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final
