@@ -10,11 +10,7 @@ from foretouch.cli.output import print_json, print_table, warn
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Model, dataset, and the split for the baselines."""
-    parser.add_argument(
-        "model",
-        metavar="MODEL",
-        help="default, the name of a model of the package, a card, weights, or the folder of a run",
-    )
+    parser.add_argument("model", metavar="MODEL", help="name of a model, or path of its card, weights or run folder")
     parser.add_argument("dataset", metavar="DATASET", help="recorded dataset, training store or vision2tactile folders")
     parser.add_argument(
         "--split",

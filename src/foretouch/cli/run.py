@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
     )
-    parser.add_argument("--model", help="name of a released model, or path of a checkpoint")
+    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")

@@ -17,7 +17,7 @@ from foretouch.topics import TACTILE_TOPIC
 class TouchPredictorConfig(ProcessingConfig):
     """Settings of the touch predictor; tactile settings have the same names as those of the recorder."""
 
-    model: str = setting("default", "Name of a released model, or the path of a checkpoint", read_only=True)
+    model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
     fallback_model: str = setting(
         "", "Model to use, with a flag, if `model` cannot be loaded; none if empty", read_only=True
     )
