@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import torch
-from datasets.abc import Callable
+from collections.abc import Callable
 from torch import Tensor, nn
 
 from foretouch.learning.data import SPLITS

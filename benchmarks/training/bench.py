@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from datasets.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from plain import plain_composition
 
 from foretouch.learning.data import TrainingSet

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from datasets.abc import Iterator
+from collections.abc import Iterator
 from torch import Tensor
 
 from foretouch.learning.data import Dataset, TrainingSet, load_dataset

@@ -6,7 +6,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 import torch
-from datasets.abc import Iterator
+from collections.abc import Iterator
 from torch import Tensor, nn
 
 from foretouch.models.network import pointnet
