@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import torch
-from collections.abc import Callable
 from torch import Tensor, nn
 
 from foretouch.learning.data import SPLITS

@@ -7,13 +7,13 @@ import argparse
 import json
 import statistics
 import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from collections.abc import Callable, Iterator, Mapping
 from plain import plain_composition
 
 from foretouch.learning.data import TrainingSet

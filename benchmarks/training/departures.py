@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
-from collections.abc import Iterator
 from torch import Tensor
 
 from foretouch.learning.data import Dataset, TrainingSet, load_dataset

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch
-from collections.abc import Iterator
 from torch import Tensor, nn
 
 from foretouch.models.network import pointnet
