@@ -140,6 +140,8 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph: Any, tmp_
     assert not answer.success
     assert re.fullmatch(rf"{tmp_path}/file/set: Not a directory \(errno 20\)", answer.message)
     assert not node.recording
+    with pytest.raises(FileError, match="File name too long"):
+        node.begin("x" * 5000)
     with pytest.raises(FileError, match=r"\(errno \d+\)"):
         node.begin("/proc/set")  # a file system that takes no folders
     assert graph.call(StartRecording, "start_recording", StartRecording.Request(path="set")).success

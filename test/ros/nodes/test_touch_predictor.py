@@ -98,6 +98,10 @@ def test_one_bad_grasp_does_not_spoil_the_others(graph, model_card, target, plan
         (lambda r: setattr(r.cloud, "row_step", 1), Status.BAD_CLOUD, "row_step"),
         (lambda r: setattr(r.table[0], "coef", np.full(4, math.nan)), Status.BAD_PLANE, "finite"),
         (lambda r: setattr(r.table[0], "coef", np.zeros(4)), Status.BAD_PLANE, "holds no plane"),
+        (lambda r: setattr(r.table[0], "coef", np.full(4, 1e308)), Status.BAD_PLANE, "beyond 1e+100"),
+        (lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20]), Status.BAD_PLANE, "farther away than 1000 m"),
+        (lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160), Status.BAD_GRASP, "is not 1"),
+        (lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160)), Status.BAD_GRASP, "is not a rotation"),
         (lambda r: setattr(r.grasps[0], "object_id", "77"), Status.BAD_GRASP, "'77' is none of"),
     ],
 )

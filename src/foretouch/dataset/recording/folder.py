@@ -117,10 +117,10 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         FileError: If another process is writing, the dataset is of another kind, or it cannot be written.
     """
     leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
-    is_other = path.exists() and not (path / _MANIFEST).exists()
-    if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
-        raise FileError(path, "exists and is no recorded dataset")
-    with disk_errors(path):
+    with disk_errors(path):  # such as a name that is too long
+        is_other = path.exists() and not (path / _MANIFEST).exists()
+        if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
+            raise FileError(path, "exists and is no recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
         if (path / _MANIFEST).exists():
