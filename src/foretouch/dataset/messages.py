@@ -17,6 +17,7 @@ from foretouch.errors import CloudError, GraspError
 from foretouch.tactile.messages import stamp_ns
 from foretouch.types import Cloud, Float64, Grasp
 
+_MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
 
@@ -111,7 +112,7 @@ def rotation_from_quaternion(xyzw: Float64) -> Float64:
     Raises:
         GraspError: If a number is not finite or the length is another.
     """
-    length = float(np.linalg.norm(xyzw))
+    length = float(np.linalg.norm(xyzw)) if (np.abs(xyzw) <= _MAX_UNIT).all() else float(np.abs(xyzw).max())
     if not abs(length - 1.0) <= _UNIT_TOLERANCE:
         raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
     x, y, z, w = xyzw / length
@@ -131,7 +132,8 @@ def _rotation_of(message: Any) -> Float64:
         if not np.any(quaternion):
             raise GraspError("pose: no orientation")
         return rotation_from_quaternion(quaternion)
-    if not np.isfinite(matrix).all() or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
+    bounded = bool((np.abs(matrix) <= _MAX_UNIT).all())
+    if not bounded or not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=_AGREEMENT):
         raise GraspError(f"rotation: {matrix.tolist()} is not a rotation")
     if np.any(quaternion) and not np.allclose(rotation_from_quaternion(quaternion), matrix, rtol=0.0, atol=_AGREEMENT):
         raise GraspError("rotation: is not that of pose.orientation")

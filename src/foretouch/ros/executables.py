@@ -101,13 +101,14 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
     """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them."""
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
+    from foretouch.ros.runtime.internal_errors import spin_on
+
     executor = SingleThreadedExecutor()
     try:
         for node in nodes:
             executor.add_node(node)
             node.autostart()
-        while not all(node.has_ended() for node in nodes):
-            executor.spin_once(timeout_sec=_POLL_S)
+        spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), _POLL_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

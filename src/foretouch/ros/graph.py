@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 
 _QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
+_POLL_S = 0.2  # between checks whether the graph is being closed
 _IDLE_S = 5.0  # longest time between two answers
 _SOURCES = ("replay", "camera")
 
@@ -57,6 +59,7 @@ class Graph:
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
+        self._closing = threading.Event()
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -77,7 +80,7 @@ class Graph:
         except BaseException:
             self.close()
             raise
-        self._thread = threading.Thread(target=self._executor.spin, name="executor", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="executor", daemon=True)
         self._thread.start()
         return self
 
@@ -146,6 +149,7 @@ class Graph:
         for node in reversed(self.nodes.values()):
             node.stop()
         time.sleep(_QUIET_S)
+        self._closing.set()
         self._executor.shutdown(timeout_sec=1.0)
         if self._thread is not None:
             self._thread.join(timeout=2.0)
@@ -154,6 +158,14 @@ class Graph:
         if hasattr(self, "monitor"):
             self.monitor.destroy_node()
         rclpy.try_shutdown()
+
+    def _serve(self) -> None:
+        from rclpy.executors import ExternalShutdownException
+
+        from foretouch.ros.runtime.internal_errors import spin_on
+
+        with suppress(ExternalShutdownException):
+            spin_on(self._executor, self.monitor.internal_errors, self._closing.is_set, _POLL_S)
 
     def _make_nodes(self) -> None:
         for name, parameters in self._parameters.items():

@@ -35,6 +35,7 @@ FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_
 
 _MAD_TO_SIGMA: Final = 1.4826
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
+_MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
 _SECOND_NS: Final = 1_000_000_000
 
 
@@ -102,7 +103,7 @@ class FingerContact:
         self.score = 0.0
         self._with_pdc = with_pdc
         self._width = ELECTRODES + with_pdc
-        self._recent: deque[tuple[int, Float64]] = deque()
+        self._recent: deque[tuple[int, Float64]] = deque(maxlen=_MAX_READINGS)
         self._reference: Float64 | None = None
         self._noise = np.empty(0)
         self._since_update = 0

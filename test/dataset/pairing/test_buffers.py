@@ -97,3 +97,14 @@ def test_the_same_message_twice_is_one_cloud_and_two_of_one_stamp_are_neither() 
     clouds.add(1, cloud(b"b"), 0.2)
     assert clouds.get(1).ambiguous
     assert clouds.bytes == 1
+
+
+def test_only_readings_whose_stamps_are_accepted_are_passed_on() -> None:
+    future, back = T0 + 1000 * SECOND, T0 - 1000 * SECOND
+    stamps = [T0, future, T0 + PERIOD, back, future, T0 + 2 * PERIOD, future, future + PERIOD, T0, T0 + PERIOD]
+    buffer = TouchBuffer()
+    passed = [[one.stamp_ns for one in buffer.add(TouchReading(stamp, REST, NONE, stamp))] for stamp in stamps]
+    assert passed == [
+        [T0], [], [T0 + PERIOD], [], [], [T0 + 2 * PERIOD], [], [future, future + PERIOD], [], [T0, T0 + PERIOD]
+    ]  # fmt: skip
+    assert dict(buffer.anomalies) == {"wrong_stamp": 3, "stamp_gap": 1, "clock_jump": 1}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_da
 from foretouch.errors import FileError
 from foretouch.ros.messages.conversions import stamp_to_msg
 from foretouch.ros.messages.tactile import biotac_all_to_msg
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, RecorderStatus
+from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, RecorderStatus, Status
 from foretouch_msgs.srv import StartRecording
 
 pytestmark = pytest.mark.ros
@@ -139,6 +140,8 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(graph: Any, tmp_
     assert not answer.success
     assert re.fullmatch(rf"{tmp_path}/file/set: Not a directory \(errno 20\)", answer.message)
     assert not node.recording
+    with pytest.raises(FileError, match="File name too long"):
+        node.begin("x" * 5000)
     with pytest.raises(FileError, match=r"\(errno \d+\)"):
         node.begin("/proc/set")  # a file system that takes no folders
     assert graph.call(StartRecording, "start_recording", StartRecording.Request(path="set")).success
@@ -215,3 +218,75 @@ def test_an_override_that_names_no_policy_is_refused_and_leaves_no_subscription(
     assert node.state_name == "unconfigured"
     assert [one.topic_name for one in node.subscriptions if one.topic_name.startswith(("/rh", "/foretouch"))] == []
     assert not node.autostart()
+
+
+def removed_during_a_recording(graph: Any, path: Path, **parameters: Any) -> tuple[Any, Robot, float]:
+    """Record two samples, remove the folder, and wait until the status names it; gives the time that took [s]."""
+    node, robot, told = start(graph, path, **parameters)
+    for number in range(2):
+        robot.grasp(f"g-{number}", number)
+        graph.until(lambda number=number: node.status().samples == number + 1)
+    shutil.rmtree(path)
+    began = time.monotonic()
+    graph.until(lambda: told and "was removed during the recording" in told[-1].reason)
+    took_s = time.monotonic() - began
+    assert told[-1].status == Status.FAILED
+    graph.until(lambda: not node.in_session)
+    return node, robot, took_s
+
+
+def test_a_removed_folder_is_named_within_a_second_and_its_loss_counted(
+    graph: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node, robot, took_s = removed_during_a_recording(graph, tmp_path / "set")
+    assert took_s < 1.0
+    messages = sum(robot.sent.values())
+    file = re.escape(str(tmp_path / "set" / "session-0001.mcap"))
+    lost = rf"{file}: was removed during the recording: 2 samples and {messages} messages are lost"
+    assert re.fullmatch(rf"{lost}: no fallback_folder is set", node.reason)
+    status = node.status()
+    assert (status.samples, status.used, status.received) == (0, 0, messages)
+    assert dict(zip(status.drop_reasons, status.drop_counts, strict=True)) == {"file removed": messages}
+    assert not (tmp_path / "set").exists()
+    assert "Traceback" not in "".join(capfd.readouterr())
+    answer = graph.call(StartRecording, "start_recording", StartRecording.Request(path=str(tmp_path / "set")))
+    assert answer.success
+
+
+def test_a_removed_folder_is_written_to_the_fallback_folder(graph: Any, tmp_path: Path) -> None:
+    fallback = tmp_path / "other" / "disk"
+    (fallback / "set").mkdir(parents=True)  # the name is taken
+    node, robot, _ = removed_during_a_recording(graph, tmp_path / "set", fallback_folder=str(fallback))
+    file = tmp_path / "set" / "session-0001.mcap"
+    kept = fallback / "set-2"
+    assert node.reason == (f"{file}: was removed during the recording: the session was written to {kept}, 2 samples")
+    assert node.path == str(kept)
+    assert [report.fault_lines() for report in verify_dataset(kept)] == [[]]
+    for number, record in enumerate(one for one in recorded(kept) if one.sample.touch):
+        assert record.sample.grasp.id == f"g-{number}"
+        np.testing.assert_allclose(record.sample.touch.vector(), level(number), atol=5.0)
+    status = node.status()
+    assert status.samples == 2
+    assert status.received == status.used == sum(robot.sent.values())
+    (report,) = verify_dataset(kept)
+    assert sum(count for topic, count in report.messages.items() if topic != SAMPLE_TOPIC) == status.used
+
+
+def test_a_fallback_folder_that_cannot_be_written_is_named(graph: Any, tmp_path: Path) -> None:
+    node, _, _ = removed_during_a_recording(graph, tmp_path / "set", fallback_folder="/proc/none")
+    assert "2 samples and" in node.reason
+    assert re.search(r"messages are lost: /proc/none: .* \(errno \d+\)$", node.reason)
+
+
+def test_a_folder_that_was_moved_keeps_its_samples(graph: Any, tmp_path: Path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set")
+    robot.grasp("g-0", 0)
+    graph.until(lambda: node.status().samples == 1)
+    (tmp_path / "set").rename(tmp_path / "moved")
+    graph.until(lambda: not node.in_session)
+    file = tmp_path / "set" / "session-0001.mcap"
+    assert node.reason == (
+        f"{file}: was moved or unmounted during the recording, with its 1 samples: the session has ended"
+    )
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "moved")] == [[]]
+    assert len(recorded(tmp_path / "moved")) == 1

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
@@ -17,6 +19,7 @@ from foretouch.models import load_model
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
+from foretouch.ros.messages.requests import plan_targets
 from foretouch.types import Cloud
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import GraspArray, Status, TablePlane, TouchPredictionArray
@@ -95,6 +98,10 @@ def test_one_bad_grasp_does_not_spoil_the_others(graph, model_card, target, plan
         (lambda r: setattr(r.cloud, "row_step", 1), Status.BAD_CLOUD, "row_step"),
         (lambda r: setattr(r.table[0], "coef", np.full(4, math.nan)), Status.BAD_PLANE, "finite"),
         (lambda r: setattr(r.table[0], "coef", np.zeros(4)), Status.BAD_PLANE, "holds no plane"),
+        (lambda r: setattr(r.table[0], "coef", np.full(4, 1e308)), Status.BAD_PLANE, "beyond 1e+100"),
+        (lambda r: setattr(r.table[0], "coef", [0.0, 0.0, 1.0, 1e20]), Status.BAD_PLANE, "farther away than 1000 m"),
+        (lambda r: setattr(r.grasps[0].pose.orientation, "x", 1e160), Status.BAD_GRASP, "is not 1"),
+        (lambda r: setattr(r.grasps[0], "rotation", np.full(9, 1e160)), Status.BAD_GRASP, "is not a rotation"),
         (lambda r: setattr(r.grasps[0], "object_id", "77"), Status.BAD_GRASP, "'77' is none of"),
     ],
 )
@@ -111,6 +118,7 @@ def test_points_in_one_place_are_named(graph, model_card, target, plan):
     graph.add("touch_predictor", model=model_card)
     request = request_of(target, plan.grasps[:1])
     request.cloud = cloud_to_msg(Cloud(np.full((500, 3), 0.7, np.float32), frame_id="cam"))
+    request.grasps[0].g1, request.grasps[0].g2 = Point(x=0.7, y=0.72, z=0.7), Point(x=0.7, y=0.68, z=0.7)
     answer = ask(graph, request)
     assert answer.status == Status.TOO_FEW_POINTS
     assert answer.reason
@@ -253,3 +261,89 @@ def test_cleaning_up_and_configuring_again_restores_service_and_action(graph, mo
         assert graph.call(ChangeState, "touch_predictor/change_state", request).success
     assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
     assert Sampler(graph).sample(goal_of(target)).grasp_state == "success"
+
+
+def test_a_contact_at_1e160_m_is_refused_and_the_next_request_answered(graph, model_card, target, plan):
+    (node,) = graph.add("touch_predictor", model=model_card)
+    request = request_of(target, plan.grasps[:3])
+    request.grasps[1].g1.x = 1e160
+    answer = ask(graph, request)
+    assert [p.status for p in answer.predictions] == [Status.OK, Status.BAD_GRASP, Status.OK]
+    assert answer.predictions[1].reason == "g1, g2: 1e+160 m apart, which is above max_width_m, 0.15 m"
+    assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
+    assert not node.internal_errors.counts()
+
+
+@pytest.mark.parametrize(
+    ("move", "reason"),
+    [
+        (lambda g: setattr(g.g1, "x", g.g1.x + 1.0), "m apart, which is above max_width_m, 0.15 m"),
+        (
+            lambda g: (setattr(g.g1, "y", g.g1.y + 50.0), setattr(g.g2, "y", g.g2.y + 50.0)),
+            "m from the nearest point of the cloud, which is above max_distance_m, 0.1 m",
+        ),
+    ],
+)
+def test_a_grasp_out_of_reach_is_refused_by_name(graph, model_card, target, plan, move, reason):
+    graph.add("touch_predictor", model=model_card)
+    request = request_of(target, plan.grasps[:2])
+    move(request.grasps[0])
+    refused, fine = ask(graph, request).predictions
+    assert (refused.status, fine.status) == (Status.BAD_GRASP, Status.OK)
+    assert reason in refused.reason
+
+
+def test_a_request_with_too_many_grasps_is_refused(graph, model_card, target, plan):
+    graph.add("touch_predictor", model=model_card, max_grasps=3)
+    assert ask(graph, request_of(target, plan.grasps[:3])).status == Status.OK
+    answer = ask(graph, request_of(target, plan.grasps[:4]))
+    assert (answer.status, answer.reason) == (Status.BAD_REQUEST, "grasps: 4 is above max_grasps, 3")
+    result = Sampler(graph).sample(goal_of(target, cost=SampleGrasps.Goal.SCORE))
+    assert (result.status, result.grasp_state) == (Status.BAD_REQUEST, "bad_request: count: 5 is above max_grasps, 3")
+
+
+def test_an_internal_error_becomes_a_status_with_a_reason(graph, model_card, target, plan, monkeypatch):
+    (node,) = graph.add("touch_predictor", model=model_card)
+
+    def fail(*_, **__):
+        raise FloatingPointError("overflow")
+
+    monkeypatch.setattr(type(node._predictor), "array", fail)
+    answer = ask(graph, request_of(target, plan.grasps[:1]))
+    assert (answer.status, answer.reason) == (Status.FAILED, "FloatingPointError: overflow")
+    assert answer.header.frame_id == "cam"
+    result = Sampler(graph).sample(goal_of(target))
+    assert (result.status, result.grasp_state) == (Status.FAILED, "failed: FloatingPointError: overflow")
+    assert node.internal_errors.counts() == {"predict_touch": 1, "sample_grasps": 1}
+    monkeypatch.undo()
+    assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
+
+
+def test_a_cancel_is_honoured_within_a_hundred_grasps(graph, model_card, target, monkeypatch):
+    (node,) = graph.add("touch_predictor", model=model_card)
+    sampler = Sampler(graph)
+    real, sizes, handles = type(node._predictor).array, [], []
+
+    def many(pipeline, targets, header):
+        array = plan_targets(pipeline, targets, header)
+        array.grasps = list(array.grasps) * 1000
+        return array
+
+    def slow(predictor, targets, grasps, *rest):
+        sizes.append(len(grasps))
+        if len(sizes) == 2:
+            cancelled = handles[0].cancel_goal_async()
+            graph.until(cancelled.done)
+        return real(predictor, targets, grasps, *rest)
+
+    monkeypatch.setattr("foretouch.ros.touch.grasp_sampler.plan_targets", many)
+    monkeypatch.setattr(type(node._predictor), "array", slow)
+    sent = sampler.client.send_goal_async(goal_of(target))
+    sent.add_done_callback(lambda future: handles.append(future.result()))
+    graph.until(lambda: handles)
+    future = handles[0].get_result_async()
+    graph.until(future.done)
+    answer = future.result()
+    assert sizes == [100, 100]
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert len(answer.result.grasps) == 200

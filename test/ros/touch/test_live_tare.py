@@ -77,3 +77,11 @@ def test_a_dead_finger_makes_no_tare_and_is_named() -> None:
         tare.update(T0 + k * PERIOD, counts, k * 0.01)
     assert tare.tare(2.0, 60.0) is None
     assert "pdc_th: -22072" in tare.fault
+
+
+def test_stamps_that_repeat_do_not_fill_the_memory() -> None:
+    tare = LiveTare(ContactConfig(window_s=0.05, lag_s=0.0))
+    for k in range(30_000):
+        tare.update(T0, REST, k * 0.01)
+    assert len(tare._recent) == 20_000
+    assert {len(finger._recent) for finger in tare._detector.fingers.values()} == {20_000}

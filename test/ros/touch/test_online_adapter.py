@@ -402,3 +402,17 @@ def test_a_failed_grasp_is_refused_and_its_time_belongs_to_it(direct: DirectHand
     times = direct.execute("a", success=False)
     direct.report("b", times)
     assert direct.counts() == {"touches.refused.grasp_failed": "1", "touches.refused.overlap": "1"}
+
+
+def test_a_stamp_in_the_far_future_neither_freezes_the_tare_nor_fills_the_memory(graph: Any, card: str) -> None:
+    hand = start_awake(graph, card)
+    hand.feel(REST, 120)
+    graph.until(lambda: hand.notes()["tare_age_s"] != "none")
+    now, hand.now = hand.now, hand.now + 3600 * 1000 * MS
+    hand.feel(REST, 1)
+    hand.now = now
+    time.sleep(1.5)
+    hand.feel(REST, 300)
+    graph.until(lambda: hand.notes()["tactile.received"] == str(hand.sent["/rh/tactile"]))
+    assert float(hand.notes()["tare_age_s"]) < 1.2
+    assert len(hand.node._adapter._tare._recent) < 100

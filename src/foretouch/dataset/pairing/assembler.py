@@ -168,23 +168,24 @@ class SampleAssembler:
         else:
             self._matcher.add_executed(ExecutedGrasp.from_message(message), now_s)
 
-    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> TouchReading:
-        """Add a tactile message; gives its reading (raises as `add`)."""
+    def add_tactile(self, message: Any, *, received_ns: int, now_s: float) -> tuple[TouchReading, ...]:
+        """Add a tactile message; gives the readings that are accepted now, see `TouchBuffer.add` (raises as `add`)."""
         content = self._reader.read(message)
         stamp = received_ns if content.stamp_ns is None else content.stamp_ns
         received = received_ns if self.config.check_clock else stamp
         reading = TouchReading(stamp, content.counts, content.others, received)
         jumps = self.clock_jumps
-        self._readings.add(reading)
+        accepted = self._readings.add(reading)
         self._last_tactile_s = now_s
         if self.config.watch_sensors:
             self._health.update(reading.counts)
             if self.clock_jumps != jumps:
                 self._episodes.reset()
-            episode = self._episodes.update(stamp, reading.counts)
-            if episode is not None:
-                self._matcher.add_episode(episode, now_s)
-        return reading
+            for one in accepted:
+                episode = self._episodes.update(one.stamp_ns, one.counts)
+                if episode is not None:
+                    self._matcher.add_episode(episode, now_s)
+        return accepted
 
     def add_cloud(self, message: SerializedCloud, *, now_s: float) -> None:
         """Add an object cloud (raises as `add`)."""

@@ -2,7 +2,8 @@
 """The latest tactile readings and clouds by stamp, bounded in time and memory.
 
 Stamps of tactile readings may repeat, come in the wrong order, or come from a clock that is set while it runs. A
-reading whose stamp leaps is set aside until the next one shows whether the clock has jumped or one stamp was wrong.
+reading whose stamp leaps is set aside until the next one shows whether the clock has jumped or one stamp was wrong;
+all that follow the readings, such as tare and contact detectors, see those alone that the buffer has accepted.
 After a jump back, all readings so far are discarded, since their stamps would be those of readings to come.
 """
 
@@ -80,15 +81,20 @@ class TouchBuffer:
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def add(self, reading: TouchReading) -> None:
-        """Add a reading, in any order."""
+    def add(self, reading: TouchReading) -> tuple[TouchReading, ...]:
+        """Add a reading, in any order.
+
+        Returns:
+            The readings that are accepted now: this one; none while its stamp is in question; or also the one before it,
+            whose stamp it has confirmed. Tare and contact detectors use these alone.
+        """
         if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > self._leap_ns:
-            self._add_leap(reading)
-            return
+            return self._add_leap(reading)
         if self._suspect is not None:
             self.anomalies["wrong_stamp"] += 1
             self._suspect = None
         self._insert(reading)
+        return (reading,)
 
     def between(self, low_ns: int, high_ns: int) -> TouchWindow:
         """The readings stamped in [low, high)."""
@@ -116,13 +122,13 @@ class TouchBuffer:
         if len(self._stamps) % _TRIM_EVERY == 0 or len(self._stamps) > self._max_readings:
             self._trim()
 
-    def _add_leap(self, reading: TouchReading) -> None:
+    def _add_leap(self, reading: TouchReading) -> tuple[TouchReading, ...]:
         before, self._suspect = self._suspect, reading
         if before is None:
-            return
+            return ()
         if abs(reading.stamp_ns - before.stamp_ns) > self._leap_ns:
             self.anomalies["wrong_stamp"] += 1  # the reading before; this one is now the suspect
-            return
+            return ()
         self._suspect = None
         if self.newest_ns is not None and before.stamp_ns < self.newest_ns:
             self.anomalies["clock_jump"] += 1
@@ -133,6 +139,7 @@ class TouchBuffer:
         self.newest_ns = self._stamps[-1] if self._stamps else None
         self._insert(before)
         self._insert(reading)
+        return before, reading
 
     def _trim(self) -> None:
         first = bisect_left(self._stamps, (self.newest_ns or 0) - self._kept_ns)

@@ -13,13 +13,15 @@ import fcntl
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from foretouch import __version__
-from foretouch.dataset.disk import disk_errors, sync_folder
+from foretouch.dataset.disk import disk_errors, new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.messages import SCHEMA_VERSION
 from foretouch.errors import FileError
@@ -28,6 +30,7 @@ _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
 _PART: Final = f"{_MANIFEST}.part"
+_COPY_BYTES: Final = 1 << 20
 _SESSION: Final = "session-{:04d}.mcap"
 
 
@@ -114,10 +117,10 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         FileError: If another process is writing, the dataset is of another kind, or it cannot be written.
     """
     leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
-    is_other = path.exists() and not (path / _MANIFEST).exists()
-    if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
-        raise FileError(path, "exists and is no recorded dataset")
-    with disk_errors(path):
+    with disk_errors(path):  # such as a name that is too long
+        is_other = path.exists() and not (path / _MANIFEST).exists()
+        if is_other and not (path.is_dir() and all(entry.name in leftovers for entry in path.iterdir())):
+            raise FileError(path, "exists and is no recorded dataset")
         path.mkdir(parents=True, exist_ok=True)
     with lock(path):
         if (path / _MANIFEST).exists():
@@ -125,6 +128,38 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
         else:
             _create_manifest(path, identity)
         yield
+
+
+def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity) -> Path:
+    """Copy the file of a session into a new dataset; it appears complete or not at all.
+
+    Args:
+        source: The file's content.
+        file: Where it was, `<dataset>/<session>.mcap`.
+        folder: Folder of the new dataset, which gets the same name, or that name with a number; created if needed.
+        identity: Hand and camera.
+
+    Returns:
+        The new dataset.
+
+    Raises:
+        FileError: If it cannot be read or written.
+    """
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    name = file.parent.absolute().name
+    names = (name if number == 1 else f"{name}-{number}" for number in count(1))
+    path = next(folder / one for one in names if not (folder / one).exists())
+    with new_folder(path) as part, opened_to_write(part, identity):
+        with (part / file.name).open("xb") as copy:
+            source.seek(0)
+            shutil.copyfileobj(source, copy, _COPY_BYTES)
+            copy.flush()
+            os.fsync(copy.fileno())
+        sync_folder(part)
+    with disk_errors(folder):
+        sync_folder(folder)
+    return path
 
 
 def _create_manifest(path: Path, identity: Identity) -> None:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -74,7 +74,7 @@ class McapFile:
     def __init__(self, path: str | Path, library: str) -> None:
         self.path = Path(path)
         with disk_errors(self.path):
-            self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         self.size = 0
         self._crc = 0
         self._schemas: dict[str, Schema] = {}
@@ -166,6 +166,37 @@ class McapFile:
         index = MetadataIndex(offset=self.size, length=len(data), name=name)
         self._commit([data])
         self._index.metadata.append(index)
+
+    @property
+    def removed(self) -> bool:
+        """Whether the path no longer leads to the open file: it was removed, moved, or its file system unmounted."""
+        if self._fd < 0:
+            return False
+        try:
+            found = self.path.stat()
+        except OSError:
+            return True
+        return not os.path.samestat(found, os.fstat(self._fd))
+
+    @property
+    def free_bytes(self) -> int:
+        """Space on the disk that holds the open file, for this user [bytes]; 0 once it is closed."""
+        if self._fd < 0:
+            return 0
+        with disk_errors(self.path):
+            space = os.fstatvfs(self._fd)
+        return space.f_bavail * space.f_frsize
+
+    def reopen(self) -> BinaryIO:
+        """The open file to be read from its start, even if it was removed; readable after `finish`.
+
+        Raises:
+            FileError: If it is closed.
+        """
+        if self._fd < 0:
+            raise FileError(self.path, "is closed")
+        with disk_errors(self.path):
+            return os.fdopen(os.dup(self._fd), "rb")
 
     def sync(self) -> None:
         """Wait until everything written is on the disk.

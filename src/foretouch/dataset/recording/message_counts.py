@@ -55,6 +55,13 @@ class MessageCounts:
             if counts.pending > 0:
                 counts.dropped[reason] += counts.pending
 
+    def drop_written(self, reason: str) -> None:
+        """Count all written messages as dropped, after their file was lost."""
+        for counts in self.topics.values():
+            if counts.written:
+                counts.dropped[reason] += counts.written
+                counts.written = 0
+
     def faults(self) -> list[str]:
         """Topics whose counts do not add up, one line each."""
         return [

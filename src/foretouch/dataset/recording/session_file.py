@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from foretouch import __version__
 from foretouch.config import Settings, setting
@@ -71,6 +72,20 @@ class SessionFile:
     def size(self) -> int:
         """Its size so far [bytes]."""
         return self._mcap.size
+
+    @property
+    def removed(self) -> bool:
+        """See `McapFile.removed`."""
+        return self._mcap.removed
+
+    @property
+    def free_bytes(self) -> int:
+        """See `McapFile.free_bytes`."""
+        return self._mcap.free_bytes
+
+    def reopen(self) -> BinaryIO:
+        """See `McapFile.reopen`."""
+        return self._mcap.reopen()
 
     def declares(self, topic: str, type_name: str) -> bool:
         """Whether a topic is declared.

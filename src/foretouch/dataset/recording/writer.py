@@ -19,6 +19,8 @@ Guarantees:
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
+- When the file is removed while it is written, `removed` says so within the call, and `close` copies the whole session
+  into a new dataset in `fallback_folder`; without such a folder, its messages and samples are counted as dropped.
 """
 
 import os
@@ -28,10 +30,10 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self
+from typing import BinaryIO, Final, Self
 
 from foretouch.dataset.record import Identity, SampleRecord, check_name
-from foretouch.dataset.recording.folder import new_session_path, opened_to_write, session_files
+from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write, session_files
 from foretouch.dataset.recording.mcap_file import McapMessage
 from foretouch.dataset.recording.message_counts import MessageCounts
 from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample
@@ -49,9 +51,10 @@ class RecordingWriter:
         path: The dataset: created if it does not exist, else the session is added to it.
         identity: Hand and camera; must equal those of the dataset.
         config: Settings.
+        fallback_folder: Folder of a new dataset for a session whose file is removed meanwhile; None for none.
 
     Attributes:
-        path: The dataset.
+        path: The dataset; that in `fallback_folder` after the session was copied there.
         counts: Message counts by topic; samples are counted under `SAMPLE_TOPIC`.
         samples: Samples appended.
         labelled: Samples appended with a touch.
@@ -63,7 +66,14 @@ class RecordingWriter:
             or cannot be written.
     """
 
-    def __init__(self, path: str | Path, identity: Identity, config: RecordingConfig | None = None) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        identity: Identity,
+        config: RecordingConfig | None = None,
+        *,
+        fallback_folder: str | Path | None = None,
+    ) -> None:
         self.path = Path(path)
         self.identity = identity
         self.config = config or RecordingConfig()
@@ -71,6 +81,8 @@ class RecordingWriter:
         self.samples = 0
         self.labelled = 0
         self.before_end: Callable[[], None] = lambda: None
+        self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
+        self._removal = ""  # what became of a file that was removed
         self._closed = False
         self._guard = threading.RLock()
         self._pending: list[tuple[str, McapMessage]] = []
@@ -108,9 +120,13 @@ class RecordingWriter:
 
     @property
     def free_bytes(self) -> int:
-        """Disk space available to this user, less `min_free_mb` [bytes]; the session ends at 0."""
-        space = os.statvfs(self.path)
-        return max(0, space.f_bavail * space.f_frsize - int(self.config.min_free_mb * _MB))
+        """Disk space available to this user, less `min_free_mb` [bytes]; the session ends at 0. 0 after its end."""
+        return max(0, self._file.free_bytes - int(self.config.min_free_mb * _MB))
+
+    @property
+    def removed(self) -> bool:
+        """Whether the file was removed, moved or unmounted while it is open; nothing more should then be recorded."""
+        return self._file.removed
 
     def add_topic(self, topic: str, type_name: str, definition: str | None = None, *, qos: str = "") -> None:
         """Declare a topic, before its first message.
@@ -232,13 +248,16 @@ class RecordingWriter:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
 
         Raises:
-            FileError: If the disk is full or fails; everything that was acknowledged is in the file.
+            FileError: If the disk is full or fails; everything that was acknowledged is in the file. If the file was
+                removed; the message names where the session was copied, or what is lost.
         """
         with self._guard:
             if self._closed:
                 return
             self._write_pending()
             self._end("not written when the session ended")
+            if self._removal:
+                raise FileError(self.file, self._removal)
 
     def _require_open(self) -> None:
         if self._closed:
@@ -270,18 +289,43 @@ class RecordingWriter:
         self._pending, self._pending_bytes = [], 0
         with suppress(FileError):  # no space for the index: the chunks remain, and `repair` creates one
             self._end(reason)
-        raise FileError(
-            self.file, f"{rule}: the session has ended, its {self.samples} samples are in the file"
-        ) from cause
+        rest = self._removal or f"the session has ended, its {self.samples} samples are in the file"
+        raise FileError(self.file, f"{rule}: {rest}") from cause
 
     def _end(self, reason: str) -> None:
         self._closed = True
         self.before_end()
         self.counts.drop_pending(reason)
-        try:
-            self._file.finish(self.counts)
-        finally:
-            self._release.close()
+        with ExitStack() as stack:
+            stack.enter_context(self._release)
+            if self._file.removed:
+                remains = stack.enter_context(self._file.reopen())
+                with suppress(FileError):  # without its index it is worth a copy too
+                    self._file.finish(self.counts)
+                self._removal = self._save(remains)
+            else:
+                self._file.finish(self.counts)
+
+    def _save(self, remains: BinaryIO) -> str:
+        """Copy a file that was removed into the fallback folder, or count its content as lost; says which, in one line."""
+        if os.fstat(remains.fileno()).st_nlink:
+            return (
+                f"was moved or unmounted during the recording, with its {self.samples} samples: the session has ended"
+            )
+        lost = "no fallback_folder is set"
+        if self._fallback_folder is not None:
+            try:
+                self.path = copy_session(remains, self.file, self._fallback_folder, self.identity)
+            except FileError as err:
+                lost = str(err)
+            else:
+                return (
+                    f"was removed during the recording: the session was written to {self.path}, {self.samples} samples"
+                )
+        samples, self.samples, self.labelled = self.samples, 0, 0
+        messages = sum(counts.written for counts in self.counts.topics.values()) - samples
+        self.counts.drop_written("file removed")
+        return f"was removed during the recording: {samples} samples and {messages} messages are lost: {lost}"
 
 
 class _SampleIds:

@@ -11,6 +11,7 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp
+from foretouch.errors import CloudError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -23,6 +24,9 @@ _REFERENCES: dict[Reference, int] = {
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
 }
+
+_MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
+_MAX_COEFFICIENT = 1e100  # of a plane
 
 
 def stamp_to_msg(nanoseconds: int) -> Time:
@@ -57,12 +61,17 @@ def plane_from_msg(message: PlaneMsg) -> Plane | None:
     """Convert a plane; None for four zeros.
 
     Raises:
-        CloudError: If a number is not finite, or only the normal is zero.
+        CloudError: If a number is not finite, only the normal is zero, or the plane is farther away than any table.
     """
     if not np.any(message.coef):
         return None
-    plane = Plane.from_coefficients(message.coef)
     exact = np.asarray(message.coef, np.float64)
+    scale = float(np.abs(exact[:3]).max())
+    if np.isfinite(exact).all() and scale and not abs(float(exact[3])) / scale <= _MAX_OFFSET_M:
+        raise CloudError(f"plane: {exact.tolist()} is farther away than {_MAX_OFFSET_M:g} m")
+    if np.isfinite(exact).all() and scale > _MAX_COEFFICIENT:  # its square may overflow
+        raise CloudError(f"plane: {exact.tolist()} has a number beyond {_MAX_COEFFICIENT:g}")
+    plane = Plane.from_coefficients(message.coef)
     # A unit normal must stay as it is: dividing it by its length again may change its last bit.
     unit = abs(float(np.linalg.norm(exact[:3])) - 1.0) < 1e-12
     return Plane(exact[:3], float(exact[3])) if unit else plane

@@ -100,7 +100,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._log_status)
         if self.synthetic is not None:
             self.synthetic.start()
-        self._thread = threading.Thread(target=self._run, args=(self._camera,), name="camera", daemon=True)
+        run = self.internal_errors.guarded("camera", self._run, lambda _, reason: self._fail(reason))
+        self._thread = threading.Thread(target=run, args=(self._camera,), name="camera", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:

@@ -235,7 +235,7 @@ class HandNode(ForetouchNode[HandConfig]):
             self.get_logger().warning(str(err))
             self._drop("refused")
         except Exception as err:  # noqa: BLE001  the end of a thread must be reported
-            self.get_logger().error(f"{type(err).__name__}: {err}")
+            self.internal_errors.report("execute_grasp", err)
             self._drop("failed")
 
     def _course(self, command: _Command) -> Course:

@@ -24,6 +24,7 @@ from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.requests import status_name
+from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, NAMESPACE, TACTILE_TOPIC
@@ -72,7 +73,7 @@ class Drawable:
     readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
-class MonitorNode(Node):
+class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
 
     Args:

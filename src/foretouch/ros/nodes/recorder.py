@@ -185,7 +185,9 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         assert self._reader is not None  # noqa: S101
         config = self.config
         target = Path(config.folder, path or datetime.now().astimezone().strftime("grasps-%Y-%m-%d-%H%M%S"))
-        writer = RecordingWriter(target, config.dataset_identity(), config.writing)
+        writer = RecordingWriter(
+            target, config.dataset_identity(), config.writing, fallback_folder=config.fallback_folder or None
+        )
         for name, one in self._input_topics.inputs.items():
             writer.add_topic(name, one.topic.type_name)
         assembler = SampleAssembler(
@@ -296,6 +298,7 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
         if session is not None:
             session.close()
             self._last_status, self.reason, self._session = session.status, session.status.error, None
+            self.path = str(session.writer.path)
             self._duration_s = time.monotonic() - session.began_s
 
     def _topics(self) -> list[InputTopic]:

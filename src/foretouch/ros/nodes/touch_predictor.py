@@ -97,7 +97,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self,
             SampleGrasps,
             "sample_grasps",
-            self._sample_grasps,
+            self.internal_errors.guarded("sample_grasps", self._sample_grasps, _aborted),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
@@ -169,7 +169,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: GeoGraspConfig | None
     ) -> TouchPredictionArray:
         predictor = self._loaded()
-        message = predictor.array(targets, grasps, header, posing)
+        message = predictor.array(targets, grasps, header, self.config, posing)
         return predictor.finish(message, self.age_s(stamp_ns(header.stamp)), self.config.late_after_s)
 
     def _loaded(self) -> Predictor:
@@ -225,8 +225,15 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             return self._answer_request(request, header)
         except RefusalError as refusal:
             return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
+        except Exception as err:  # noqa: BLE001  the answer names the request's cloud
+            reason = self.internal_errors.report("predict_touch", err)
+            return TouchPredictionArray(header=header, status=Status.FAILED, reason=reason)
 
     def _answer_request(self, request: Any, header: Header) -> TouchPredictionArray:
+        if len(request.grasps) > self.config.max_grasps:
+            raise RefusalError(
+                Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {self.config.max_grasps}"
+            )
         table = read_plane(request.table[0]) if request.table else None
         targets = read_targets(request.cloud, table or ASSUMED_TABLE)
         if not request.grasps:
@@ -241,19 +248,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     async def _sample_grasps(self, goal_handle: Any) -> Any:
         try:
             result = await self._in_thread(lambda: self._sample(goal_handle))
+            end = goal_handle.succeed
         except RefusalError as refusal:
-            goal_handle.abort()
-            return failed(refusal)
+            result, end = failed(refusal), goal_handle.abort
         if goal_handle.is_cancel_requested:
-            goal_handle.canceled()
-        else:
-            goal_handle.succeed()
+            end = goal_handle.canceled
+        end()
         return result
 
     def _sample(self, goal_handle: Any) -> Any:
         with self._latest_lock:
             latest = self._latest
-        sampler = GraspSampler(self._predict_candidates, self.config.grasp, self.config.ranges)
+        config = self.config
+        sampler = GraspSampler(self._predict_candidates, config.grasp, config.ranges, config.max_grasps)
         goal = goal_handle.request
         result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
         own = goal.cloud.width * goal.cloud.height > 0
@@ -276,3 +283,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             table = self._tables.get(stamp_ns(message.header.stamp))
             if table is not None:
                 self._latest = Latest(message, table)
+
+
+def _aborted(arguments: tuple[Any, ...], reason: str) -> Any:
+    """The result of a goal that failed with an internal error."""
+    (goal_handle,) = arguments
+    if goal_handle.is_active:
+        goal_handle.abort()
+    return failed(RefusalError(Status.FAILED, reason))

@@ -27,6 +27,10 @@ class RecorderConfig(NodeConfig):
     """Settings of the recorder."""
 
     folder: str = setting(".", "Folder of datasets with a relative path, or without a path", read_only=True)
+    fallback_folder: str = setting(
+        "", "Folder for a copy of the session if its dataset is removed meanwhile; if empty, the session is then lost",
+        read_only=True,
+    )  # fmt: skip
     record: str = setting("", "Dataset to record from the start; empty waits for start_recording", read_only=True)
     object: str = setting("", "Label of the object on the table, for `record`", read_only=True)
     note: str = setting("", "Note of the operator, for `record`", read_only=True)

@@ -59,7 +59,7 @@ class SessionStatus:
 
 
 class RecordingSession:
-    """Records until `close`, or until the disk is full or fails.
+    """Records until `close`, or until the disk is full or fails, or the file is removed.
 
     Args:
         writer: Open; closed here.
@@ -98,6 +98,7 @@ class RecordingSession:
         self._errors_ns: deque[int] = deque(maxlen=_KEPT_ERRORS)
         self._sizes: deque[tuple[float, int]] = deque()
         writer.before_end = self._account_for_rest
+        self._error = ""
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -114,21 +115,25 @@ class RecordingSession:
     # The thread.
 
     def _run(self) -> None:
-        error = ""
         try:
-            while not self._queue.closed:
+            while not self._queue.closed and not self.writer.removed:
                 self._process(*self._queue.take(_POLL_S))
+            self._queue.close()
+            if self.writer.removed:  # it is still open: what waits is written too, and `close` then copies it
+                self._error = f"{self.writer.file}: was removed during the recording"
+                self._update_status()
             self._process(*self._queue.take(0.0), ending=True)
         except ForetouchError as err:
-            error = str(err)
+            self._error = str(err)
         except Exception as err:  # noqa: BLE001  a thread that ends silently would lose everything
             self._warn(traceback.format_exc())
-            error = f"{type(err).__name__}: {err}"
+            self._error = f"{type(err).__name__}: {err}"
         try:
+            removed = self.writer.removed
             self.writer.close()
         except ForetouchError as err:
-            error = error or str(err)
-        self._update_status(error)
+            self._error = str(err) if removed else self._error or str(err)
+        self._update_status()
         self.ended.set()
 
     def _account_for_rest(self) -> None:
@@ -192,7 +197,7 @@ class RecordingSession:
             if self._unreadable[name] == 1:
                 self._warn(f"{arrival.topic}: {err}")
 
-    def _update_status(self, error: str = "") -> None:
+    def _update_status(self) -> None:
         now, size = time.monotonic(), self.writer.bytes_written
         self._sizes.append((now, size))
         while self._sizes[0][0] < now - _RATE_WINDOW_S:
@@ -213,6 +218,6 @@ class RecordingSession:
             sensors=sensors,
             bytes_written=size,
             bytes_per_s=(size - before) / (now - since_s) if now > since_s else 0.0,
-            free_bytes=0 if error else self.writer.free_bytes,
-            error=error,
+            free_bytes=0 if self._error else self.writer.free_bytes,
+            error=self._error,
         )

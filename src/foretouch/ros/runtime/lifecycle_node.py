@@ -9,6 +9,7 @@ publisher and subscriber. Both can be overridden (`qos_overrides.<topic>...` par
 is reported in the log and in /diagnostics.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -24,6 +25,7 @@ from rclpy.subscription import Subscription
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
+from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.topics import NAMESPACE
 
@@ -42,8 +44,8 @@ class NodeConfig(Settings):
     )
 
 
-class ForetouchNode(LifecycleNode, Generic[_C]):
-    """A lifecycle node with typed settings and diagnostics.
+class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
+    """A lifecycle node with typed settings and diagnostics, whose process no error in a callback ends.
 
     Args:
         name: Of the node.
@@ -67,6 +69,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self._inputs: list[Subscription[Any]] = []
         self._mismatches: dict[str, str] = {}
         self._last: InputSummary | None = None
+        self._last_errors: Counter[str] = Counter()
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -183,7 +186,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Call `stop`."""
         self.state_name = "inactive"
-        self.stop()
+        self._attempt(self.stop)
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -195,7 +198,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop and clean up."""
-        self.stop()
+        self._attempt(self.stop)
         result = super().on_shutdown(state)
         self._release()
         self.state_name = "finalized"
@@ -203,7 +206,7 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
 
     def destroy_node(self) -> None:
         """Stop and clean up, whatever the state."""
-        self.stop()
+        self._attempt(self.stop)
         self._release()
         super().destroy_node()
 
@@ -214,12 +217,12 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
             self.get_logger().error(str(err))
             return False
         except Exception as err:  # noqa: BLE001  rclpy would not report it
-            self.get_logger().error(f"{hook.__name__}: {type(err).__name__}: {err}")
+            self.internal_errors.report(hook.__name__, err)
             return False
         return True
 
     def _release(self) -> None:
-        self.teardown()
+        self._attempt(self.teardown)
         for publisher in self._outputs:
             self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inputs:
@@ -234,12 +237,14 @@ class ForetouchNode(LifecycleNode, Generic[_C]):
         self.get_logger().warning(text)
 
     def _report(self) -> None:
-        now = self.statistics.summary()
+        now, errors = self.statistics.summary(), self.internal_errors.counts()
+        recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
+        self._last_errors = errors
         node = NodeStatus(
             state=self.state_name,
             errors=self.errors(),
-            warnings=tuple(self._mismatches.values()),
-            notes=self.notes(),
+            warnings=(*self._mismatches.values(), *recent),
+            notes={**self.notes(), **{f"internal_errors.{name}": str(count) for name, count in errors.items()}},
             expects_input_every_s=self.expects_input_every_s(),
         )
         status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, node)

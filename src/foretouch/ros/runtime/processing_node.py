@@ -10,7 +10,6 @@ is bounded and drops its oldest input, counted as `superseded`.
 """
 
 import threading
-import traceback
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -126,7 +125,10 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             names, self.config.pairing_depth, self.statistics.receive, self.statistics.drop
         )
         self._worker: Worker[StampedSet] = Worker(
-            name, self.config.queue_depth, self._work, lambda _, reason: self.statistics.drop(reason)
+            name,
+            self.config.queue_depth,
+            self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
+            lambda _, reason: self.statistics.drop(reason),
         )
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
@@ -204,8 +206,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         except RefusalError as refusal:
             status, reason = refusal.status, refusal.reason
         except Exception as err:  # noqa: BLE001  a bug must not end the node, and must be reported
-            self.get_logger().error(traceback.format_exc())
-            status, reason = Status.FAILED, f"{type(err).__name__}: {err}"
+            status, reason = Status.FAILED, self.internal_errors.report(self.get_name(), err)
         self.refuse(header, status, reason)
         return status, reason
 

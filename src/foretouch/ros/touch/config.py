@@ -42,6 +42,15 @@ class TouchPredictorConfig(ProcessingConfig):
         0.02, "How far an object may have moved, or changed in apparent size, since it was touched", unit="m",
         minimum=0.0, maximum=1.0,
     )  # fmt: skip
+    max_grasps: int = setting(1000, "Maximum number of grasps in a request", minimum=1, maximum=10_000)
+    max_width_m: float = setting(
+        0.15, "Greatest distance between the contacts of a grasp; wider grasps are refused", unit="m", minimum=0.001,
+        maximum=10.0,
+    )  # fmt: skip
+    max_distance_m: float = setting(
+        0.1, "Greatest distance of a grasp from its object's cloud; farther grasps are refused", unit="m", minimum=0.0,
+        maximum=10.0,
+    )  # fmt: skip
     tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

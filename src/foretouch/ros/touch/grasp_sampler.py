@@ -20,6 +20,7 @@ from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPredi
 
 Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[TouchPrediction]]
 
+_BATCH = 100  # grasps that are predicted between two looks for a cancel; predictions do not depend on it
 _SUCCESS = "success"
 _COSTS = (SampleGrasps.Goal.PRESSURE, SampleGrasps.Goal.SCORE)
 
@@ -45,12 +46,14 @@ class GraspSampler:
         predict: Gives the predictions for grasps on one target, in order.
         grasp: Settings of GeoGrasp.
         ranges: Ranges of the tactile values, for the cost `pressure`.
+        max_grasps: Maximum number of grasps that a goal may ask for.
     """
 
-    def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges) -> None:
+    def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges, max_grasps: int) -> None:
         self._predict = predict
         self._grasp = grasp
         self._ranges = ranges
+        self._max_grasps = max_grasps
 
     def sample(
         self, goal: Any, latest: Latest | None, feedback: Callable[[Any], None], cancelled: Callable[[], bool]
@@ -60,8 +63,9 @@ class GraspSampler:
         Args:
             goal: `SampleGrasps.Goal`.
             latest: The latest cloud of the graph, for a goal without a cloud.
-            feedback: Called with a `SampleGrasps.Feedback` after each object.
-            cancelled: Called before each object; if true, the result holds the grasps found so far.
+            feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
+            cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that are
+                predicted so far.
 
         Returns:
             `SampleGrasps.Result`, lowest cost first; grasps without a prediction are last, at infinite cost.
@@ -72,20 +76,27 @@ class GraspSampler:
         cost = goal.cost or SampleGrasps.Goal.PRESSURE
         if cost not in _COSTS:
             raise requests.RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
+        if goal.count > self._max_grasps:
+            raise requests.RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}")
         header, targets = _targets(goal, latest)
         config = self._grasp.replace(count=goal.count) if goal.count else self._grasp
         pipeline = Pipeline(PipelineConfig(grasp=config))
         candidates: list[_Candidate] = []
-        plan = GraspArray(status=Status.NO_GRASP, reason="cancelled before the first object")
+        plan = GraspArray()
         for target in targets:
             if cancelled():
                 break
             plan = requests.plan_targets(pipeline, [target], header)
-            fresh = self._rate(target, plan.grasps, header, cost)
-            feedback(_feedback(fresh, header))
-            candidates += fresh
+            for first in range(0, len(plan.grasps), _BATCH):
+                if cancelled():
+                    break
+                fresh = self._rate(target, plan.grasps[first : first + _BATCH], header, cost)
+                feedback(_feedback(fresh, header))
+                candidates += fresh
         if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
             raise requests.RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
+        if not candidates and cancelled():
+            raise requests.RefusalError(Status.NO_GRASP, "cancelled before the first prediction")
         return _result(sorted(candidates, key=lambda c: c.cost), header, plan)
 
     def _rate(self, target: FoundObject, grasps: Sequence[Grasp], header: Header, cost: str) -> list[_Candidate]:

@@ -77,14 +77,15 @@ class OnlineAdapter:
             self._received += 1
             jumps = self._assembler.clock_jumps
             try:
-                reading = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
+                accepted = self._assembler.add_tactile(message, received_ns=received_ns, now_s=time.monotonic())
             except TactileError as err:
                 self._unreadable += 1
                 self._last_unreadable = str(err)
                 return
             if self._assembler.clock_jumps != jumps:
                 self._tare.reset()
-            self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
+            for reading in accepted:
+                self._tare.update(reading.stamp_ns, reading.counts, time.monotonic())
 
     def add_executed(self, message: ExecutedGrasp) -> None:
         """Add the robot's report of an executed grasp; grasps that failed are refused."""

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions as messages, in the same way for the topic, the service and the action."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,10 +11,12 @@ from std_msgs.msg import Header
 from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
+from foretouch.grasp.reach import check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.conversions import duration_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.runtime.processing_node import warm_up_cloud
+from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.types import Float64, Grasp
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -64,6 +68,7 @@ class Predictor:
         targets: Sequence[FoundObject],
         grasps: Sequence[GraspMsg],
         header: Header,
+        config: TouchPredictorConfig,
         posing: GeoGraspConfig | None = None,
     ) -> TouchPredictionArray:
         """Predict or refuse every grasp, in order.
@@ -72,6 +77,7 @@ class Predictor:
             targets: The objects; features are computed once for each that has grasps.
             grasps: Each on the object that it names, or on the only one.
             header: Header of the cloud.
+            config: Its `max_width_m` and `max_distance_m` limit the grasps.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
 
         Returns:
@@ -85,7 +91,8 @@ class Predictor:
             except GraspError as err:
                 answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            predicted = self._on_target(targets[k], [grasps[i] for i in members], header, posing)
+            poser = _Poser(targets[k], config, posing)
+            predicted = self._on_target(poser, [grasps[i] for i in members], header)
             for i, answer in zip(members, predicted, strict=True):
                 answers[i] = answer
         predictions = [answer for answer in answers if answer is not None]
@@ -110,15 +117,12 @@ class Predictor:
                 prediction.model, prediction.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def _on_target(
-        self, target: FoundObject, grasps: Sequence[GraspMsg], header: Header, posing: GeoGraspConfig | None
-    ) -> list[TouchPrediction]:
+    def _on_target(self, poser: _Poser, grasps: Sequence[GraspMsg], header: Header) -> list[TouchPrediction]:
         model = self.model
         if model is None:
             return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
         answers: list[TouchPrediction | None] = []
         posed: list[Grasp] = []
-        poser = _Poser(target, posing)
         for grasp in grasps:
             try:
                 posed.append(poser.grasp(grasp))
@@ -126,7 +130,7 @@ class Predictor:
             except (GraspError, CloudError) as err:
                 answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
         try:
-            predicted = iter((self.adapter or model).predict(target.cloud, posed) if posed else [])
+            predicted = iter((self.adapter or model).predict(poser.target.cloud, posed) if posed else [])
         except (CloudError, ModelError) as err:
             status = Status.TOO_FEW_POINTS if isinstance(err, CloudError) else Status.REFUSED
             return [old or refusal_to_msg(g, header, status, str(err)) for g, old in zip(grasps, answers, strict=True)]
@@ -134,23 +138,31 @@ class Predictor:
 
 
 class _Poser:
-    """Computes orientations of grasps as `Pipeline.grasp_between` does, with one search for the object's axis."""
+    """Decodes and checks grasps on one object.
 
-    def __init__(self, target: FoundObject, config: GeoGraspConfig | None) -> None:
-        self._target = target
+    Missing orientations are computed as `Pipeline.grasp_between` does, with one search for the object's axis.
+    """
+
+    def __init__(self, target: FoundObject, limits: TouchPredictorConfig, config: GeoGraspConfig | None) -> None:
+        self.target = target
+        self._limits = limits
         self._config = config
         self._axis: Float64 | None = None
 
     def grasp(self, message: GraspMsg) -> Grasp:
-        """The grasp of a message, with an orientation computed if the message has none."""
+        """The grasp of a message, within reach, with an orientation computed if the message has none."""
         if has_orientation(message):
-            return decode_grasp(message)
+            return self._checked(decode_grasp(message))
         if self._config is None:
             raise GraspError("pose: no orientation, and no table to compute it with")
-        unposed = decode_grasp(message, np.eye(3))
+        unposed = self._checked(decode_grasp(message, np.eye(3)))
         if self._axis is None:
-            self._axis, _ = object_axis(self._target.cloud, self._target.plane, self._config)
+            self._axis, _ = object_axis(self.target.cloud, self.target.plane, self._config)
         return decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
+
+    def _checked(self, grasp: Grasp) -> Grasp:
+        check_reach(grasp, self.target.cloud.xyz, self._limits.max_width_m, self._limits.max_distance_m)
+        return grasp
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:

@@ -27,6 +27,7 @@ from foretouch.types import Cloud, Float32, Float64, Grasp, Touch
 _SECOND_NS = 1_000_000_000
 _MIN_READINGS = 5
 _RENEW_EVERY = 10  # readings: the tare hardly changes, and a median takes time
+_MAX_READINGS = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory
 _MIN_SPAN = 0.8  # of the window
 
 
@@ -45,7 +46,7 @@ class LiveTare:
         self._detector = ContactDetector(config)
         self._lag_ns = round(config.lag_s * _SECOND_NS)
         self._window_ns = round(config.window_s * _SECOND_NS)
-        self._recent: deque[tuple[int, Float32]] = deque()
+        self._recent: deque[tuple[int, Float32]] = deque(maxlen=_MAX_READINGS)
         self._rest: list[Float32] = []
         self._rest_ns = 0
         self._rest_s = 0.0
@@ -53,7 +54,7 @@ class LiveTare:
         self._since_renewal = 0
 
     def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
-        """Add a reading.
+        """Add a reading that the `TouchBuffer` has accepted: its stamp is not checked again.
 
         Args:
             stamp_ns: Stamp of the reading [ns].

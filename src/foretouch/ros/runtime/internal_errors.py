@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps an internal error in a callback from ending the process: it is counted, logged and answered.
+
+rclpy passes an error in a callback of a service, timer, topic or parameter on to the executor, which ends, and with it
+all nodes of the process. Nodes derived from `GuardedCallbacks` pass every callback through `InternalErrors.guarded`,
+those that rclpy itself registers included.
+"""
+
+import functools
+import inspect
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import Executor, ExternalShutdownException
+
+from foretouch_msgs.msg import Status
+
+_LOG_EVERY_S = 5.0  # for each callback
+_MAX_TEXT = 300  # characters of a reason
+_PAUSE_S = 0.01  # after an error in the executor itself
+
+
+class InternalErrors:
+    """Counts and logs the internal errors of one node. Thread-safe.
+
+    Args:
+        log: Called with a line for the first error of a callback, and then at most every five seconds.
+    """
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        self._log = log
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        self._logged_s: dict[str, float] = {}
+
+    def counts(self) -> Counter[str]:
+        """Number of errors by callback."""
+        with self._lock:
+            return Counter(self._counts)
+
+    def report(self, name: str, err: Exception) -> str:
+        """Count and log an error.
+
+        Args:
+            name: Of the callback, such as that of its service.
+            err: The error.
+
+        Returns:
+            Its type and text in one line: the reason for an answer with the status FAILED.
+        """
+        reason = f"{type(err).__name__}: {' '.join(str(err).split())}"[:_MAX_TEXT]
+        now = time.monotonic()
+        with self._lock:
+            self._counts[name] += 1
+            count = self._counts[name]
+            due = now - self._logged_s.get(name, float("-inf")) >= _LOG_EVERY_S
+            if due:
+                self._logged_s[name] = now
+        if due:
+            self._log(f"{name}: internal error {count}: {reason} ({_position(err)})")
+        return reason
+
+    def guarded(
+        self,
+        name: str,
+        callback: Callable[..., Any],
+        answer: Callable[[tuple[Any, ...], str], Any] = lambda _arguments, _reason: None,
+    ) -> Callable[..., Any]:
+        """A callback that reports its errors instead of raising them.
+
+        Args:
+            name: For `report`.
+            callback: A function or a coroutine function.
+            answer: Gives what is returned after an error, from the arguments of the call and the reason.
+        """
+        if inspect.iscoroutinefunction(callback):
+
+            @functools.wraps(callback)
+            async def run_async(*arguments: Any) -> Any:
+                try:
+                    return await callback(*arguments)
+                except Exception as err:  # noqa: BLE001  it would end the process
+                    return answer(arguments, self.report(name, err))
+
+            return run_async
+
+        @functools.wraps(callback)
+        def run(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as err:  # noqa: BLE001  it would end the process
+                return answer(arguments, self.report(name, err))
+
+        return run
+
+
+class GuardedCallbacks:
+    """A mixin for rclpy's `Node`, before it in the list of bases: no callback of the node raises.
+
+    A service that fails answers with `success` false and a `message`, or with the status FAILED and a `reason`, as far as
+    its response has such fields; a change of parameters is refused.
+
+    Attributes:
+        internal_errors: Counts of the errors.
+    """
+
+    internal_errors: InternalErrors
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.internal_errors = InternalErrors(self._log_internal_error)  # rclpy's own constructor makes services
+        super().__init__(*arguments, **options)
+        services = self.services  # type: ignore[attr-defined]
+        for service in services:  # those of the lifecycle are not made by `create_service`
+            if not hasattr(service.callback, "__wrapped__"):
+                service.callback = self.internal_errors.guarded(service.srv_name, service.callback, _failed_service)
+
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
+        """See rclpy's `Node`."""
+        guarded = self.internal_errors.guarded(topic, callback)
+        return super().create_subscription(msg_type, topic, guarded, *arguments, **options)  # type: ignore[misc]
+
+    def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
+        """See rclpy's `Node`."""
+        name = getattr(callback, "__name__", "timer").strip("_")
+        guarded = self.internal_errors.guarded(name, callback)
+        return super().create_timer(timer_period_sec, guarded, *arguments, **options)  # type: ignore[misc]
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
+        """See rclpy's `Node`."""
+        guarded = self.internal_errors.guarded(srv_name, callback, _failed_service)
+        return super().create_service(srv_type, srv_name, guarded, **options)  # type: ignore[misc]
+
+    def add_on_set_parameters_callback(self, callback: Any) -> None:
+        """See rclpy's `Node`."""
+        guarded = self.internal_errors.guarded("set_parameters", callback, lambda _, reason: _refused(reason))
+        super().add_on_set_parameters_callback(guarded)  # type: ignore[misc]
+
+    def add_post_set_parameters_callback(self, callback: Any) -> None:
+        """See rclpy's `Node`."""
+        guarded = self.internal_errors.guarded("set_parameters", callback)
+        super().add_post_set_parameters_callback(guarded)  # type: ignore[misc]
+
+    def _log_internal_error(self, text: str) -> None:
+        self.get_logger().error(text)  # type: ignore[attr-defined]
+
+
+def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool], poll_s: float) -> None:
+    """Spin until a condition holds, or until shutdown, through errors in the executor itself.
+
+    Such errors are rare: a message that cannot be decoded, or an answer that cannot be encoded.
+
+    Args:
+        executor: The executor.
+        errors: Where its errors are reported.
+        until: The condition.
+        poll_s: Longest time between two checks of the condition [s].
+
+    Raises:
+        ExternalShutdownException: If the context is shut down.
+    """
+    while not until():
+        try:
+            executor.spin_once(timeout_sec=poll_s)
+        except ExternalShutdownException:
+            raise
+        except Exception as err:
+            if not executor.context.ok():
+                raise ExternalShutdownException from err
+            errors.report("executor", err)
+            time.sleep(_PAUSE_S)
+
+
+def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:
+    """A response that names the reason wherever it has a field for it."""
+    request, response = arguments
+    if hasattr(response, "results") and hasattr(request, "parameters"):  # of rclpy's parameter service
+        missing = len(request.parameters) - len(response.results)
+        response.results = [*response.results, *[_refused(reason)] * missing]
+        return response
+    answer = type(response)()
+    for name in answer.get_fields_and_field_types():
+        value = getattr(answer, name)
+        if isinstance(value, SetParametersResult):
+            setattr(answer, name, _refused(reason))
+        elif hasattr(value, "status") and hasattr(value, "reason"):
+            value.status, value.reason = Status.FAILED, reason
+    if hasattr(answer, "success") and hasattr(answer, "message"):
+        answer.success, answer.message = False, reason
+    return answer
+
+
+def _refused(reason: str) -> SetParametersResult:
+    return SetParametersResult(successful=False, reason=reason)
+
+
+def _position(err: Exception) -> str:
+    frames = traceback.extract_tb(err.__traceback__)
+    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "no traceback"
