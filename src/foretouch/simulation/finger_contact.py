@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of both fingertips when the hand closes, and the contact problems (surfaces, layers, commands) that follow."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass

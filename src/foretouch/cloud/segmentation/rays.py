@@ -166,7 +166,9 @@ def _least_squares(pixels: Float64, tangents: Float64) -> Float64:
     if len(pixels) == 0:
         return np.zeros((3, 2))
     # Pixels are small whole numbers: the normal equations are as exact as needed, in a third of the time of lstsq.
-    return np.asarray(np.linalg.pinv(pixels.T @ pixels, rcond=1e-12, hermitian=True) @ (pixels.T @ tangents), np.float64)
+    return np.asarray(
+        np.linalg.pinv(pixels.T @ pixels, rcond=1e-12, hermitian=True) @ (pixels.T @ tangents), np.float64
+    )
 
 
 def _degrees(tangent: float) -> str:

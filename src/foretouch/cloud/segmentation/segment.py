@@ -127,7 +127,9 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
         coarse, stride = _coarse(xyz, config.crop)
         index = _sample(coarse, config.crop)
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
-        rays, sample = _check_rays(sample, index, coarse, stride, xyz.shape[1], config) if image else (None, _finite(sample))
+        rays, sample = (
+            _check_rays(sample, index, coarse, stride, xyz.shape[1], config) if image else (None, _finite(sample))
+        )
         fault = rays.reason if rays else _too_many(log.counts["off_ray"], usable, config.rays)
         if rays:
             log.counts["off_ray"] = rays.count_dropped(xyz)
