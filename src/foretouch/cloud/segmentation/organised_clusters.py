@@ -103,7 +103,7 @@ def label_organised(
         height, above = threshold.measure(points, z)
         above &= in_range(z, crop)
         window = _Window(z, height, above, threshold, stride, pitch, config)
-        with np.errstate(invalid="ignore"):  # pixels without depth compare as false
+        with np.errstate(invalid="ignore", over="ignore"):  # pixels without depth compare as false
             nodes = _label_grid(window, patches[rows, columns] == number, min_nodes)
             labels = _grow(nodes, window)
             solid = _refine_outlines(labels, window)
