@@ -132,7 +132,7 @@ def _shapes() -> Iterator[ObjectCase]:
         ("ring", ring()),
         ("bar", bar()),
         ("coplanar", sheet()[:, [0, 2, 1]]),
-        ("two clusters", np.concatenate([ball(600, 0.02) + [0.0, 0.06, 0.0], ball(600, 0.02) - [0.0, 0.06, 0.0]])),
+        ("two clusters", np.concatenate([ball(600, 0.02) + sign * np.array([0.0, 0.06, 0.0]) for sign in (1.0, -1.0)])),
     ):
         planned = {"thin sheet": _NO_PAIR, "two clusters": _NO_SLAB}.get(name, "ok")
         yield ObjectCase(name, _cloud(points + _AWAY), planned, "ok", across())
@@ -146,7 +146,9 @@ def _scales() -> Iterator[ObjectCase]:
     for exponent in range(-9, 4):
         size = 10.0**exponent
         fits = exponent in (-1, -2)  # 160 and 16 mm long
-        reason = "less than min_extent_m|in one place" if exponent < -1 else "more than max_extent_m|more than max_range_m"
+        reason = (
+            "less than min_extent_m|in one place" if exponent < -1 else "more than max_extent_m|more than max_range_m"
+        )
         outcome = "ok" if fits else reason
         yield ObjectCase(f"bar of 1.6e{exponent} m", _cloud(10.0 * size * bar() + _AWAY), *[outcome] * 2, across())
     for distance_m in (0.01, 100.0, 1e4):
@@ -171,7 +173,9 @@ def _numbers() -> Iterator[ObjectCase]:
         yield ObjectCase(f"only {name}", _cloud(nothing), _FEW, _FEW, across())
     points = bar() + _AWAY
     points[7, 0] = 3e38
-    yield ObjectCase("one x of 3e38", _cloud(points), "beyond|max_extent_m|max_range_m", "max_extent_m|max_range_m", across())
+    yield ObjectCase(
+        "one x of 3e38", _cloud(points), "beyond|max_extent_m|max_range_m", "max_extent_m|max_range_m", across()
+    )
     for name, xyz in (("float64", (bar() + _AWAY).astype(np.float64)), ("big-endian", (bar() + _AWAY).astype(">f4"))):
         yield ObjectCase(name, _cloud(xyz), "ok", "ok", across())
 
@@ -184,8 +188,12 @@ def _grasps() -> Iterator[ObjectCase]:
         ("1 nm wide", across(1e-9), "ok"),
         ("denormal width", Grasp(_AWAY * [0, 1, 1] + [5e-324, 0, 0], _AWAY * [0, 1, 1], np.eye(3)), "ok"),
         ("1 m wide", across(1.0), "more than max_width_m"),
-        ("50 m off", across(middle=_AWAY + [0.0, 50.0, 0.0]), "more than max_distance_m"),
-        ("1e160 m off", across(middle=_AWAY + [0.0, 1e160, 0.0], width_m=1e150), "max_width_m|max_distance_m"),
+        ("50 m off", across(middle=_AWAY + np.array([0.0, 50.0, 0.0])), "more than max_distance_m"),
+        (
+            "1e160 m off",
+            across(middle=_AWAY + np.array([0.0, 1e160, 0.0]), width_m=1e150),
+            "max_width_m|max_distance_m",
+        ),
         ("1e300 m wide", across(1e300), "more than max_width_m"),
         ("left-handed", Grasp(fine.g1, fine.g2, fine.rotation @ np.diag([1.0, 1.0, -1.0])), "not a rotation matrix"),
         ("scaled rotation", Grasp(fine.g1, fine.g2, 1e300 * fine.rotation), "not a rotation matrix"),
@@ -240,7 +248,9 @@ def scene_cases() -> Iterator[SceneCase]:
     for n in range(4):
         yield SceneCase(f"{n} points in a list", _cloud(bar()[:n].reshape(-1, 3) + _AWAY), *_few_status(n))
     yield SceneCase("only a ball", _cloud(ball(5000) + _AWAY), "no_plane", "plane holds|narrow")
-    yield SceneCase("only a line", _cloud(np.outer(np.linspace(0.5, 1.0, 900), [0.1, 0.1, 1.0])), "no_plane", "collinear|narrow")
+    yield SceneCase(
+        "only a line", _cloud(np.outer(np.linspace(0.5, 1.0, 900), [0.1, 0.1, 1.0])), "no_plane", "collinear|narrow"
+    )
 
 
 def _few_status(n: int) -> tuple[str, str]:
@@ -279,6 +289,6 @@ def _scenes() -> Iterator[tuple[str, Callable[[Float32], Float32], str, str]]:
 
 if __name__ == "__main__":
     for one in object_cases():
-        print(f"object {one.name}: plan {one.planned!r}, touch {one.predicted!r}")
+        print(f"object {one.name}: plan {one.planned!r}, touch {one.predicted!r}")  # noqa: T201
     for scene in scene_cases():
-        print(f"scene {scene.name}: {scene.segmented} {scene.reason!r}")
+        print(f"scene {scene.name}: {scene.segmented} {scene.reason!r}")  # noqa: T201

@@ -18,7 +18,7 @@ def ball() -> np.ndarray:
     """A ball of 80 mm, 1 m away."""
     points = np.random.default_rng(0).normal(size=(3000, 3))
     points *= 0.04 / np.linalg.norm(points, axis=1, keepdims=True)
-    return (points + [0.0, 0.0, 1.0]).astype(np.float32)
+    return (points + np.array([0.0, 0.0, 1.0])).astype(np.float32)
 
 
 def _across(width_m: float, offset_m: float = 0.0) -> Grasp:
@@ -63,9 +63,11 @@ def test_a_cloud_without_a_finite_point_is_out_of_reach() -> None:
         check_reach(_across(0.08), np.full((5, 3), np.nan), 0.2, 0.05)
 
 
-@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.ones((3, 3)), np.full((3, 3), 1e300)])
+@pytest.mark.parametrize(
+    "matrix", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.ones((3, 3)), np.full((3, 3), 1e300)]
+)
 def test_matrices_that_are_no_rotations_are_named(matrix) -> None:
-    with pytest.raises(GraspError, match="rotation: .* is not a rotation matrix"):
+    with pytest.raises(GraspError, match=r"rotation: .* is not a rotation matrix"):
         check_rotation(matrix)
 
 

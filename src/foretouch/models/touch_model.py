@@ -22,6 +22,9 @@ from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
 
+_EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Predictions for K grasps on one cloud, before tare, touches and intervals are applied."""
@@ -110,7 +113,7 @@ class TouchModel:
             self._require_calibration()
             tare = residuals.tare
         check_object(cloud.xyz, limits)
-        refusals = [_refusal(grasp, cloud, reach) for grasp in grasps]
+        refusals = [_refusal(grasp, cloud, reach.max_width_m, reach.max_distance_m) for grasp in grasps]
         if any(refusals):
             usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
             predicted = iter(self._predict(cloud, usable, tare, residuals))
@@ -143,7 +146,8 @@ class TouchModel:
         """
         self._require_calibration()
         check_object(cloud.xyz)
-        refusals = [_refusal(grasp, cloud, DEFAULT_REACH) for grasp in grasps]
+        # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
+        refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, DEFAULT_LIMITS.max_range_m) for grasp in grasps]
         usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
         estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
@@ -184,11 +188,11 @@ class TouchModel:
         return predictions
 
 
-def _refusal(grasp: Grasp, cloud: Cloud, reach: ReachConfig) -> str:
+def _refusal(grasp: Grasp, cloud: Cloud, max_width_m: float, max_distance_m: float) -> str:
     """Why no hand can execute a grasp; "" if one can."""
     try:
         check_rotation(grasp.rotation)
-        check_reach(grasp, cloud.xyz, reach.max_width_m, reach.max_distance_m)
+        check_reach(grasp, cloud.xyz, max_width_m, max_distance_m)
     except GraspError as err:
         return str(err)
     return ""

@@ -15,7 +15,7 @@ def _ball(radius_m: float, distance_m: float) -> np.ndarray:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(500, 3))
     points *= radius_m / np.linalg.norm(points, axis=1, keepdims=True)
-    return (points + [0.0, 0.0, distance_m]).astype(np.float32)
+    return (points + np.array([0.0, 0.0, distance_m])).astype(np.float32)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_objects_within_the_limits_are_accepted(radius_m: float, distance_m: flo
 
 def test_the_limits_are_settings() -> None:
     check_object(_ball(1.0, 50.0), ObjectLimits(max_range_m=60.0, max_extent_m=3.0))
-    with pytest.raises(ConfigError, match="min_extent_m: 0.7 is not below max_extent_m 0.6"):
+    with pytest.raises(ConfigError, match=r"min_extent_m: 0\.7 is not below"):
         ObjectLimits(min_extent_m=0.7)
 
 
@@ -65,7 +65,15 @@ def test_tables_that_no_camera_sees_are_named(coefficients: tuple[float, ...], r
 
 @pytest.mark.parametrize(
     "coefficients",
-    [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4), (0, -0.9, -0.4, 1.2)],
+    [
+        (0, 0, 1, -1.27),
+        (0, 0, -1, 1.27),
+        (0, 1, 0, 0),
+        (1, 0, 0, 0),
+        (0, -1, 0, 0.4),
+        (0, 1, 0, 0.4),
+        (0, -0.9, -0.4, 1.2),
+    ],
 )
 def test_tables_in_view_are_accepted(coefficients: tuple[float, ...]) -> None:
     check_table(Plane.from_coefficients(coefficients))

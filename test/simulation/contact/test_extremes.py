@@ -45,5 +45,5 @@ def test_small_forces_are_proportional_to_the_pressure() -> None:
 
 @pytest.mark.parametrize("modulus", [5e-324, 1e-200, 1e200, 1.7e308])
 def test_a_modulus_of_no_material_is_refused(modulus: float) -> None:
-    with pytest.raises(ContactError, match="modulus_pa: .* is not between"):
+    with pytest.raises(ContactError, match=r"modulus_pa: .* is not between"):
         Layer(modulus_pa=modulus, poisson=0.3)
