@@ -22,7 +22,7 @@ class ReachConfig(Settings):
         0.2, "Grasps whose contacts are farther apart are refused", unit="m", minimum=0.001, maximum=2.0
     )
     max_distance_m: float = setting(
-        0.05,
+        0.1,
         "Grasps with a contact farther from the object's nearest point are refused",
         unit="m",
         minimum=0.0,

@@ -21,7 +21,6 @@ from foretouch.models.calibration import Calibration
 from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
 
-
 _EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
 
 
