@@ -38,7 +38,7 @@ def touch(rng: np.random.Generator) -> Touch:
 def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> SampleRecord:
     """A record with every field set, and different for each number."""
     rng = np.random.default_rng([number, points])
-    xyz = rng.normal(size=(points, 3)).astype(np.float32)
+    xyz = (0.03 * rng.normal(size=(points, 3)) + [0.0, 0.0, 1.0]).astype(np.float32)
     rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
     length = 6
     series = TouchSeries(

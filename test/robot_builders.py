@@ -46,7 +46,7 @@ class Robot:
 
     def see(self, name: str) -> None:
         """A cloud whose points tell the grasp, and a grasp planned on it."""
-        xyz = self._rng.normal(size=(300, 3)).astype(np.float32)
+        xyz = (0.03 * self._rng.normal(size=(300, 3)) + [0.0, 0.0, 0.5]).astype(np.float32)
         self.cloud = Cloud(xyz, None, FRAME, self.now)
         self.clouds.publish(objects_to_msg([FoundObject("7", self.cloud, ASSUMED_TABLE)], FRAME, self.now))
         grasp = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")

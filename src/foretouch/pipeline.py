@@ -14,10 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
+from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import ObjectResiduals
 from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
@@ -29,7 +31,9 @@ class PipelineConfig(Settings):
 
     segmentation: SegmentationConfig = SegmentationConfig()
     target: TargetConfig = TargetConfig()
+    limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
+    reach: ReachConfig = ReachConfig()
     model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
 
 
@@ -124,6 +128,7 @@ class Pipeline:
             rng=rng,
             pixels=target.pixels,
             image_shape=target.image_shape,
+            limits=self.config.limits,
         )
         return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 
@@ -136,9 +141,13 @@ class Pipeline:
             g2: (3,) second contact [m], cloud frame.
 
         Raises:
-            GraspError: If a contact is not finite or both are equal.
+            GraspError: If a contact is not finite, both are equal, or they are out of the hand's reach.
+            CloudError: If the object or its table is out of the limits.
         """
         posed = Grasp(g1, g2, np.eye(3), object_id=target.id)
+        check_object(target.cloud.xyz, self.config.limits)
+        check_table(target.plane, self.config.limits)
+        check_reach(posed, target.cloud.xyz, self.config.reach.max_width_m, self.config.reach.max_distance_m)
         axis, _ = object_axis(target.cloud, target.plane, self.config.grasp)
         return Grasp(g1, g2, hand_rotation(posed.g1, posed.g2, axis), object_id=target.id)
 
@@ -151,7 +160,10 @@ class Pipeline:
         residuals: ObjectResiduals | None = None,
     ) -> list[TouchPrediction]:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
-        return self.model.predict(target.cloud, grasps, tare=tare, residuals=residuals) if grasps else []
+        if not grasps:
+            return []
+        limits, reach = self.config.limits, self.config.reach
+        return self.model.predict(target.cloud, grasps, tare=tare, residuals=residuals, limits=limits, reach=reach)
 
     def run(self, cloud: Cloud) -> PipelineResult:
         """From a cloud of the whole scene to predicted touch."""

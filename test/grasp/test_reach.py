@@ -1,52 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which grasps a hand can execute on a cloud."""
+"""Grasps that no hand can execute are refused by name; every recorded grasp is accepted."""
+
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from foretouch.errors import GraspError
+from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach
 from foretouch.types import Grasp
 
-CLOUD = np.array([[[0.0, 0.0, 0.5], [0.01, 0.0, 0.5]], [[np.nan] * 3, [0.0, 0.01, np.inf]]], np.float32)
+
+@pytest.fixture
+def ball() -> np.ndarray:
+    """A ball of 80 mm, 1 m away."""
+    points = np.random.default_rng(0).normal(size=(3000, 3))
+    points *= 0.04 / np.linalg.norm(points, axis=1, keepdims=True)
+    return (points + np.array([0.0, 0.0, 1.0])).astype(np.float32)
 
 
-def grasp(g1, g2):
-    return Grasp(np.array(g1, np.float64), np.array(g2, np.float64), np.eye(3))
+def _across(width_m: float, offset_m: float = 0.0) -> Grasp:
+    half = np.array([width_m / 2.0, 0.0, 0.0])
+    middle = np.array([0.0, offset_m, 1.0])
+    return Grasp(middle + half, middle - half, np.eye(3))
 
 
-def test_a_grasp_on_the_object_passes_with_one_contact_on_the_hidden_side():
-    check_reach(grasp([0.0, 0.0, 0.5], [0.0, 0.0, 0.64]), CLOUD, 0.15, 0.1)
+@pytest.mark.parametrize(
+    ("grasp", "reason"),
+    [
+        (_across(1.0), r"g1, g2: 1 m apart, more than max_width_m 0\.2"),
+        (_across(0.08, 50.0), r"g1: .* m from the object, more than max_distance_m 0\.05"),
+        (_across(1e160), "g1, g2: 1e[+]160 m apart"),
+        (_across(1.7e308), "apart, more than"),
+        (_across(0.08, 1e160), "g1: 1e[+]160 m from the object"),
+        (Grasp(np.array([0.0, 0.04, 1.0]), np.array([0.0, -0.12, 1.0]), np.eye(3)), "g2: .* m from the object"),
+    ],
+)
+def test_grasps_out_of_reach_are_named(ball, grasp: Grasp, reason: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(GraspError, match=reason):
+            check_reach(grasp, ball, 0.2, 0.05)
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.09])
-def test_the_limits_are_inclusive(shift):
-    one = grasp([0.01 + shift, 0.0, 0.5], [0.01 + shift, 0.0, 0.65])
-    check_reach(one, CLOUD.astype(np.float64), one.width_m, shift + 1e-7)
+def test_grasps_within_reach_are_accepted(ball) -> None:
+    ball[::3] = np.nan
+    check_reach(_across(0.08), ball, 0.2, 0.05)
+    check_reach(_across(0.16), ball.reshape(50, 60, 3), 0.2, 0.05)
 
 
-@pytest.mark.parametrize("far", [0.2, 1.0, 1e20, 1e160, 1e308])
-def test_a_grasp_wider_than_the_hand_is_refused_at_any_size(far):
-    with pytest.raises(GraspError, match=r"^g1, g2: \S+ m apart, which is above max_width_m, 0\.15 m$"):
-        check_reach(grasp([-far, 0.0, 0.5], [far, 0.0, 0.5]), CLOUD, 0.15, 0.1)
+def test_one_near_point_of_many_is_found(ball) -> None:
+    far = ball + np.array([0.0, 3.0, 0.0], np.float32)
+    far[1234] = [0.04, 0.0, 1.0]
+    far[2345] = [-0.04, 0.0, 1.0]
+    check_reach(_across(0.08), far, 0.2, 0.05)
 
 
-@pytest.mark.parametrize("far", [0.2, 50.0, 1e15])
-def test_a_grasp_far_from_its_cloud_is_refused(far):
-    with pytest.raises(
-        GraspError, match=r"^g1, g2: \S+ m from the nearest point of the cloud, which is above max_dist"
-    ):
-        check_reach(grasp([far, 0.0, 0.5], [np.nextafter(far, 2 * far), 0.0, 0.5]), CLOUD, 0.15, 0.1)
+def test_a_cloud_without_a_finite_point_is_out_of_reach() -> None:
+    with pytest.raises(GraspError, match="g1: inf m from the object"):
+        check_reach(_across(0.08), np.full((5, 3), np.nan), 0.2, 0.05)
 
 
-def test_a_cloud_without_a_finite_point_has_nothing_in_reach():
-    with pytest.raises(GraspError, match="inf m from the nearest point"):
-        check_reach(grasp([0.0, 0.0, 0.5], [0.0, 0.1, 0.5]), np.full((4, 3), np.nan, np.float32), 0.15, 0.1)
-    with pytest.raises(GraspError, match="inf m from the nearest point"):
-        check_reach(grasp([0.0, 0.0, 0.5], [0.0, 0.1, 0.5]), np.empty((0, 3), np.float32), 0.15, 0.1)
+@pytest.mark.parametrize(
+    "matrix", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.ones((3, 3)), np.full((3, 3), 1e300)]
+)
+def test_matrices_that_are_no_rotations_are_named(matrix) -> None:
+    with pytest.raises(GraspError, match=r"rotation: .* is not a rotation matrix"):
+        check_rotation(matrix)
 
 
-def test_any_point_of_a_large_cloud_counts():
-    cloud = np.full((1000, 3), 9.0, np.float32)
-    cloud[63] = 0.0
-    check_reach(grasp([0.0, 0.0, 0.01], [0.0, 0.1, 0.01]), cloud, 0.15, 0.02)
+@pytest.mark.real_data
+def test_every_recorded_grasp_is_accepted(real_data: Path) -> None:
+    from foretouch.dataset.samples import open_samples
+
+    with open_samples(str(real_data / "vision2tactile")) as found:
+        samples = [record.sample for record in found.records()]
+    assert len(samples) >= 400
+    for sample in samples:
+        check_reach(sample.grasp, sample.cloud.xyz, 0.2, 0.05)
+        check_rotation(sample.grasp.rotation)

@@ -153,8 +153,9 @@ def test_a_contact_model_loads_and_predicts_without_torch(contact: Path) -> None
 import sys, numpy as np
 from foretouch.models.registry import load_model
 from foretouch.types import Cloud, Grasp
-cloud = Cloud(np.random.default_rng(0).normal(size=(99, 3)).astype(np.float32))
-load_model({str(contact)!r}).predict(cloud, [Grasp(np.zeros(3), np.ones(3), np.eye(3))])
+points = 0.03 * np.random.default_rng(0).normal(size=(99, 3)) + [0, 0, 1]
+cloud = Cloud(points.astype(np.float32))
+load_model({str(contact)!r}).predict(cloud, [Grasp(np.array([0, 0.03, 1]), np.array([0, -0.03, 1]), np.eye(3))])
 sys.exit(any(name in sys.modules for name in ("torch", "sklearn")))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

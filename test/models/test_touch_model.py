@@ -12,7 +12,9 @@ from contact_model_builders import scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import CloudError, ModelError, TactileError
+from foretouch.grasp.reach import ReachConfig
 from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
@@ -122,7 +124,9 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     moved = [Grasp(g.g1 + back, g.g2 + back, g.rotation) for g in grasps]
     assert all("unfamiliar" in p.flags for p in model.predict(far, moved))
     beside = Grasp(grasps[0].g1 + aside, grasps[0].g2 + aside, grasps[0].rotation)
-    assert ["unfamiliar" in p.flags for p in model.predict(can, [grasps[0], beside])] == [False, True]
+    wide = ReachConfig(max_distance_m=1.0)
+    predictions = model.predict(can, [grasps[0], beside], reach=wide)
+    assert ["unfamiliar" in p.flags for p in predictions] == [False, True]
 
 
 def test_a_network_that_overflows_is_refused_by_name(make_net, small, can, make_grasps) -> None:
@@ -234,7 +238,8 @@ def test_grasps_of_one_call_are_independent_after_tare_and_touches(calibrated) -
 def test_an_object_unlike_those_of_training_is_flagged_and_has_the_interval_of_new_objects(calibrated) -> None:
     sample = SAMPLES[3]
     house = scaled(sample.cloud, 50.0)
-    (prediction,) = calibrated.predict(house, [sample.grasp])
+    limits, reach = ObjectLimits(max_extent_m=10.0, max_range_m=100.0), ReachConfig(max_distance_m=1.0)
+    (prediction,) = calibrated.predict(house, [sample.grasp], limits=limits, reach=reach)
     assert "unfamiliar" in prediction.flags
     half = calibrated.calibration.groups["new"].half_width
     assert_allclose(bounds([prediction])[1, 0] - prediction.value.vector(), half, atol=1e-9)

@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object, check_table
 from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
@@ -104,6 +105,7 @@ def plan_grasps(
     rng: np.random.Generator | None = None,
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
+    limits: ObjectLimits = DEFAULT_LIMITS,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
@@ -118,6 +120,7 @@ def plan_grasps(
         rng: Draws `slide_m` from the object's extent instead; see `random_slide`.
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
+        limits: Range and size of objects; others have no grasp.
 
     Returns:
         The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
@@ -133,7 +136,8 @@ def plan_grasps(
     points = finite_points(cloud, pixels, image_shape)
     builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
-        return _plan(points, plane, config, rng, builder)
+        check_table(plane, limits)
+        return _plan(points, plane, config, rng, builder, limits)
     except CloudError as err:
         return builder.plan("no_grasp", str(err))
 
@@ -153,11 +157,17 @@ def random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: float
 
 
 def _plan(
-    points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None, builder: _PlanBuilder
+    points: FinitePoints,
+    plane: Plane,
+    config: GeoGraspConfig,
+    rng: np.random.Generator | None,
+    builder: _PlanBuilder,
+    limits: ObjectLimits,
 ) -> GraspPlan:
     counts = builder.counts
     with builder.stage("outliers"):
         downsampled = points.downsampled(config)
+        check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         xyz = downsampled.without_outliers(config)
         counts["n_filtered"] = len(xyz)

@@ -54,9 +54,7 @@ def quaternion_xyzw(rotation: Float64) -> Float64:
         GraspError: If the matrix is not a proper rotation within 1e-3, or not finite.
     """
     r = np.asarray(rotation, np.float64)
-    proper = r.shape == (3, 3) and bool(np.isfinite(r).all())
-    if not proper or np.abs(r @ r.T - np.eye(3)).max() > 1e-3 or np.linalg.det(r) < 0:
-        raise GraspError(f"rotation: {r.tolist()} is not a rotation matrix")
+    check_rotation(r)
     squares = np.array(
         [
             1.0 + r[0, 0] - r[1, 1] - r[2, 2],
@@ -75,6 +73,17 @@ def quaternion_xyzw(rotation: Float64) -> Float64:
     q = q / np.linalg.norm(q)
     leading = q[3] if abs(q[3]) > 1e-12 else q[np.flatnonzero(np.abs(q) > 1e-12)[0]]
     return np.asarray(-q if leading < 0 else q, np.float64)
+
+
+def check_rotation(rotation: Float64) -> None:
+    """Check that a matrix is a proper rotation within 1e-3.
+
+    Raises:
+        GraspError: If it is not (3, 3), not finite, skewed, scaled or left-handed.
+    """
+    proper = rotation.shape == (3, 3) and bool((np.abs(rotation) < 2.0).all())  # no overflow in the product
+    if not proper or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
 
 
 def _unit(vector: Float64, name: str) -> Float64:

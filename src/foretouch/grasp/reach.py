@@ -1,53 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a hand can execute a grasp on a cloud: not wider than its opening, and on the object."""
+"""Refuse grasps that no hand can execute: wider than it opens, or off the object."""
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from foretouch.config import Settings, setting
 from foretouch.errors import GraspError
-from foretouch.types import Float32, Float64, Grasp
+from foretouch.types import Float64, Grasp
 
-_SAMPLE = 64  # every 64th point is searched first: it is mostly near enough
+_SAMPLED = 256  # points tried first: one within reach is sufficient
 
 
-def check_reach(grasp: Grasp, cloud_xyz: Float32 | Float64, max_width_m: float, max_distance_m: float) -> None:
-    """Refuse a grasp that is wider than a hand or far from its object.
+@dataclass(frozen=True, kw_only=True)
+class ReachConfig(Settings):
+    """The hand's reach. The defaults are those of a Shadow Hand, thumb and middle finger."""
 
-    The distance is that of the contact which is nearer to the cloud: the other one may be on the hidden side.
+    max_width_m: float = setting(
+        0.2, "Grasps whose contacts are farther apart are refused", unit="m", minimum=0.001, maximum=2.0
+    )
+    max_distance_m: float = setting(
+        0.1,
+        "Grasps with a contact farther from the object's nearest point are refused",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+DEFAULT_REACH = ReachConfig()
+
+
+def check_reach(
+    grasp: Grasp,
+    cloud_xyz: npt.NDArray[np.floating],
+    max_width_m: float = DEFAULT_REACH.max_width_m,
+    max_distance_m: float = DEFAULT_REACH.max_distance_m,
+) -> None:
+    """Check that a hand can open as wide as a grasp, and that both contacts are at the object.
 
     Args:
         grasp: In the cloud's frame.
-        cloud_xyz: (..., 3) floating, points of the object [m]; points that are not finite are ignored. A cloud without a
-            finite point refuses every grasp.
-        max_width_m: Greatest distance between the contacts [m].
-        max_distance_m: Greatest distance between the nearer contact and its nearest point [m].
+        cloud_xyz: (..., 3) floating [m], the object's points; those that are not finite are ignored.
+        max_width_m: Largest distance of the contacts [m].
+        max_distance_m: Largest distance of a contact from the nearest point [m].
 
     Raises:
-        GraspError: With the value and the limit.
+        GraspError: Names the measure and its limit.
     """
-    with np.errstate(over="ignore"):
-        width = _length(grasp.g2 - grasp.g1)
+    width = math.dist(grasp.g1.tolist(), grasp.g2.tolist())
     if not width <= max_width_m:
-        raise GraspError(f"g1, g2: {width:.4g} m apart, which is above max_width_m, {max_width_m:g} m")
+        raise GraspError(f"g1, g2: {width:.4g} m apart, more than max_width_m {max_width_m:g}")
     points = cloud_xyz.reshape(-1, 3)
-    contacts = (grasp.g1, grasp.g2)
-    if any(_distance(points[::_SAMPLE], contact) <= max_distance_m for contact in contacts):
-        return
-    distance = min(_distance(points, contact) for contact in contacts)
-    if not distance <= max_distance_m:
-        raise GraspError(
-            f"g1, g2: {distance:.4g} m from the nearest point of the cloud, which is above max_distance_m, "
-            f"{max_distance_m:g} m"
-        )
+    for name, contact in (("g1", grasp.g1), ("g2", grasp.g2)):
+        if _within(points[:: max(1, len(points) // _SAMPLED)], contact, max_distance_m):
+            continue
+        if not _within(points, contact, max_distance_m):
+            raise GraspError(
+                f"{name}: {_nearest_m(points, contact):.4g} m from the object, more than max_distance_m {max_distance_m:g}"
+            )
 
 
-def _length(vector: Float64) -> float:
-    """Euclidean length without overflow."""
-    scale = float(np.abs(vector).max())
-    return scale * float(np.linalg.norm(vector / scale)) if 0.0 < scale < np.inf else scale
-
-
-def _distance(points: Float32 | Float64, contact: Float64) -> float:
-    """Distance of the nearest finite point; infinite without one, or where the square overflows."""
+def _within(points: npt.NDArray[np.floating], contact: Float64, distance_m: float) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
-        squares = np.square(points - contact).sum(axis=1)
-    return float(np.sqrt(np.nanmin(squares, initial=np.inf)))
+        apart = points - contact
+        return bool((np.einsum("ij,ij->i", apart, apart) <= distance_m * distance_m).any())
+
+
+def _nearest_m(points: npt.NDArray[np.floating], contact: Float64) -> float:
+    """Distance of the nearest finite point [m]; infinite without one."""
+    finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    return min((math.dist(point, contact.tolist()) for point in finite.tolist()), default=math.inf)

@@ -13,10 +13,15 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ModelError, TactileError
+from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
+from foretouch.errors import GraspError, ModelError, TactileError
+from foretouch.grasp.pose import check_rotation
+from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach
 from foretouch.models.calibration import Calibration
 from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
+
+_EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,8 @@ class TouchModel:
         *,
         tare: Touch | None = None,
         residuals: ObjectResiduals | None = None,
+        limits: ObjectLimits = DEFAULT_LIMITS,
+        reach: ReachConfig = DEFAULT_REACH,
     ) -> list[TouchPrediction]:
         """Predict the readings of both fingertips at each grasp.
 
@@ -83,14 +90,16 @@ class TouchModel:
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before.
             residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
+            limits: Range and size of objects.
+            reach: Of the hand.
 
         Returns:
-            One prediction a grasp, in order. `reference` names the strongest reading that it was adapted to: touches,
+            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference` names the strongest reading that it was adapted to: touches,
             tare or none. Flags: `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar`
             where cloud or grasp is out of the training distribution.
 
         Raises:
-            CloudError: If the cloud holds too few points or all at one position.
+            CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
             ModelError: If the cloud lacks a colour that the model needs; if tare or residuals are given to a model without
                 calibration, or both are; if the residuals are of another model.
             TactileError: If the tare is not a reading of working sensors.
@@ -102,6 +111,21 @@ class TouchModel:
                 raise ModelError(f"{self.name}: residuals: are of {residuals.model.name}, which predicts otherwise")
             self._require_calibration()
             tare = residuals.tare
+        check_object(cloud.xyz, limits)
+        refusals = [_refusal(grasp, cloud, reach.max_width_m, reach.max_distance_m) for grasp in grasps]
+        if any(refusals):
+            usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
+            predicted = iter(self._predict(cloud, usable, tare, residuals))
+            return [
+                TouchPrediction(grasp, None, status="refused", reason=reason) if reason else next(predicted)
+                for grasp, reason in zip(grasps, refusals, strict=True)
+            ]
+        return self._predict(cloud, grasps, tare, residuals)
+
+    def _predict(
+        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None, residuals: ObjectResiduals | None
+    ) -> list[TouchPrediction]:
+        """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
         counts = self._shifted(estimate.counts, tare)
         touches = residuals.count if residuals is not None else 0
@@ -115,9 +139,19 @@ class TouchModel:
         return self._predictions(grasps, Estimate(counts, estimate.in_distribution), half, reference)
 
     def expect(self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None) -> Float64:
-        """(K, 50) predictions before any touch, which readings are compared with [counts]; raises as `predict`."""
+        """(K, 50) predictions before any touch, which readings are compared with [counts].
+
+        Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
+        """
         self._require_calibration()
-        return self._shifted(self._estimator.estimate(cloud, grasps).counts, tare)
+        check_object(cloud.xyz)
+        # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
+        refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, DEFAULT_LIMITS.max_range_m) for grasp in grasps]
+        usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
+        estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
+        if any(refusals):
+            raise GraspError(next(filter(None, refusals)))
+        return self._shifted(estimate.counts, tare)
 
     def _require_calibration(self) -> None:
         if self.calibration is None:
@@ -153,6 +187,16 @@ class TouchModel:
         return predictions
 
 
+def _refusal(grasp: Grasp, cloud: Cloud, max_width_m: float, max_distance_m: float) -> str:
+    """Why no hand can execute a grasp; "" if one can."""
+    try:
+        check_rotation(grasp.rotation)
+        check_reach(grasp, cloud.xyz, max_width_m, max_distance_m)
+    except GraspError as err:
+        return str(err)
+    return ""
+
+
 class ObjectResiduals:
     """Readings of earlier touches on one object, and a model's predictions for the same grasps.
 
@@ -184,6 +228,7 @@ class ObjectResiduals:
         Raises:
             TactileError: If the reading, or the tare, is not that of working sensors.
             CloudError: If the cloud cannot be used.
+            GraspError: If no hand can execute the grasp.
             ModelError: If the model has no calibration, or refuses the cloud.
         """
         faults = check_touch(reading).faults

@@ -38,7 +38,7 @@ def _image(seed: int, *, noise_m: float = 0.001, flying_pixels: bool = False, **
 def _check_consistency(cloud: Cloud, segmentation: Segmentation) -> None:
     """Invariants of every result."""
     counts = segmentation.counts
-    parts = ("not_finite", "out_of_range", "background", "rejected", "flying", "objects")
+    parts = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
     assert counts["received"] == cloud.size == sum(counts[name] for name in parts)
     assert min(counts.values()) >= 0
     assert segmentation.labels.shape == cloud.xyz.shape[:-1]

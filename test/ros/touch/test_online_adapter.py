@@ -344,7 +344,9 @@ class DirectHand(Robot):
 
     def see(self, name: str, shift: float = 0.0, *, requested: bool = False) -> None:
         cloud = Cloud(
-            np.random.default_rng(5).normal(size=(300, 3)).astype(np.float32) + np.float32(shift), None, FRAME
+            (0.03 * np.random.default_rng(5).normal(size=(300, 3)) + [shift, shift, 1.0 + shift]).astype(np.float32),
+            None,
+            FRAME,
         )
         found = objects_to_msg([FoundObject("7", cloud, ASSUMED_TABLE)], FRAME, self.now)
         one = Grasp(np.array([0.0, 0.03, 0.5]), np.array([0.0, -0.03, 0.5]), np.eye(3), 1.0, name, "7")

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from foretouch.cloud.segmentation.clusters import Bool, ClusterConfig, Clusters, HeightThreshold, Int32
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.types import Float32
 
 Index = npt.NDArray[np.intp]
@@ -58,7 +59,13 @@ class _Window(NamedTuple):
 
 
 def label_organised(
-    xyz: Float32, coarse: Float32, stride: int, crop: CropConfig, threshold: HeightThreshold, config: ClusterConfig
+    xyz: Float32,
+    coarse: Float32,
+    stride: int,
+    crop: CropConfig,
+    threshold: HeightThreshold,
+    config: ClusterConfig,
+    rays: RayFilter | None = None,
 ) -> list[Clusters]:
     """Label an organised cloud.
 
@@ -69,6 +76,7 @@ def label_organised(
         crop: Depth range.
         threshold: Height threshold above the table.
         config: Settings.
+        rays: Drops and counts points beside the ray of their pixel, if given.
 
     Returns:
         Labelled windows of the image, one around each patch above the table. The rectangles may overlap, but
@@ -78,18 +86,24 @@ def label_organised(
 
     min_nodes = max(1, config.min_points // (2 * stride * stride))
     height, above = threshold.measure(coarse, coarse[..., 2])
-    patches = _patches(above & in_range(coarse[..., 2], crop), height > config.min_top_m, min_nodes)
+    above &= in_range(coarse[..., 2], crop)
+    if rays is not None:
+        above &= ~_off_grid(coarse, above, stride, rays, xyz.shape[1])
+    patches = _patches(above, height > config.min_top_m, min_nodes)
     pitch = _pixel_pitch(coarse) / stride
     found: list[Clusters] = []
     taken = np.zeros(xyz.shape[:2], np.bool_)
     for number, box in enumerate(find_objects(patches), 1):
         rows, columns = (slice(max(span.start - 1, 0), span.stop + 1) for span in box)  # a margin of one cell
         part = tuple(slice(span.start * stride, span.stop * stride) for span in (rows, columns))
-        z = np.ascontiguousarray(xyz[part][..., 2])
-        height, above = threshold.measure(xyz[part], z)
+        points = xyz[part]
+        z = np.ascontiguousarray(points[..., 2])
+        if rays is not None:
+            points, z = _on_rays(points, z, part, rays, xyz.shape[1], crop)
+        height, above = threshold.measure(points, z)
         above &= in_range(z, crop)
         window = _Window(z, height, above, threshold, stride, pitch, config)
-        with np.errstate(invalid="ignore"):  # pixels without depth compare as false
+        with np.errstate(invalid="ignore", over="ignore"):  # pixels without depth compare as false
             nodes = _label_grid(window, patches[rows, columns] == number, min_nodes)
             labels = _grow(nodes, window)
             solid = _refine_outlines(labels, window)
@@ -98,6 +112,37 @@ def label_organised(
         taken[part] |= solid
         found.append(Clusters(labels, solid, int(nodes.max(initial=0)), part[0].start, part[1].start))
     return found
+
+
+def _off_grid(coarse: Float32, above: Bool, stride: int, rays: RayFilter, width: int) -> Bool:
+    """(h, w) bool: pixels of the coarse grid above the table that are beside their ray."""
+    off = np.zeros(above.shape, np.bool_)
+    index = np.flatnonzero(above)
+    points: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
+    rows, columns = np.divmod(index, above.shape[1])
+    rows *= stride
+    columns *= stride
+    beside = rays.beside(points, points[:, 2], rows, columns)
+    if beside.any():
+        off.reshape(-1)[index[beside]] = True
+        rays.record((rows * width + columns)[beside])
+    return off
+
+
+def _on_rays(
+    points: Float32, z: Float32, part: tuple[slice, ...], rays: RayFilter, width: int, crop: CropConfig
+) -> tuple[Float32, Float32]:
+    """The points (h, w, 3) of a window and their depths, without those beside their ray: they become holes."""
+    rows = np.arange(part[0].start, part[0].start + z.shape[0])
+    columns = np.arange(part[1].start, part[1].start + z.shape[1])
+    beside = rays.beside(points, z, rows[:, None], columns)
+    if beside.any():
+        row, column = np.nonzero(beside & in_range(z, crop))
+        rays.record(rows[row] * width + columns[column])
+        points, z = points.copy(), z.copy()
+        points[beside] = np.nan
+        z[beside] = np.nan
+    return points, z
 
 
 def _patches(above: Bool, tall: Bool, min_nodes: int) -> Int32:

@@ -13,16 +13,18 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.cloud.segmentation.clusters import ClusterConfig, HeightThreshold, Int32, label_unorganised
 from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
+from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, out_of_view
 from foretouch.config import Settings, setting
 from foretouch.types import Cloud, Float32, Plane
 
-SegmentationStatus = Literal["ok", "empty_cloud", "too_few_points", "no_plane", "no_object"]
+SegmentationStatus = Literal["ok", "empty_cloud", "bad_cloud", "too_few_points", "no_plane", "no_object"]
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
@@ -33,6 +35,7 @@ class SegmentationConfig(Settings):
     """Settings of each segmentation step."""
 
     crop: CropConfig = CropConfig()
+    rays: RayConfig = RayConfig()
     plane: PlaneConfig = PlaneConfig()
     clusters: ClusterConfig = ClusterConfig()
     min_points: int = setting(
@@ -51,8 +54,10 @@ class Segmentation:
         objects: Nearest centroid first; ids 1, 2, ...
         labels: (H, W) or (N,) int32, the id of each point's object, 0 for none. Flying pixels at the outline of an
             object have its label, but an unreliable depth, so they are not in its cloud.
-        counts: received = not_finite + out_of_range + background + rejected + flying + objects; background is the
-            table, points below it and isolated points; rejected are the points of `n_rejected` implausible clusters.
+        counts: received = not_finite + out_of_range + off_ray + background + rejected + flying + objects; off_ray are
+            points beside the ray of their pixel, or out of view in an unorganised cloud; of an image only the points
+            that could affect the result are checked; background is the table, points below it, isolated points and
+            those without x or y; rejected are the points of `n_rejected` implausible clusters.
         ms: Time of each stage and `total` [ms].
     """
 
@@ -93,9 +98,10 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     log = _StageLog()
     with log.stage("total"):
         status, reason, plane, objects, labels = _segment(cloud, config, log)
-    counts = {"received": cloud.size, "not_finite": 0, "out_of_range": 0, "background": 0}
+    counts = {"received": cloud.size, "not_finite": 0, "out_of_range": 0, "off_ray": 0, "background": 0}
     counts |= {"rejected": 0, "n_rejected": 0, "flying": 0, "objects": 0} | log.counts
-    dropped = sum(counts[name] for name in ("not_finite", "out_of_range", "rejected", "flying", "objects"))
+    used = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")
+    dropped = sum(counts[name] for name in used)
     counts["background"] = counts["received"] - dropped
     return Segmentation(status, reason, plane, objects, labels, counts, log.ms)
 
@@ -114,8 +120,22 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
     if usable < config.min_points:
         return "too_few_points", f"{usable} points in range, fewer than {config.min_points}", None, (), labels
     with log.stage("plane"):
+        image = _is_image(xyz)
+        if not image:
+            xyz, n_out_of_view = _in_view(xyz, config)
+            log.counts["off_ray"] = n_out_of_view
         coarse, stride = _coarse(xyz, config.crop)
-        fit = fit_plane(_sample(coarse, config.crop), config.plane)
+        index = _sample(coarse, config.crop)
+        sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
+        rays, sample = (
+            _check_rays(sample, index, coarse, stride, xyz.shape[1], config) if image else (None, _finite(sample))
+        )
+        fault = rays.reason if rays else _too_many(log.counts["off_ray"], usable, config.rays)
+        if rays:
+            log.counts["off_ray"] = rays.count_dropped(xyz)
+        if fault:
+            return "bad_cloud", fault, None, (), labels
+        fit = fit_plane(sample, config.plane)
     if fit.plane is None:
         return "no_plane", fit.reason, None, (), labels
     with log.stage("clusters"):
@@ -123,9 +143,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
         noise_per_m = limits.noise_factor * fit.noise_per_m
         threshold = HeightThreshold(fit.plane, limits.min_height_m, noise_per_m, limits.max_height_m)
         if cloud.organised:
-            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits)
+            windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
         else:
             windows = label_unorganised(xyz, config.crop, threshold, limits)
+        if rays:
+            log.counts["off_ray"] = rays.count_dropped(xyz)
     with log.stage("objects"):
         objects, counts = extract_objects(cloud, windows, fit.plane, limits, labels)
         log.counts |= counts
@@ -145,14 +167,54 @@ def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int]:
     return np.ascontiguousarray(xyz), 1
 
 
-def _sample(xyz: Float32, config: CropConfig) -> Float32:
-    """(n, 3) finite points in range, evenly distributed, as many as the plane fit needs."""
+def _sample(xyz: Float32, config: CropConfig) -> npt.NDArray[np.intp]:
+    """(n,) flat indices of points in range, evenly distributed, as many as the plane fit needs."""
     index = np.flatnonzero(in_range(xyz[..., 2], config))
     if len(index) > _PLANE_POINTS:
         index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
-    points: Float32 = xyz.reshape(-1, 3).take(index, axis=0)
+    return index
+
+
+def _finite(points: Float32) -> Float32:
     good = np.isfinite(points).all(axis=1)
     return points if good.all() else points[good]
+
+
+def _is_image(xyz: Float32) -> bool:
+    """Whether pixels determine rays; a single row or column is a list."""
+    return xyz.ndim == 3 and min(xyz.shape[:2]) > 1
+
+
+def _check_rays(
+    sample: Float32, index: npt.NDArray[np.intp], coarse: Float32, stride: int, width: int, config: SegmentationConfig
+) -> tuple[RayFilter, Float32]:
+    """The rays of an image, and the points (n, 3) of the sample that are on them."""
+    rows, columns = np.divmod(index, coarse.shape[1])
+    rows *= stride
+    columns *= stride
+    rays = RayFilter(sample, rows, columns, config.rays)
+    if not rays.off_sample.any():
+        return rays, _finite(sample)
+    rays.record((rows * width + columns)[rays.off_sample])
+    return rays, _finite(sample[~rays.off_sample])
+
+
+def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:
+    """The cloud with points out of view as points without depth, and their number among those in range."""
+    flat = xyz.reshape(-1, 3)
+    off = out_of_view(flat, config.rays)
+    if not off.any():
+        return xyz, 0
+    off &= in_range(flat[:, 2], config.crop)
+    seen = flat.copy()
+    seen[off] = np.nan
+    return seen.reshape(xyz.shape), int(np.count_nonzero(np.isfinite(flat[off]).all(axis=1)))
+
+
+def _too_many(off: int, usable: int, config: RayConfig) -> str:
+    if off <= config.max_fraction * usable:
+        return ""
+    return f"{off} of {usable} points are out of a field of view of {config.field_of_view_deg:g} degrees"
 
 
 def _why_empty(z: Float32, config: CropConfig) -> str:

@@ -30,6 +30,9 @@ class ContactConfig(Settings):
 DEFAULT_CONFIG = ContactConfig()  # made once: checking settings takes longer than a Winkler contact
 
 
+_LEAST, _MOST = 1e-30, 1e30  # N, m or Pa: far beyond any contact, and their squares and quotients are normal numbers
+
+
 @dataclass(frozen=True, kw_only=True)
 class Layer:
     """An isotropic elastic layer, bonded to a rigid base.
@@ -45,6 +48,8 @@ class Layer:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.modulus_pa) and self.modulus_pa > 0.0):
             raise ContactError(f"modulus_pa: {self.modulus_pa} is not positive and finite")
+        if not _LEAST <= self.modulus_pa <= _MOST:
+            raise ContactError(f"modulus_pa: {self.modulus_pa} is not between {_LEAST:g} and {_MOST:g} Pa")
         if not 0.0 <= self.poisson <= 0.5:
             raise ContactError(f"poisson: {self.poisson} is not between 0 and 0.5")
         if not self.thickness_m > 0.0:
@@ -61,7 +66,8 @@ class Command:
     """The command of a finger: either a force or a depth.
 
     Raises:
-        ContactError: If neither or both are given, one is not finite, or the force is negative.
+        ContactError: If neither or both are given, one is not finite, too small or too large to compute with, or the
+            force is negative.
     """
 
     force_n: float | None = None  # normal force, at least 0 [N]
@@ -75,6 +81,8 @@ class Command:
             raise ContactError(f"{name}: {value} is not finite")
         if self.force_n is not None and self.force_n < 0.0:
             raise ContactError(f"force_n: {self.force_n} is negative")
+        if not self.idle and not _LEAST <= float(value or 0.0) <= _MOST:
+            raise ContactError(f"{name}: {value} is neither 0 nor between {_LEAST:g} and {_MOST:g}")
 
     @property
     def idle(self) -> bool:

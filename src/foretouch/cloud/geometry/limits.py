@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Refuse objects and tables that a depth camera cannot see and a hand cannot hold."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import CloudError, ConfigError
+from foretouch.types import Float32, Plane
+
+_WIDEST = math.tan(math.radians(60.0))  # largest |x/z| and |y/z| that a depth camera sees
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectLimits(Settings):
+    """Where an object can be, and how large. The defaults are those of a D415 and a Shadow Hand."""
+
+    min_range_m: float = setting(
+        0.16, "Objects whose centre is nearer to the camera are refused", unit="m", minimum=0.0, maximum=10.0
+    )
+    max_range_m: float = setting(
+        10.0, "Objects and tables farther from the camera are refused", unit="m", minimum=0.1, maximum=100.0
+    )
+    min_extent_m: float = setting(
+        0.005, "Objects whose largest side is shorter are refused", unit="m", minimum=1e-6, maximum=1.0
+    )
+    max_extent_m: float = setting(
+        0.6, "Objects whose largest side is longer are refused", unit="m", minimum=0.01, maximum=10.0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in (("min_range_m", "max_range_m"), ("min_extent_m", "max_extent_m")):
+            if getattr(self, low) >= getattr(self, high):
+                raise ConfigError(f"ObjectLimits.{low}: {getattr(self, low)} is not below {high} {getattr(self, high)}")
+
+
+DEFAULT_LIMITS = ObjectLimits()
+
+
+def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
+    """Check range and size of an object.
+
+    Args:
+        xyz: (..., 3) float32 [m], its points, the sensor at the origin. Points that are not finite are ignored;
+            without two different points nothing is checked.
+        limits: Range and size.
+
+    Raises:
+        CloudError: Names the measure and its limit.
+    """
+    points = xyz.reshape(-1, 3)
+    columns = points.T.astype(np.float64, order="C")  # reductions along rows of three are slow
+    if not np.isfinite(columns).all():
+        columns = columns[:, np.isfinite(columns).all(axis=0)]
+    if columns.shape[1] == 0:
+        return
+    low, high = columns.min(axis=1), columns.max(axis=1)
+    extent = float((high - low).max())
+    if extent == 0.0:
+        return
+    distance = math.hypot(*((low + high) / 2.0).tolist())
+    if distance > limits.max_range_m:
+        raise CloudError(f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}")
+    if extent > limits.max_extent_m:
+        raise CloudError(f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}")
+    if extent < limits.min_extent_m:
+        raise CloudError(f"xyz: the object extends {extent:.4g} m, less than min_extent_m {limits.min_extent_m:g}")
+    if distance < limits.min_range_m:
+        raise CloudError(f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}")
+
+
+def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
+    """Check that a table is in front of the camera, which is at the origin and looks along z.
+
+    Args:
+        plane: The table; one through the camera itself is accepted.
+        limits: Range.
+
+    Raises:
+        CloudError: If it is behind the camera, or out of range.
+    """
+    if not abs(plane.offset) <= limits.max_range_m:
+        raise CloudError(f"plane: is {abs(plane.offset):.4g} m away, more than max_range_m {limits.max_range_m:g}")
+    x, y, z = plane.normal.tolist()
+    sideways = _WIDEST * (abs(x) + abs(y))
+    # n·p + d = 0 has no solution p = t (u, v, 1) with t > 0 in the field of view.
+    if (plane.offset > 0.0 and z - sideways >= 0.0) or (plane.offset < 0.0 and z + sideways <= 0.0):
+        raise CloudError(f"plane: {plane.coefficients.tolist()} is behind the camera")
