@@ -22,6 +22,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
+from foretouch.checked_files import open_regular
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
 
@@ -89,7 +90,7 @@ def mapped(path: Path) -> Iterator[memoryview]:
     """
     with ExitStack() as stack:
         try:
-            file = stack.enter_context(path.open("rb"))
+            file = stack.enter_context(open_regular(path))
             size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
             data = stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)) if size else b""
         except OSError as err:

@@ -26,7 +26,7 @@ from foretouch.models.calibration import Calibration, calibration_file, load_cal
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact.features import FEATURES, ContactScene
 from foretouch.models.contact.regressors import Forest, KernelRegression
-from foretouch.models.files import TensorRecord, packed, read_part, read_tensors, replace_files
+from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
@@ -159,7 +159,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card)
-    path = card_path.with_name(Path(card["weights"]).name)
+    path = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(path, card["sha256"], card_path.name)
     try:
         return TouchModel(ContactEstimator.from_tensors(tensors, ranges), card, calibration)
