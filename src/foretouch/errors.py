@@ -12,7 +12,7 @@ from typing import Any, Final
 
 _SHOWN: Final = 200  # characters of a name or value in a message
 _PATH: Final = 400  # characters of a path in a message
-_RULE: Final = 2000  # characters of a rule, which may list what is known
+_RULE: Final = 800  # characters of a rule, which may list what is known
 
 
 def shown(value: Any, limit: int = _SHOWN) -> str:

@@ -29,6 +29,7 @@ UNPACKED: Final = 32_000_000
 UNPACKED_RATIO: Final = 10
 """Beyond `UNPACKED`, how many times the size of the file compressed data may unpack to."""
 
+_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
 _MAX_AXES: Final = 8
 _DAMAGE: Final = (
     *(ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError, OSError),
@@ -94,7 +95,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[
             (2, 0): np.lib.format.read_array_header_2_0,
             (3, 0): np.lib.format.read_array_header_2_0,
         }[version]
-        shape, by_columns, dtype = read_header(stream)  # type: ignore[no-untyped-call]
+        shape, by_columns, dtype = read_header(stream, _HEADER_LIMIT)  # type: ignore[no-untyped-call]
     except _DAMAGE as err:
         rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"
         raise FileError(path, rule, field=field) from err

@@ -29,6 +29,7 @@ from foretouch.errors import FileError
 Declaration: TypeAlias = Schema | Channel | Metadata
 
 _HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")
 INDEX_HEAD = struct.Struct("<HI")
@@ -184,6 +185,19 @@ def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | N
     if record.opcode == Opcode.CHANNEL:
         return parse(Channel, data, record)
     return parse(Metadata, data, record) if record.opcode == Opcode.METADATA else None
+
+
+def summary_of(data: memoryview) -> tuple[int, int] | Damage:
+    """Start and end of the summary of a finished file, verified by its checksum."""
+    at = len(data) - len(MAGIC) - _FOOTER.size
+    if at < len(MAGIC):
+        return Damage(0, "damaged: too short for a finished recording")
+    opcode, length, start, _, crc = _FOOTER.unpack_from(data, at)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
+        return Damage(at, "damaged: the footer of a finished recording is no footer")
+    if zlib.crc32(data[start : at + _FOOTER.size - 4]) != crc:
+        return Damage(start, "damaged: the index at the end does not match its checksum")
+    return start, at
 
 
 def check_record(data: memoryview, record: RawRecord) -> Damage | None:

@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ConfigError, ModelError
+from foretouch.errors import ConfigError, ModelError, quoted
 from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact.features import FEATURES, ContactScene
@@ -153,7 +153,7 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """
     stored = card.get("ranges", {})
     if not isinstance(stored, dict):
-        raise ModelError(f"{card_path}: ranges: {stored!r} is of type {type(stored).__name__}")
+        raise ModelError(f"{card_path}: ranges: {quoted(stored)} is of type {type(stored).__name__}")
     try:
         ranges = TactileRanges.from_mapping(stored, f"{card_path}: ranges")
     except ConfigError as err:
