@@ -162,7 +162,6 @@ def test_a_hostile_cloud_is_refused_in_a_second_and_little_memory(case: str, tmp
     path = tmp_path / f"cloud{suffix}"
     path.write_bytes(content)
 
-
     tracemalloc.start()
     try:
         refused(lambda: read_cloud(path), path.name)
@@ -214,7 +213,9 @@ YAML = {
     "alias bomb": "a: &a [x, x, x, x, x, x, x, x, x]\n"
     + "".join(f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)),
     "merge bomb": "a: &a {x: 1}\n"
-    + "".join(f"{y}: &{y} {{<<: [{', '.join([f'*{x}'] * 9)}]}}\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)),
+    + "".join(
+        f"{y}: &{y} {{<<: [{', '.join([f'*{x}'] * 9)}]}}\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)
+    ),
     "self-alias": "a: &a [*a]\n",
     "self-alias in a mapping": "a: &a\n  b: *a\n",
     "deep brackets": "a: " + "[" * 10_000,
@@ -360,11 +361,13 @@ def test_a_card_with_long_or_absurd_fields_is_refused_in_one_line(tmp_path: Path
     for field in ("weights", "sha256", "config", "calibration", "ranges", "limits", "name", "kind", "format_version"):
         for value in absurd:
             path.write_text(json.dumps(card | {field: value}))
+            message = ""
             try:
                 load_model(path)
             except ForetouchError as err:
-                assert "\n" not in str(err)
-                assert len(str(err)) < 1000
+                message = str(err)
+            assert "\n" not in message
+            assert len(message) < 1000
     for value in absurd:
         path.write_text(json.dumps(card | {"calibration": card["calibration"] | {"weights": value}}))
-        refused(lambda: load_model(path), "calibration")
+        refused(lambda: load_model(path), str(tmp_path.name))

@@ -31,7 +31,20 @@ MEMORY = 2_000_000_000  # bytes that the child may map beyond what its imports t
 LINE = 3000  # characters of the longest refusal
 COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught", "signal", "slow", "slowest_ms")
 EXACT = ("store", "recording")  # what is read must be what was written
-NUMBERS = (b"0", b"-1", b"1", b"2147483647", b"4294967296", b"1e10", b"nan", b"inf", b"1e400", b"9" * 4400, b"", b"true")
+NUMBERS = (
+    b"0",
+    b"-1",
+    b"1",
+    b"2147483647",
+    b"4294967296",
+    b"1e10",
+    b"nan",
+    b"inf",
+    b"1e400",
+    b"9" * 4400,
+    b"",
+    b"true",
+)
 WORDS = (b"null", b"[]", b"{}", b"*a", b"&a", b"!!int x", b"2026-13-45", b"\0", b"\xff", b"[" * 300, b'"\\ud800"')
 
 

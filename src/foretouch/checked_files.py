@@ -85,7 +85,7 @@ def read_json(path: str | Path) -> Any:
     try:
         return parse_json(content.decode("utf-8"))
     except ValueError as err:
-        raise FileError(path, f"not JSON: {' '.join(str(err).split())}") from err
+        raise FileError(path, f"is no JSON: {' '.join(str(err).split())}") from err
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -264,7 +264,9 @@ def _as_float(value: int, name: str) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ConfigError(f"{name}: a whole number of {value.bit_length()} bits is no number that can be used") from None
+        raise ConfigError(
+            f"{name}: a whole number of {value.bit_length()} bits is no number that can be used"
+        ) from None
 
 
 def _nested(mapping: Mapping[str, Any], source: str) -> dict[str, Any]:

@@ -167,7 +167,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise FileError(file, f"is not of {FORMAT}", field="format")
     if manifest.get("schema_version") != SCHEMA_VERSION:
-        raise FileError(file, f"{shown(manifest.get('schema_version'))} is not {SCHEMA_VERSION}", field="schema_version")
+        raise FileError(
+            file, f"{shown(manifest.get('schema_version'))} is not {SCHEMA_VERSION}", field="schema_version"
+        )
     missing = [name for name in ("samples", "sha256", "shards") if name not in manifest]
     if missing:
         raise FileError(file, "is absent", field=missing[0])
@@ -182,7 +184,10 @@ def _check_parts(file: Path, manifest: Mapping[str, Any]) -> None:
     for name, kind in (("samples", int), ("sha256", str), ("about", dict)):
         if name in manifest and type(manifest[name]) is not kind:
             raise FileError(file, f"{shown(manifest[name])} is of type {type(manifest[name]).__name__}", field=name)
-    for name, wanted in (("shards", {"file": str, "samples": int, "sha256": str}), ("files", {"file": str, "sha256": str})):
+    for name, wanted in (
+        ("shards", {"file": str, "samples": int, "sha256": str}),
+        ("files", {"file": str, "sha256": str}),
+    ):
         parts = manifest.get(name, [])
         if not isinstance(parts, list):
             raise FileError(file, f"{shown(parts)} is no list", field=name)

@@ -94,7 +94,6 @@ class CalibrationGroup(TensorRecord):
         if self.worth.min() < 0.0 or self.worth.max() > 1.0:
             raise ModelError("worth: leaves [0, 1]")
 
-
     def _check_amplification(self) -> None:
         """Refuse an adaptation that is singular, or that makes more of a residual than is there.
 

@@ -74,7 +74,8 @@ def read_card(path: str | Path) -> dict[str, Any]:
         card = read_json(path)
     except FileError as err:
         missing = isinstance(err.__cause__, FileNotFoundError)
-        raise ModelError(f"{shown(path)}: no such model card" if missing else str(err)) from err
+        rule = "no such model card" if missing else err.rule.replace("is no JSON", "not JSON")
+        raise ModelError(f"{shown(path)}: {rule}") from err
     if not isinstance(card, dict) or card.get("format") != CARD_FORMAT:
         raise ModelError(f"{path}: format: is no {CARD_FORMAT} card")
     if card.get("format_version") != CARD_VERSION:

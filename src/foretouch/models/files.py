@@ -92,7 +92,14 @@ def read_tensors(
         raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
         return load(path)
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:  # dtypes it does not know
+    except (
+        SafetensorError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ) as err:  # dtypes it does not know
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 
 

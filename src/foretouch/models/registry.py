@@ -56,7 +56,9 @@ def find_card(name_or_path: str | Path) -> Path:
         path = path.with_suffix(".json")
     if path.suffix != ".json":
         known = ", ".join(available_models()) or "the models of the package (there are none)"
-        raise ModelError(f"{shown(name)}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}")
+        raise ModelError(
+            f"{shown(name)}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}"
+        )
     return path
 
 

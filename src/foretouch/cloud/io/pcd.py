@@ -130,7 +130,7 @@ def whole_number(path: Path, text: str, field: str) -> int:
     if not text.isdecimal():
         raise FileError(path, f"{shown(text)!r} is not a whole number", field=field)
     digits = text.lstrip("0") or "0"
-    if len(digits) > 10 or int(digits) >= 2**31:  # noqa: PLR2004 - Python refuses to read numbers of 4300 digits
+    if len(digits) > 10 or int(digits) >= 2**31:
         raise FileError(path, f"{shown(text, 40)} is not below 2^31", field=field)
     return int(digits)
 
