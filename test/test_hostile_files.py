@@ -187,7 +187,11 @@ def test_one_hostile_file_costs_one_item_of_a_folder(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz", ".npy"])
 def test_a_cloud_that_is_no_regular_file_is_refused(suffix: str, tmp_path: Path) -> None:
-    for name, make in (("fifo", os.mkfifo), ("folder", os.mkdir), ("device", lambda p: os.symlink("/dev/zero", p))):
+    for name, make in (
+        ("fifo", os.mkfifo),
+        ("folder", os.mkdir),
+        ("device", lambda p: Path(p).symlink_to("/dev/zero")),
+    ):
         path = tmp_path / f"{name}{suffix}"
         make(path)
         refused(lambda path=path: read_cloud(path), path.name)
@@ -202,7 +206,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: os.symlink("/dev/zero", p)], ids=["fifo", "folder", "device"])  # fmt: skip
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: Path(p).symlink_to("/dev/zero")], ids=["fifo", "folder", "device"])  # fmt: skip
 def test_text_that_is_no_regular_file_is_refused(reader: str, make: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / "manifest.json"
     make(path)

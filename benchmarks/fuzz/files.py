@@ -130,7 +130,7 @@ class Kind:
     make: Callable[[Path], Path]
     read: Callable[[Path], str]
     changed: tuple[str, ...] = ("*",)
-    after: Callable[[Path], None] = lambda folder: None
+    after: Callable[[Path], None] = lambda _: None
 
 
 def _cloud(suffix: str, text: Callable[[bytes], bytes] | None = None) -> Callable[[Path], Path]:
@@ -329,7 +329,7 @@ def serve() -> None:
             text = str(err)
             clear = "\n" not in text and len(text) < LINE
             answer = {"outcome": "refused" if clear else "uncaught", "detail": text if clear else f"unclear: {text}"}
-        except BaseException as err:
+        except BaseException as err:  # noqa: BLE001 - whatever is not ForetouchError is what is searched for
             answer = {"outcome": "uncaught", "detail": f"{type(err).__name__}: {err} at {_place(err)}"}
         answer["seconds"] = time.process_time() - began
         print(json.dumps(answer), file=answers, flush=True)

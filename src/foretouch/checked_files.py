@@ -49,7 +49,7 @@ def open_regular(path: str | Path) -> BinaryIO:
 def require_existing(path: str | Path) -> Path:
     """The path of something that exists; a `FileError` if it does not, or if no file can have this name."""
     try:
-        os.stat(path)
+        Path(path).stat()
     except FileNotFoundError as err:
         raise FileError(path, "does not exist") from err
     except OSError as err:

@@ -150,7 +150,7 @@ def parse_yaml(text: str) -> Any:
     """
     try:
         _check_events(yaml.parse(text, Loader=_LOADER))
-        return yaml.load(text, Loader=_LOADER)
+        return yaml.load(text, Loader=_LOADER)  # noqa: S506 - a safe loader, in C where it is installed
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as err:
         raise ValueError(str(err) or type(err).__name__) from err  # constructors of numbers and dates raise them
 

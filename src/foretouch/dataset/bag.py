@@ -208,10 +208,8 @@ def _storage_paths(path: Path) -> list[Path]:
     if not is_recording(path):
         kinds = ", ".join(RECORDING_SUFFIXES)
         raise FileError(path, f"is no recording: neither a rosbag2 directory nor a file of {kinds}")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        files = _loose_files(path)
-    else:
-        files = [path]
+    loose = path.is_dir() and not (path / "metadata.yaml").is_file()
+    files = _loose_files(path) if loose else [path]
     for file in files:
         if not file.is_dir():
             open_regular(file).close()
