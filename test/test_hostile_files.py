@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from calibrated_models import save_calibrated_contact
 
+from foretouch.checked_files import file_sha256
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.dataset.samples import open_samples
@@ -24,7 +25,7 @@ from foretouch.dataset.source import open_source, readable
 from foretouch.dataset.store import Store
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.models.card import read_card
-from foretouch.models.files import file_sha256, read_tensors
+from foretouch.models.files import read_tensors
 from foretouch.models.registry import load_model
 from foretouch.pipeline import PipelineConfig
 from foretouch.types import Cloud

@@ -10,8 +10,9 @@ import json
 import os
 import stat
 import time
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 from foretouch.errors import FileError
 
@@ -26,7 +27,7 @@ _Version = tuple[int, int, int, int, int]
 _hashes: dict[Path, tuple[_Version, str]] = {}
 
 
-def open_regular(path: str | Path) -> BinaryIO:
+def open_regular(path: str | Path) -> BufferedReader:
     """Open a regular file for reading.
 
     Raises:

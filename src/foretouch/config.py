@@ -164,7 +164,7 @@ def _check_events(events: Iterable[yaml.Event]) -> None:
         if isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _ in groups):
                 raise yaml.YAMLError(f"alias {shown(event.anchor)}: is inside of what it repeats")
-            count += sizes.get(event.anchor, 0)
+            count += sizes.get(str(event.anchor), 0)
         elif isinstance(event, yaml.CollectionStartEvent):
             groups.append((event.anchor, count))
             count += 1

@@ -95,7 +95,7 @@ def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[
             (2, 0): np.lib.format.read_array_header_2_0,
             (3, 0): np.lib.format.read_array_header_2_0,
         }[version]
-        shape, by_columns, dtype = read_header(stream, _HEADER_LIMIT)  # type: ignore[no-untyped-call]
+        shape, by_columns, dtype = read_header(stream, _HEADER_LIMIT)
     except _DAMAGE as err:
         rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"
         raise FileError(path, rule, field=field) from err
