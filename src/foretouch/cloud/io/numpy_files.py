@@ -103,9 +103,9 @@ def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[
         raise FileError(path, f"is damaged or contains objects: dtype {dtype}", field=field)
     if len(shape) > _MAX_AXES or any(type(size) is not int or not 0 <= size < 2**31 for size in shape):
         raise FileError(path, f"shape {shape} is none of an array", field=field)
-    count, start = math.prod(shape), stream.tell()
-    if count * dtype.itemsize > len(content) - start:
-        rule = f"shape {shape} of {dtype} needs {count * dtype.itemsize} bytes, {len(content) - start} follow"
+    count, body = math.prod(shape), stream.read()
+    if count * dtype.itemsize > len(body):
+        rule = f"shape {shape} of {dtype} needs {count * dtype.itemsize} bytes, {len(body)} follow"
         raise FileError(path, rule, field=field)
-    flat = np.frombuffer(content, dtype, count, start)
+    flat = np.frombuffer(body, dtype, count)
     return (flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)).copy("K")
