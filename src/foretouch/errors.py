@@ -8,6 +8,32 @@ the command line can print it unchanged.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Final
+
+_SHOWN: Final = 200  # characters of a name or value in a message
+_PATH: Final = 400  # characters of a path in a message
+_RULE: Final = 800  # characters of a rule, which may list what is known
+
+
+def shown(value: Any, limit: int = _SHOWN) -> str:
+    """A value for a message: one line without control characters, shortened in the middle.
+
+    Args:
+        value: A text or path is printed as it is, other values as `repr` does.
+        limit: Characters that are printed.
+    """
+    try:
+        text = str(value) if isinstance(value, str | Path) else repr(value)
+    except (ValueError, RecursionError) as err:  # a whole number of more than 4300 digits
+        text = f"a {type(value).__name__} that cannot be printed: {err}"
+    if len(text) > limit:
+        text = f"{text[: limit // 2]}…{text[-limit // 2 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def quoted(value: Any) -> str:
+    """A value for a message as Python writes it, with quotes around texts; shortened like `shown`."""
+    return repr(value) if isinstance(value, str) and len(value) < _SHOWN else shown(value)
 
 
 class ForetouchError(Exception):
@@ -83,4 +109,5 @@ class FileError(ForetouchError):
         self.path = Path(path)
         self.rule = rule
         self.field = field
-        super().__init__(f"{path}: {field}: {rule}" if field else f"{path}: {rule}")
+        parts = [shown(path, _PATH), *([shown(field)] if field else []), shown(rule, _RULE)]
+        super().__init__(": ".join(parts))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -347,3 +348,19 @@ def test_a_flipped_byte_is_seen_or_does_no_harm(tmp_path, rng, compression):
         for one, other in zip(read, clouds, strict=True):
             assert_same(one, other)
     assert seen > 60
+
+
+def test_the_metadata_of_a_bag_cannot_bomb(tmp_path: Path) -> None:
+    text = "a: &a [x, x, x, x, x, x, x, x, x]\n"
+    for one, other in zip("abcdefghij", "bcdefghijk", strict=True):
+        text += f"{other}: &{other} [{', '.join([f'*{one}'] * 9)}]\n"
+    (tmp_path / "metadata.yaml").write_text(text)
+    with pytest.raises(FileError, match=r"metadata.yaml: not YAML: more than 100000 values, aliases included"):
+        Recording(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+def test_a_recording_that_is_a_fifo_is_refused(tmp_path: Path, suffix: str) -> None:
+    os.mkfifo(tmp_path / f"x{suffix}")
+    with pytest.raises(FileError, match=r"is a FIFO, not a regular file"):
+        Recording(tmp_path / f"x{suffix}")

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import hashlib
 import json
 import math
 import time
@@ -9,7 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from foretouch.dataset.store import MANIFEST, Store, is_store
+from foretouch import checked_files
+from foretouch.dataset.store import MANIFEST, Store, is_store, seal_manifest
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
@@ -37,6 +39,14 @@ def write(path: Path, samples: list[GraspSample]) -> StoreWriter:
         for one in samples:
             writer.write(one)
     return writer
+
+
+def reseal(path: Path) -> None:
+    """Write the hashes of the files as they are into the manifest, as a damaged writer would."""
+    manifest = json.loads((path / MANIFEST).read_text())
+    for shard in manifest["shards"]:
+        shard["sha256"] = hashlib.sha256((path / shard["file"]).read_bytes()).hexdigest()
+    (path / MANIFEST).write_text(seal_manifest(manifest))
 
 
 def assert_same(a: GraspSample, b: GraspSample) -> None:
@@ -141,8 +151,11 @@ def test_damage_is_found(tmp_path: Path) -> None:
     content[middle] ^= 1
     shard.write_bytes(content)
     with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is"):
-        Store(tmp_path / "ds").verify()
+        Store(tmp_path / "ds")
     shard.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is"):
+        Store(tmp_path / "ds")
+    reseal(tmp_path / "ds")
     with pytest.raises(FileError, match=r"shard-00000.arrow: cannot be read"):
         Store(tmp_path / "ds")
 
@@ -158,7 +171,7 @@ def test_damage_is_found(tmp_path: Path) -> None:
 def test_a_manifest_that_disagrees_is_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
     write(tmp_path / "ds", [sample(k) for k in range(3)])
     file = tmp_path / "ds" / MANIFEST
-    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    file.write_text(seal_manifest(json.loads(file.read_text()) | change))
     with pytest.raises(FileError, match=message):
         Store(tmp_path / "ds")
 
@@ -171,6 +184,7 @@ def test_another_schema_is_refused(tmp_path: Path) -> None:
         pa.ipc.new_file(sink, table.schema) as out,
     ):
         out.write_batch(table)
+    reseal(tmp_path / "ds")
     with pytest.raises(FileError, match=r"schema: has other columns"):
         Store(tmp_path / "ds")
 
@@ -191,3 +205,60 @@ def test_a_random_read_takes_microseconds(tmp_path: Path) -> None:
         store[int(k)].cloud.xyz.sum()  # every page is touched
         spent.append(time.thread_time() - start)
     assert np.median(spent) < 300e-6  # measured 40 µs; the bound leaves room for a loaded machine
+
+
+def test_a_changed_label_is_never_used(tmp_path: Path) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(3)])
+    shard = tmp_path / "ds" / "shard-00000.arrow"
+    content = bytearray(shard.read_bytes())
+    start = content.index(sample(1).touch.vector().tobytes())
+    content[start : start + 8] = np.float64(999.0).tobytes()
+    shard.write_bytes(content)
+    with pytest.raises(FileError, match=r"shard-00000.arrow: sha256 is .* the file was changed"):
+        Store(tmp_path / "ds")
+
+
+def test_a_changed_count_in_the_manifest_is_never_used(tmp_path: Path) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(3)])
+    file = tmp_path / "ds" / MANIFEST
+    file.write_text(file.read_text().replace('"scene": "x"', '"scene": "y"'))
+    with pytest.raises(FileError, match=r"manifest.json: seal: does not match its checksum"):
+        Store(tmp_path / "ds")
+
+
+def test_a_changed_attached_file_is_never_used(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path / "ds") as writer:
+        writer.write(sample(0))
+        writer.attach("splits.json", "{}")
+    (tmp_path / "ds" / "splits.json").write_text("[]")
+    with pytest.raises(FileError, match=r"splits.json: sha256 is"):
+        Store(tmp_path / "ds")
+
+
+@pytest.mark.parametrize("value", [-1, 1, 2**31 - 1, -(2**31), 10**6])
+def test_offsets_are_checked_even_where_the_hashes_agree(tmp_path: Path, value: int) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(5)])
+    shard = tmp_path / "ds" / "shard-00000.arrow"
+    content = bytearray(shard.read_bytes())
+    offsets = np.arange(0, 6 * 120, 120, dtype=np.int32).tobytes()  # of xyz: 40 points a sample
+    start = content.index(offsets)
+    content[start + 8 : start + 12] = np.int32(value).tobytes()
+    shard.write_bytes(content)
+    reseal(tmp_path / "ds")
+    with pytest.raises(FileError, match=r"shard-00000.arrow: batch 0: "):
+        Store(tmp_path / "ds")
+
+
+def test_a_shard_is_hashed_once_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "ds", [sample(k) for k in range(3)])
+    shard = tmp_path / "ds" / "shard-00000.arrow"
+    monkeypatch.setattr(checked_files, "_SETTLED_NS", 0)
+    Store(tmp_path / "ds")
+    hashed: list[object] = []
+    digest = hashlib.file_digest
+    monkeypatch.setattr(hashlib, "file_digest", lambda file, name: (hashed.append(file), digest(file, name))[1])
+    Store(tmp_path / "ds")
+    assert hashed == []
+    shard.touch()
+    Store(tmp_path / "ds")
+    assert len(hashed) == 1

@@ -40,6 +40,24 @@ def conditioned(group: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndar
     return gain @ residuals.reshape(-1), np.diag(group.between - gain @ cross.T)
 
 
+@pytest.mark.parametrize("name", ["within", "both", "opposed", "huge"])
+def test_a_calibration_that_amplifies_or_is_singular_is_refused(name: str, rng) -> None:
+    tensors = make_calibration().to_tensors()
+    if name == "within":  # W of one channel vanishes, and B has no part of its own there
+        factors = rng.normal(size=(SIZE, 1))
+        tensors["new/between"], tensors["new/within"] = 300.0 * factors @ factors.T, np.full(SIZE, 1e-300)
+    elif name == "both":
+        tensors["new/between"], tensors["new/within"] = np.zeros((SIZE, SIZE)), np.full(SIZE, 5e-324)
+    elif name == "opposed":  # a channel without noise stands for one of a million times its size
+        pair = np.eye(SIZE)
+        pair[:2, :2] = [[1e9, 3.16e3], [3.16e3, 1e-2]]
+        tensors["new/between"], tensors["new/within"] = pair, np.full(SIZE, 1e-4)
+    else:
+        tensors["new/between"] = 1e200 * tensors["new/between"]
+    with pytest.raises(ModelError, match=r"^new/between.*(singular|turns residuals|exceeds)"):
+        Calibration.from_tensors(tensors)
+
+
 @pytest.mark.parametrize("touches", [1, 3, 10])
 @pytest.mark.parametrize("diagonal", [True, False])
 @pytest.mark.parametrize("worth", [1.0, 0.3])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from foretouch.checked_files import file_sha256
 from foretouch.errors import ModelError
-from foretouch.models.files import file_sha256, packed, read_tensors
+from foretouch.models.files import packed, read_tensors
 
 TENSORS = {
     "matrix": np.arange(12.0).reshape(3, 4).T,  # not contiguous

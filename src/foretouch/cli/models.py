@@ -58,7 +58,7 @@ def model_files(card_path: Path) -> list[Path]:
 
 def _record(name: str) -> dict[str, Any]:
     """The JSON object of one model; loading it compares every file with its hash in the card."""
-    from foretouch.models.files import file_sha256
+    from foretouch.checked_files import file_sha256
     from foretouch.models.registry import find_card, load_model
 
     try:

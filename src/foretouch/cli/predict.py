@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import read_json
 from foretouch.cli import inputs
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError, DatasetError, FileError, GraspError, TactileError
@@ -160,12 +160,7 @@ def _readings(path: Path) -> list[Touch]:
         from foretouch.dataset.vision2tactile import read_touch
 
         return [read_touch(path)[0]]
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as err:
-        raise FileError(path, f"is no JSON: {' '.join(str(err).split())}") from err
+    document = read_json(path)
     entries = document if isinstance(document, list) else [document]
     return [_reading(path, entry) for entry in entries]
 

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from foretouch.checked_files import open_regular
+from foretouch.config import load_yaml
 from foretouch.dataset.messages import decode_cloud
-from foretouch.errors import CloudError, FileError
+from foretouch.errors import CloudError, ConfigError, FileError
 from foretouch.types import Cloud
 
 if TYPE_CHECKING:
@@ -206,9 +208,17 @@ def _storage_paths(path: Path) -> list[Path]:
     if not is_recording(path):
         kinds = ", ".join(RECORDING_SUFFIXES)
         raise FileError(path, f"is no recording: neither a rosbag2 directory nor a file of {kinds}")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        return _loose_files(path)
-    return [path]
+    loose = path.is_dir() and not (path / "metadata.yaml").is_file()
+    files = _loose_files(path) if loose else [path]
+    for file in files:
+        if not file.is_dir():
+            open_regular(file).close()
+    if (path / "metadata.yaml").is_file():
+        try:
+            load_yaml(path / "metadata.yaml")  # its reader in rosbags has no limits
+        except ConfigError as err:
+            raise FileError(path, str(err)) from err
+    return files
 
 
 def _loose_files(path: Path) -> list[Path]:

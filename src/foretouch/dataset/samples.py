@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
 from foretouch.dataset.disk import new_folder
 from foretouch.dataset.record import DISCARDED, Identity, SampleRecord
@@ -126,11 +127,10 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
     Raises:
         FileError: If there is no dataset, or it is damaged, cut off or of another version.
     """
-    path = Path(path)
+    path = require_existing(path)
     found = _format_of(path)
     if found is None:
-        rule = f"is not a dataset: no {formats.readable_formats()}"
-        raise FileError(path, rule if path.exists() else "does not exist")
+        raise FileError(path, f"is not a dataset: no {formats.readable_formats()}")
     return found.open(path, unfinished)
 
 

@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
+from foretouch.checked_files import require_existing
 from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.formats import readable_formats
@@ -127,9 +128,7 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
     Raises:
         FileError: If the path does not exist or its format is unknown, or a topic is given for files.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileError(path, "does not exist")
+    path = require_existing(path)
     if topic is None and is_sample_set(path):
         with open_samples(path) as samples:
             return Source(path, "samples", None, frame_id, (), len(samples))

@@ -21,9 +21,10 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from foretouch.checked_files import TEXT_LIMIT, file_sha256, parse_json, read_bytes
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
-from foretouch.errors import FileError
+from foretouch.errors import FileError, ForetouchError, shown
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
 
 FORMAT: Final = "foretouch-store"
@@ -49,6 +50,8 @@ SCHEMA: Final = pa.schema(
     metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)},
 )
 
+_NULLABLE: Final = ("rgb", "touch", "tare")
+
 
 def is_store(path: str | Path) -> bool:
     """Whether the path is a training store."""
@@ -70,6 +73,9 @@ class _Batch:
 class Store(Sequence[GraspSample]):
     """A training store on disk; `store[k]` reads one sample, whose cloud is a read-only view of the file.
 
+    Opening compares manifest, shards and attached files with their hashes before anything in them is decoded; a process
+    hashes each file once while it does not change.
+
     Raises:
         FileError: If there is none, it is of another version, or files and manifest disagree.
     """
@@ -79,8 +85,10 @@ class Store(Sequence[GraspSample]):
         self.manifest = _read_manifest(self.path)
         self._batches: list[_Batch] = []
         starts = [0]
+        for part in self.manifest.get("files", []):
+            _check_hash(self.path / part["file"], part["sha256"])
         for shard in self.manifest["shards"]:
-            for batch in _read_shard(self.path / shard["file"], shard["samples"]):
+            for batch in _read_shard(self.path / shard["file"], shard["samples"], shard["sha256"]):
                 self._batches.append(_columns(batch))
                 starts.append(starts[-1] + batch.num_rows)
         self._starts = np.asarray(starts, np.int64)
@@ -102,7 +110,10 @@ class Store(Sequence[GraspSample]):
         if not 0 <= k < len(self):
             raise IndexError(f"{self.path}: sample {index} of {len(self)}")
         b = int(np.searchsorted(self._starts, k, side="right")) - 1
-        return _sample(self._batches[b], k - int(self._starts[b]))
+        try:
+            return _sample(self._batches[b], k - int(self._starts[b]))
+        except (ForetouchError, ValueError) as err:
+            raise FileError(self.path, " ".join(str(err).split()), field=f"sample {k}") from err
 
     def __iter__(self) -> Iterator[GraspSample]:
         for k in range(len(self)):
@@ -114,17 +125,9 @@ class Store(Sequence[GraspSample]):
         Raises:
             FileError: Names the file, or the content hash, that differs.
         """
-        if seal_manifest(self.manifest) != (self.path / MANIFEST).read_text(encoding="utf-8"):
-            raise FileError(self.path / MANIFEST, "does not match its checksum", field="seal")
+        _read_manifest(self.path)
         for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            path = self.path / part["file"]
-            try:
-                with path.open("rb") as file:
-                    found = hashlib.file_digest(file, "sha256").hexdigest()
-            except OSError as err:
-                raise FileError(path, err.strerror or str(err)) from err
-            if found != part["sha256"]:
-                raise FileError(path, f"sha256 is {found}, not {part['sha256']}")
+            _check_hash(self.path / part["file"], part["sha256"])
         content = hashlib.sha256()
         for sample in self:
             content.update(sample_digest(sample))
@@ -157,25 +160,54 @@ def seal_manifest(manifest: Mapping[str, Any]) -> str:
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
     try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise FileError(file, err.strerror or "cannot be read") from err
+        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
+        manifest = parse_json(text)
     except ValueError as err:
         raise FileError(file, f"is not JSON: {err}") from err
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise FileError(file, f"is not of {FORMAT}", field="format")
     if manifest.get("schema_version") != SCHEMA_VERSION:
-        raise FileError(file, f"{manifest.get('schema_version')} is not {SCHEMA_VERSION}", field="schema_version")
+        raise FileError(
+            file, f"{shown(manifest.get('schema_version'))} is not {SCHEMA_VERSION}", field="schema_version"
+        )
     missing = [name for name in ("samples", "sha256", "shards") if name not in manifest]
     if missing:
         raise FileError(file, "is absent", field=missing[0])
-    for part in [*manifest["shards"], *manifest.get("files", [])]:
-        if Path(part["file"]).name != part["file"]:
-            raise FileError(file, f"{part['file']!r} is not the name of a file in the store", field="file")
+    _check_parts(file, manifest)
+    if seal_manifest(manifest) != text:
+        raise FileError(file, "does not match its checksum: the file was changed", field="seal")
     return manifest
 
 
-def _read_shard(path: Path, samples: int) -> list[Any]:
+def _check_parts(file: Path, manifest: Mapping[str, Any]) -> None:
+    """Check the types of a manifest's fields."""
+    for name, kind in (("samples", int), ("sha256", str), ("about", dict)):
+        if name in manifest and type(manifest[name]) is not kind:
+            raise FileError(file, f"{shown(manifest[name])} is of type {type(manifest[name]).__name__}", field=name)
+    for name, wanted in (
+        ("shards", {"file": str, "samples": int, "sha256": str}),
+        ("files", {"file": str, "sha256": str}),
+    ):
+        parts = manifest.get(name, [])
+        if not isinstance(parts, list):
+            raise FileError(file, f"{shown(parts)} is no list", field=name)
+        for part in parts:
+            if not isinstance(part, dict) or any(type(part.get(key)) is not kind for key, kind in wanted.items()):
+                raise FileError(file, f"{shown(part)} lacks one of {', '.join(wanted)}", field=name)
+            if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:
+                raise FileError(file, f"{shown(part['file'])!r} is not the name of a file in the store", field="file")
+
+
+def _check_hash(path: Path, sha256: str) -> None:
+    """Compare a file with its hash in the manifest, once a process for a file that does not change."""
+    found = file_sha256(path)
+    if found != sha256:
+        raise FileError(path, f"sha256 is {found}, not {shown(sha256)} as in {MANIFEST}: the file was changed")
+
+
+def _read_shard(path: Path, samples: int, sha256: str) -> list[Any]:
+    """The record batches of a shard, after its hash and then its buffers were checked: Arrow trusts what it maps."""
+    _check_hash(path, sha256)
     try:
         reader = pa.ipc.open_file(pa.memory_map(str(path)))
         batches = [reader.get_batch(k) for k in range(reader.num_record_batches)]
@@ -186,7 +218,25 @@ def _read_shard(path: Path, samples: int) -> list[Any]:
     rows = sum(batch.num_rows for batch in batches)
     if rows != samples:
         raise FileError(path, f"holds {rows} samples, the manifest declares {samples}")
+    for k, batch in enumerate(batches):
+        _check_batch(path, batch, f"batch {k}")
     return batches
+
+
+def _check_batch(path: Path, batch: Any, field: str) -> None:
+    """Check offsets, texts and lengths, so that every later view lies within its buffer."""
+    if batch.nbytes > 2 * path.stat().st_size:
+        raise FileError(path, f"unpacks to {batch.nbytes} bytes; shards are not compressed", field=field)
+    try:
+        batch.validate(full=True)
+    except pa.ArrowInvalid as err:
+        raise FileError(path, " ".join(str(err).split()), field=field) from err
+    for name in SCHEMA.names:
+        if name not in _NULLABLE and batch.column(name).null_count:
+            raise FileError(path, "is null in some rows", field=f"{field}: {name}")
+    points, colours = (np.diff(batch.column(name).offsets.to_numpy()) for name in ("xyz", "rgb"))
+    if (points % 3).any() or (colours[batch.column("rgb").is_valid().to_numpy(zero_copy_only=False)] % 3).any():
+        raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 
 def _columns(batch: Any) -> _Batch:
@@ -227,8 +277,16 @@ def _sample(batch: _Batch, row: int) -> GraspSample:
         touch=touch,
         tare=tare,
         stamp_ns=stamp_ns,
-        extra=json.loads(text["extra"]),
+        extra=_numbers(text["extra"]),
     )
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """The named numbers of a sample."""
+    numbers = parse_json(text)
+    if not isinstance(numbers, dict) or not all(type(value) in (int, float) for value in numbers.values()):
+        raise ValueError(f"extra: {shown(text)} is no list of named numbers")
+    return numbers
 
 
 def _open_samples(path: Path, _: bool) -> SampleSet:

@@ -17,10 +17,11 @@ from typing import Final
 
 import numpy as np
 
+from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.files import read_cloud, write_cloud
 from foretouch.dataset.record import Identity, SampleRecord, check_id
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet, only_finite
-from foretouch.errors import CloudError, DatasetError, FileError, GraspError
+from foretouch.errors import CloudError, DatasetError, FileError, GraspError, shown
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation
@@ -39,6 +40,8 @@ _EXTRA: Final = ("PAC0", "PAC1", "TAC", "TDC")
 _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
 _NS_PER_S: Final = 1_000_000_000
+_STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
+_TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
 def read_folder(path: str | Path) -> list[GraspSample]:
@@ -92,10 +95,7 @@ def folder_sha256(path: str | Path) -> str:
     digest = hashlib.sha256()
     for folder in sample_folders(path):
         for name in _FILES:
-            try:
-                content = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-            except OSError as err:
-                raise FileError(folder / name, err.strerror or str(err)) from err
+            content = hashlib.sha256(read_bytes(folder / name)).hexdigest()
             digest.update(f"{folder.absolute().parent.name}/{folder.name}/{name} {content}\n".encode())
     return digest.hexdigest()
 
@@ -112,7 +112,7 @@ def read_sample(folder: str | Path) -> GraspSample:
     folder = Path(folder).absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
-    if not folder.name.isdecimal():
+    if not folder.name.isdecimal() or int(folder.name) * _NS_PER_S >= _STAMP_END_NS:
         raise FileError(folder, f"the folder's name {folder.name!r} is not a unix time in seconds", field="stamp")
     stamp_ns = int(folder.name) * _NS_PER_S
     name = folder.parent.name
@@ -173,10 +173,12 @@ def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
 def _read_numbers(path: Path, count: int) -> Float64:
     """The file's comma-separated numbers, without an empty first field."""
     try:
-        text = path.read_text(encoding="ascii").strip()
-    except FileNotFoundError as err:
-        raise FileError(path, "is missing") from err
-    except (OSError, UnicodeDecodeError) as err:
+        text = read_bytes(path, _TEXT_LIMIT).decode("ascii").strip()
+    except FileError as err:
+        if isinstance(err.__cause__, FileNotFoundError):
+            raise FileError(path, "is missing") from err
+        raise
+    except UnicodeDecodeError as err:
         raise FileError(path, f"cannot be read as text: {err}") from err
     fields = text.removeprefix(",").split(",")
     if len(fields) != count:
@@ -184,9 +186,9 @@ def _read_numbers(path: Path, count: int) -> Float64:
     numbers = np.empty(count)
     for i, field in enumerate(fields):
         try:
-            numbers[i] = float(field)
+            numbers[i] = float(field.replace("_", "?"))  # Python reads 1_0 as 10
         except ValueError:
-            raise FileError(path, f"{field!r} is not a number", field=f"number {i + 1}") from None
+            raise FileError(path, f"{shown(field)!r} is not a number", field=f"number {i + 1}") from None
     return numbers
 
 

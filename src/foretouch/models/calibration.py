@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from foretouch.errors import ModelError
 from foretouch.models.card import card_text, read_card
-from foretouch.models.files import TensorRecord, packed, read_part, read_tensors, replace_files
+from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import Fallback
 from foretouch.types import TOUCH_SIZE, Float64
 
@@ -32,6 +32,10 @@ GROUPS: Final = ("known", "new", "known_tare", "new_tare")
 
 _POSITIVE: Final = ("within", "spread", "half_width")
 _FALLBACK: Final = "fallback/"
+_TOUCHES: Final = (1, 10, 100, 1000)  # counts of touches at which an adaptation is checked
+_MAX_GAIN: Final = 10.0  # of a mean residual; the released models reach 2.5
+_MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
+_MAX_CONDITION: Final = 1e12  # of B + W/n; that of the released models is below 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +83,35 @@ class CalibrationGroup(TensorRecord):
     def _check(self) -> None:
         for name, array in self.to_tensors().items():
             _check_array(name, array)
+            if np.abs(array).max() > _MAX_VALUE:
+                raise ModelError(f"{name}: {np.abs(array).max():.3g} exceeds {_MAX_VALUE:g}, the square of 1e6 counts")
         tolerance = 1e-6 * np.abs(self.between).max()
         if np.abs(self.between - self.between.T).max() > tolerance:
             raise ModelError("between: is not symmetric")
         if np.linalg.eigvalsh(self.between)[0] < -tolerance:
             raise ModelError("between: is no covariance: it has a negative eigenvalue")
+        self._check_amplification()
         if self.worth.min() < 0.0 or self.worth.max() > 1.0:
             raise ModelError("worth: leaves [0, 1]")
+
+    def _check_amplification(self) -> None:
+        """Refuse an adaptation that is singular, or that makes more of a residual than is there.
+
+        In units of the deviations of W, a touch moves the predictions by A (A + 1)⁻¹ of the residual, where A is B in
+        these units: less than 1 in every direction. In counts, a channel can move by more than the largest residual, since
+        correlated channels with less noise vouch for it; beyond `_MAX_GAIN` times it, B and W were not estimated together.
+        """
+        for count in _TOUCHES:
+            total = self.between + np.diag(self.within / count)
+            with np.errstate(all="ignore"):
+                condition = float(np.linalg.cond(total))
+            if not condition < _MAX_CONDITION:
+                rule = f"B + W/{count} is singular: its condition is {condition:.3g}, {_MAX_CONDITION:g} is allowed"
+                raise ModelError(f"between, within: {rule}")
+            largest = float(np.abs(np.linalg.solve(total, self.between)).sum(axis=0).max())
+            if not largest <= _MAX_GAIN:
+                rule = f"B (B + W/{count})^-1 turns residuals of at most 1 into {largest:.3g}, {_MAX_GAIN:g} is allowed"
+                raise ModelError(f"between, within: {rule}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +242,7 @@ def load_calibration(card_path: Path, card: Mapping[str, Any]) -> tuple[Calibrat
     for field in ("weights", "sha256"):
         if not isinstance(facts.get(field), str):
             raise ModelError(f"{card_path}: calibration.{field}: is missing")
-    path = card_path.with_name(Path(facts["weights"]).name)
+    path = file_beside(card_path, facts["weights"], "calibration.weights")
     tensors = read_tensors(path, facts["sha256"], card_path.name)
     fallback = {key.removeprefix(_FALLBACK): value for key, value in tensors.items() if key.startswith(_FALLBACK)}
     try:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from foretouch.errors import ModelError
+from foretouch.checked_files import read_json
+from foretouch.errors import FileError, ModelError, quoted, shown
 from foretouch.models.files import replace_files
 
 CARD_FORMAT: Final = "foretouch-model"
@@ -70,25 +71,23 @@ def read_card(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as err:
-        raise ModelError(f"{path}: no such model card") from err
-    except OSError as err:
-        raise ModelError(f"{path}: {err.strerror or err}") from err
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as err:
-        raise ModelError(f"{path}: not JSON: {' '.join(str(err).split())}") from err
+        card = read_json(path)
+    except FileError as err:
+        missing = isinstance(err.__cause__, FileNotFoundError)
+        rule = "no such model card" if missing else err.rule.replace("is no JSON", "not JSON")
+        raise ModelError(f"{shown(path)}: {rule}") from err
     if not isinstance(card, dict) or card.get("format") != CARD_FORMAT:
         raise ModelError(f"{path}: format: is no {CARD_FORMAT} card")
     if card.get("format_version") != CARD_VERSION:
-        raise ModelError(f"{path}: format_version: {card.get('format_version')!r} is not {CARD_VERSION}")
+        raise ModelError(f"{path}: format_version: {quoted(card.get('format_version'))} is not {CARD_VERSION}")
     kind = card.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ModelError(f"{path}: kind: {kind!r} is none of {', '.join(KINDS)}")
+        raise ModelError(f"{path}: kind: {quoted(kind)} is none of {', '.join(KINDS)}")
     for field, types in {**_COMMON, **KINDS[kind].fields}.items():
         if field not in card:
             raise ModelError(f"{path}: {field}: is missing")
         if not isinstance(card[field], types):
-            raise ModelError(f"{path}: {field}: {card[field]!r} is of type {type(card[field]).__name__}")
+            raise ModelError(f"{path}: {field}: {quoted(card[field])} is of type {type(card[field]).__name__}")
     return card
 
 

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
-from foretouch.errors import FileError, ModelError
+from foretouch.checked_files import file_sha256
+from foretouch.errors import FileError, ModelError, shown
 
 
 def replace_files(contents: Mapping[Path, bytes]) -> None:
@@ -50,10 +51,16 @@ def replace_files(contents: Mapping[Path, bytes]) -> None:
         raise FileError(path, f"cannot be written, the one before is kept: {err.strerror or err}") from err
 
 
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def file_beside(card_path: Path, name: Any, field: str) -> Path:
+    """The file beside a card that a field of the card names; folders in the name are ignored.
+
+    Raises:
+        ModelError: If the field is no name of a file.
+    """
+    base = Path(name).name if isinstance(name, str) else ""
+    if not base or "\0" in base:
+        raise ModelError(f"{shown(card_path)}: {field}: {shown(name)} is no name of a file")
+    return card_path.with_name(base)
 
 
 def packed(tensors: Mapping[str, npt.NDArray[Any]]) -> tuple[bytes, str]:
@@ -76,13 +83,23 @@ def read_tensors(
     Raises:
         ModelError: Names the file: absent, damaged, or with another hash.
     """
-    if not path.is_file():
-        raise ModelError(f"{path}: no such weights; {named_by} names them")
-    if (found := file_sha256(path)) != sha256:
-        raise ModelError(f"{path}: sha256: {found} is not {sha256} of {named_by}; damaged or replaced")
+    try:
+        found = file_sha256(path)
+    except FileError as err:
+        missing = isinstance(err.__cause__, FileNotFoundError)
+        raise ModelError(f"{shown(path)}: no such weights; {named_by} names them" if missing else str(err)) from err
+    if found != sha256:
+        raise ModelError(f"{path}: sha256: {found} is not {shown(sha256)} of {named_by}; damaged or replaced")
     try:
         return load(path)
-    except (SafetensorError, OSError, ValueError) as err:
+    except (
+        SafetensorError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ) as err:  # dtypes it does not know
         raise ModelError(f"{path}: damaged: {' '.join(str(err).split())}") from err
 
 

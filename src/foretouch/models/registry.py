@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a model by name, path or run folder, and load it; torch is imported when the first network is loaded."""
 
-import json
 from importlib import import_module, resources
 from pathlib import Path
 from typing import Final
 
-from foretouch.errors import ModelError
+from foretouch.checked_files import read_json
+from foretouch.errors import FileError, ModelError, shown
 from foretouch.models.card import CARD_FORMAT, KINDS, read_card
 from foretouch.models.touch_model import TouchModel
 
@@ -50,13 +50,15 @@ def find_card(name_or_path: str | Path) -> Path:
     if name in available_models():
         return _released() / f"{name}.json"
     path = Path(name)
-    if path.is_dir():
+    if _is_folder(path):
         return _card_in(path)
     if path.suffix == ".safetensors":
         path = path.with_suffix(".json")
     if path.suffix != ".json":
         known = ", ".join(available_models()) or "the models of the package (there are none)"
-        raise ModelError(f"{name}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}")
+        raise ModelError(
+            f"{shown(name)}: is no run folder, no card (.json), no weights (.safetensors) and none of {known}"
+        )
     return path
 
 
@@ -76,14 +78,21 @@ def _card_in(folder: Path) -> Path:
     raise ModelError(f"{folder}: holds no model card (<name>.json), so it is no run of `foretouch train`")
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a name that no file can have
+        return False
+
+
 def _members(path: Path) -> list[str] | None:
     """File names of an ensemble's members, empty for other models; None for JSON files that are no model cards.
 
     A damaged file counts as a card, so that it is reported and not overlooked.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path)
+    except FileError:
         return []
     if not isinstance(document, dict) or document.get("format") != CARD_FORMAT:
         return None

@@ -180,3 +180,26 @@ def test_what_a_crash_left_unwritten_is_booked_as_lost(tmp_path: Path) -> None:
     assert report.clean
     assert report.counts is not None
     assert report.counts.topics["/cloud"].dropped == {"lost before repair": 5}
+
+
+def test_no_changed_byte_hides_or_changes_a_sample_in_silence(file: Path, rng: np.random.Generator) -> None:
+    original, before = file.read_bytes(), numbers(file)
+    for at in rng.choice(len(original), 250, replace=False):
+        changed = bytearray(original)
+        changed[at] ^= 1 << int(rng.integers(0, 8))
+        file.write_bytes(changed)
+        try:
+            assert numbers(file) == before
+            with RecordedDataset(file) as dataset:
+                assert not dataset.unfinished or len(original) - at <= 8  # the final magic alone
+        except FileError:
+            continue
+
+
+def test_a_renamed_schema_does_not_empty_a_recording(file: Path) -> None:
+    content = file.read_bytes()
+    name = b"foretouch_msgs/msg/GraspSample"
+    at = content.index(name)
+    file.write_bytes(content[:at] + b"x" + content[at + 1 :])
+    with pytest.raises(FileError, match=rf"samples: damaged: holds 0 samples, its index declares {COUNT}"):
+        RecordedDataset(file)

@@ -14,11 +14,12 @@ from contact_model_builders import small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
+from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, ModelError
 from foretouch.models.calibration import Calibration, add_calibration, load_calibration
 from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
-from foretouch.models.files import file_sha256, packed, read_tensors
+from foretouch.models.files import packed, read_tensors
 from foretouch.models.novelty import Fallback
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import ObjectResiduals, TouchModel

@@ -8,8 +8,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from foretouch.checked_files import file_sha256
 from foretouch.errors import FileError, ModelError
-from foretouch.models.files import file_sha256
 from foretouch.models.network.checkpoint import load_network, save_ensemble, save_network
 from foretouch.models.registry import load_model
 

@@ -4,17 +4,19 @@
 Nothing is read that could run code: NumPy files are opened without pickle.
 """
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.io.numpy_files import read_archive, read_array
 from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
+
+_FRAME_LIMIT = 256  # characters of a frame's name
 
 
 def read_cloud(path: str | Path) -> Cloud:
@@ -64,32 +66,26 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
 
 
 def _read_npz(path: Path) -> Cloud:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise FileError(path, "is no .npz archive")
-            if "xyz" not in archive:
-                raise FileError(path, f"is missing; there are: {', '.join(archive.files) or 'none'}", field="xyz")
-            wanted = ("xyz", "rgb", "frame_id", "stamp_ns")
-            arrays = {name: archive[name] for name in wanted if name in archive}
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as err:
-        raise FileError(path, f"is damaged or contains objects: {' '.join(str(err).split())}") from err
+    arrays, names = read_archive(path, ("xyz", "rgb", "frame_id", "stamp_ns"))
+    if "xyz" not in arrays:
+        raise FileError(path, f"is missing; there are: {', '.join(names) or 'none'}", field="xyz")
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U":
         raise FileError(path, "is not one text", field="frame_id")
-    if stamp.shape or stamp.dtype.kind not in "iu":
-        raise FileError(path, "is not one whole number", field="stamp_ns")
-    return Cloud(_coordinates(path, arrays["xyz"]), arrays.get("rgb"), str(frame_id), int(stamp))
+    if stamp.shape or stamp.dtype.kind not in "iu" or int(stamp) >= 2**63:
+        raise FileError(path, "is not one whole number below 2^63", field="stamp_ns")
+    try:
+        frame = str(frame_id)
+        frame.encode()
+    except ValueError as err:  # UTF-32 may hold code points that Unicode does not have
+        raise FileError(path, f"is not text: {err}", field="frame_id") from err
+    if len(frame) > _FRAME_LIMIT:
+        raise FileError(path, f"{len(frame)} characters exceed {_FRAME_LIMIT}", field="frame_id")
+    return Cloud(_coordinates(path, arrays["xyz"]), arrays.get("rgb"), frame, int(stamp))
 
 
 def _read_npy(path: Path) -> Cloud:
-    try:
-        loaded = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, zipfile.BadZipFile) as err:
-        raise FileError(path, f"is damaged or contains objects: {' '.join(str(err).split())}") from err
-    if not isinstance(loaded, np.ndarray):
-        raise FileError(path, "is no .npy array")
-    return Cloud(_coordinates(path, loaded))
+    return Cloud(_coordinates(path, read_array(path)))
 
 
 def _coordinates(path: Path, xyz: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

@@ -13,13 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import FileError
+from foretouch.checked_files import read_bytes
+from foretouch.cloud.io.numpy_files import SIZE_LIMIT, check_unpacked
+from foretouch.errors import FileError, shown
 from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud, UInt8
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 _HEADER_LIMIT = 65536  # bytes within which DATA must occur
+_COUNT_LIMIT = 65536  # numbers of one field; the largest descriptors of the Point Cloud Library have about 2000
 _REQUIRED = ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT", "DATA")
 
 
@@ -39,7 +42,7 @@ class _Header:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        return (self.height, self.width) if self.height > 1 else (self.width,)
+        return (self.height, self.width) if self.height > 1 and self.width else (self.points,)
 
 
 def read_pcd(path: Path) -> Cloud:
@@ -49,7 +52,7 @@ def read_pcd(path: Path) -> Cloud:
         FileError: If the header is incomplete, contradicts itself or the data, or there is no x, y, z.
         OSError: If the file cannot be read.
     """
-    content = path.read_bytes()
+    content = read_bytes(path, SIZE_LIMIT)
     header = _parse_header(path, content)
     body = content[header.size :]
     if header.data == "binary_compressed":
@@ -119,9 +122,17 @@ def _parse_header(path: Path, content: bytes) -> _Header:
 
 def _whole(path: Path, entries: dict[str, list[str]], name: str) -> int:
     text = " ".join(entries[name])
+    return whole_number(path, text, name)
+
+
+def whole_number(path: Path, text: str, field: str) -> int:
+    """A number of points in a header; a `FileError` if it is not a whole number below 2^31."""
     if not text.isdecimal():
-        raise FileError(path, f"{text!r} is not a whole number", field=name)
-    return int(text)
+        raise FileError(path, f"{shown(text)!r} is not a whole number", field=field)
+    digits = text.lstrip("0") or "0"
+    if len(digits) > 10 or int(digits) >= 2**31:
+        raise FileError(path, f"{shown(text, 40)} is not below 2^31", field=field)
+    return int(digits)
 
 
 def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
@@ -132,10 +143,12 @@ def _dtype(path: Path, entries: dict[str, list[str]]) -> np.dtype[Any]:
             raise FileError(path, f"{len(values)} entries for {len(fields)} FIELDS", field=name)
     parts: list[tuple[str, str, tuple[int, ...]]] = []
     for i, (field, size, kind, count) in enumerate(zip(fields, entries["SIZE"], entries["TYPE"], counts, strict=True)):
-        if kind not in _KINDS or not size.isdecimal() or int(size) not in _SIZES[kind]:
+        if kind not in _KINDS or size not in map(str, _SIZES[kind]):
             raise FileError(path, f"TYPE {kind} of SIZE {size} is no number", field=field)
-        if not count.isdecimal() or int(count) < 1:
-            raise FileError(path, f"COUNT {count} is not a positive number", field=field)
+        if not count.isdecimal() or not count.strip("0"):
+            raise FileError(path, f"COUNT {shown(count)} is not a positive number", field=field)
+        if whole_number(path, count, "COUNT") > _COUNT_LIMIT:
+            raise FileError(path, f"COUNT {count} exceeds {_COUNT_LIMIT}", field=field)
         name = f"_{i}" if field == "_" else field  # padding may occur several times
         parts.append((name, f"<{_KINDS[kind]}{size}", (int(count),) if int(count) > 1 else ()))
     names = [name for name, _, _ in parts]
@@ -157,7 +170,7 @@ def ascii_records(path: Path, words: list[bytes], points: int, dtype: np.dtype[A
     try:
         table = np.array(words, np.float64).reshape(points, sum(widths))
     except ValueError as err:
-        raise FileError(path, f"not a number: {err}", field=field) from err
+        raise FileError(path, f"not a number: {shown(str(err))}", field=field) from err
     records = np.zeros(points, dtype)
     columns = np.split(table, np.cumsum(widths)[:-1], axis=1)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -176,6 +189,7 @@ def _check_compressed(path: Path, header: _Header, body: bytes) -> None:
     if len(body) - 8 < packed:
         raise FileError(path, f"{len(body) - 8} bytes are fewer than the {packed} of compressed data", field="DATA")
     expected = header.points * header.dtype.itemsize
+    check_unpacked(path, expected, len(body), "DATA")
     if unpacked != expected:
         raise FileError(path, f"unpacks to {unpacked} bytes, not to {header.points} points = {expected}", field="DATA")
 

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.io.pcd import ascii_records
+from foretouch.checked_files import read_bytes
+from foretouch.cloud.io.numpy_files import SIZE_LIMIT
+from foretouch.cloud.io.pcd import ascii_records, whole_number
 from foretouch.errors import FileError
 from foretouch.types import Cloud, UInt8
 
@@ -45,13 +47,13 @@ def read_ply(path: Path) -> Cloud:
         FileError: If the header is incomplete, there is no x, y, z, or the data is truncated.
         OSError: If the file cannot be read.
     """
-    content = path.read_bytes()
+    content = read_bytes(path, SIZE_LIMIT)
     header, size = _parse_header(path, content)
     columns, rows = header.image.get("num_cols", header.points), header.image.get("num_rows", 1)
     if columns * rows != header.points:
         raise FileError(path, f"{columns} x {rows} is not the number of vertices, {header.points}", field="obj_info")
     vertices = _vertices(path, header, content[size:])
-    shape = (rows, columns, 3) if rows > 1 else (header.points, 3)
+    shape = (rows, columns, 3) if rows > 1 and columns else (header.points, 3)
     with np.errstate(over="ignore"):
         xyz = np.stack([vertices[name].astype(np.float32) for name in "xyz"], axis=-1)
     rgb = _colours(vertices)
@@ -107,15 +109,14 @@ def _parse_line(path: Path, header: _Header, words: list[str], element: str) -> 
     match words:
         case ["format", encoding, *_]:
             header.encoding = encoding
-        case ["obj_info", ("num_cols" | "num_rows") as name, count] if count.isdecimal():
-            header.image[name] = int(count)
+        case ["obj_info", ("num_cols" | "num_rows") as name, count]:
+            header.image[name] = whole_number(path, count, name)
         case ["element", name, count]:
             if element == "" and name != "vertex":
                 raise FileError(path, f"{name} comes before the vertices", field="element")
-            if not count.isdecimal():
-                raise FileError(path, f"{count!r} is not a whole number", field=f"element {name}")
+            number = whole_number(path, count, f"element {name}")
             if name == "vertex":
-                header.points = int(count)
+                header.points = number
             return name
         case ["property", kind, *rest] if element == "vertex":
             if kind not in _TYPES or len(rest) != 1:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.dataset.disk import disk_errors, sync_folder
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
@@ -125,11 +126,11 @@ def append_edit(path: Path, edit: Edit) -> int:
 def _read(file: Path) -> tuple[list[Edit], str, int]:
     """The edits, the digest of the last one, and the offset of the next one [bytes]."""
     try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        return [], "", 0
-    except OSError as err:
-        raise FileError(file, err.strerror or str(err)) from err
+        data = read_bytes(file, TEXT_LIMIT)
+    except FileError as err:
+        if isinstance(err.__cause__, FileNotFoundError):
+            return [], "", 0
+        raise
     edits: list[Edit] = []
     digest = ""
     size = data.rfind(b"\n") + 1
@@ -146,7 +147,7 @@ def _read(file: Path) -> tuple[list[Edit], str, int]:
 
 def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
-    content: Any = json.loads(line)
+    content: Any = parse_json(line)
     if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
     if content["action"] not in _ACTIONS:

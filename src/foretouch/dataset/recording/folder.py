@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from foretouch import __version__
+from foretouch.checked_files import TEXT_LIMIT, open_regular, parse_json, read_bytes
 from foretouch.dataset.disk import disk_errors, new_folder, sync_folder
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording.messages import SCHEMA_VERSION
-from foretouch.errors import FileError
+from foretouch.errors import FileError, shown
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
@@ -37,9 +38,9 @@ _SESSION: Final = "session-{:04d}.mcap"
 def is_dataset(path: str | Path) -> bool:
     """Whether the folder has the manifest of a recorded dataset, which may be damaged or of another version."""
     try:
-        with (Path(path) / _MANIFEST).open("rb") as file:
+        with open_regular(Path(path) / _MANIFEST) as file:
             return f'"{_FORMAT}"'.encode() in file.read(65536)
-    except OSError:
+    except (OSError, FileError):
         return False
 
 
@@ -75,13 +76,13 @@ def _read_identity(path: Path) -> tuple[Identity, str]:
         FileError: If the manifest is absent, damaged, or of another schema version.
     """
     file = path / _MANIFEST
-    content = _read(file)
+    content, text = _read(file)
     version = content.get("schema_version")
     if version != SCHEMA_VERSION:
         newer = isinstance(version, int) and version > SCHEMA_VERSION
         advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
-        raise FileError(file, f"{version} is not {SCHEMA_VERSION}: {advice}", field="schema_version")
-    if _sealed(content) != file.read_text(encoding="utf-8"):
+        raise FileError(file, f"{shown(version)} is not {SCHEMA_VERSION}: {advice}", field="schema_version")
+    if _sealed(content) != text:
         raise FileError(file, "damaged: the text does not match its checksum", field="sha256")
     return Identity(hand=content["hand"], camera=content["camera"]), str(content["foretouch"])
 
@@ -207,12 +208,12 @@ def _sealed(content: Mapping[str, Any]) -> str:
     return json.dumps({**body, "sha256": digest}, indent=2, ensure_ascii=False) + "\n"
 
 
-def _read(file: Path) -> dict[str, Any]:
+def _read(file: Path) -> tuple[dict[str, Any], str]:
+    """The content of a manifest, and its text."""
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise FileError(file, err.strerror or str(err)) from err
-    except (ValueError, RecursionError) as err:
+        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
+        content = parse_json(text)
+    except ValueError as err:
         raise FileError(file, f"damaged: is no JSON: {' '.join(str(err).split())}") from err
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise FileError(file, f"is not {_FORMAT}", field="format")
@@ -220,4 +221,6 @@ def _read(file: Path) -> dict[str, Any]:
         facts = content.get(name)
         if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
             raise FileError(file, "is no list of named texts", field=name)
-    return content
+    if not isinstance(content.get("foretouch"), str):
+        raise FileError(file, "is no text", field="foretouch")
+    return content, text

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from foretouch.checked_files import parse_json
 from foretouch.errors import DatasetError
 
 
@@ -96,7 +97,7 @@ class MessageCounts:
         result = cls()
         for name, text in mapping.items():
             try:
-                counts = json.loads(text)
+                counts = parse_json(text)
                 dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
                 received, written, lost = (
                     int(n) for n in (counts["received"], counts["written"], counts.get("lost", 0))

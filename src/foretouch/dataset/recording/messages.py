@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch import __version__
+from foretouch.checked_files import parse_json
 from foretouch.dataset.cdr import cloud_fields, header_fields, stamp_ns_of
 from foretouch.dataset.messages import decode_cloud, decode_grasp
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
@@ -140,8 +141,16 @@ def _stored(message: Any) -> StoredSample:
         pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
         flags=tuple(message.flags),
     )
-    identity = Identity(hand=json.loads(message.hand), camera=json.loads(message.camera))
+    identity = Identity(hand=_texts(message.hand), camera=_texts(message.camera))
     return StoredSample(record=record, identity=identity, foretouch=message.foretouch)
+
+
+def _texts(text: str) -> dict[str, str]:
+    """The inverse of `_facts`."""
+    facts = parse_json(text)
+    if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
+        raise DatasetError("hand, camera: is no list of named texts")
+    return facts
 
 
 @functools.cache

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import NamedTuple, Self, TypeVar
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Metadata, Schema, Statistics
 
+from foretouch.checked_files import open_regular
 from foretouch.dataset.record import Identity
 from foretouch.dataset.recording import scan
 from foretouch.dataset.recording.edits import EditLog, read_edits
@@ -62,12 +63,17 @@ class RecordedDataset:
         self.edits = read_edits(self.path) if self.path.is_dir() else EditLog()
         self._closed = False
         self._samples: list[_Sample] = []
+        self.unfinished: list[Path] = []
         with ExitStack() as stack:
             for file in self.files:
                 data = stack.enter_context(scan.mapped(file))
-                self._samples += [_Sample(file, data, offset) for offset in sample_offsets(file, data)]
+                found = [_Sample(file, data, offset) for offset in sample_offsets(file, data)]
+                if _is_finished(data):
+                    _check_count(file, data, len(found))
+                else:
+                    self.unfinished.append(file)
+                self._samples += found
             self._open = stack.pop_all()
-        self.unfinished = [file for file in self.files if not _is_finished(file)]
 
     def __enter__(self) -> Self:
         return self
@@ -141,14 +147,38 @@ def _last_counts(path: Path, data: memoryview) -> MessageCounts:
     return last
 
 
-def _is_finished(path: Path) -> bool:
+def _is_finished(data: memoryview) -> bool:
     """Whether a recording was closed, so that it has an index."""
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        if size <= 2 * len(MAGIC):
-            return False
-        file.seek(size - len(MAGIC))
-        return file.read() == MAGIC
+    return len(data) > 2 * len(MAGIC) and bytes(data[-len(MAGIC) :]) == MAGIC
+
+
+def _check_count(path: Path, data: memoryview, found: int) -> None:
+    """Compare the samples found in a finished file with the count in its summary.
+
+    Schemas, channels and indexes outside of chunks have no checksum: one changed byte there hides samples.
+    """
+    start, end = _require(path, scan.summary_of(data))
+    schemas: set[int] = set()
+    counts: dict[int, int] = {}
+    channels: set[int] = set()
+    for item in scan.records(data, start, end):
+        record = _require(path, item)
+        if not isinstance(record, scan.RawRecord):
+            continue
+        content: object = scan.declaration(data, record)
+        if record.opcode == Opcode.STATISTICS:
+            content = scan.parse(Statistics, data, record)
+        if isinstance(content, scan.Damage):
+            raise content.error(path)
+        if isinstance(content, Schema) and content.name == SAMPLE_TYPE:
+            schemas.add(content.id)
+        elif isinstance(content, Channel) and content.schema_id in schemas:
+            channels.add(content.id)
+        elif isinstance(content, Statistics):
+            counts = content.channel_message_counts
+    declared = sum(counts.get(channel, 0) for channel in channels)
+    if declared != found:
+        raise FileError(path, f"damaged: holds {found} samples, its index declares {declared}", field="samples")
 
 
 def holds_samples(path: Path) -> bool:
@@ -157,7 +187,7 @@ def holds_samples(path: Path) -> bool:
         return is_dataset(path)
     if path.suffix != ".mcap" or not path.is_file():
         return False
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         start = file.read(65536)
     return start.startswith(MAGIC) and SAMPLE_TYPE.encode() in start
 

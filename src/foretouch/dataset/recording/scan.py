@@ -22,12 +22,14 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
+from foretouch.checked_files import open_regular
 from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.errors import FileError
 
 Declaration: TypeAlias = Schema | Channel | Metadata
 
 _HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 _CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
 _MESSAGE = struct.Struct("<HIQQ")
 INDEX_HEAD = struct.Struct("<HI")
@@ -89,7 +91,7 @@ def mapped(path: Path) -> Iterator[memoryview]:
     """
     with ExitStack() as stack:
         try:
-            file = stack.enter_context(path.open("rb"))
+            file = stack.enter_context(open_regular(path))
             size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
             data = stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)) if size else b""
         except OSError as err:
@@ -183,6 +185,19 @@ def declaration(data: memoryview, record: RawRecord) -> Declaration | Damage | N
     if record.opcode == Opcode.CHANNEL:
         return parse(Channel, data, record)
     return parse(Metadata, data, record) if record.opcode == Opcode.METADATA else None
+
+
+def summary_of(data: memoryview) -> tuple[int, int] | Damage:
+    """Start and end of the summary of a finished file, verified by its checksum."""
+    at = len(data) - len(MAGIC) - _FOOTER.size
+    if at < len(MAGIC):
+        return Damage(0, "damaged: too short for a finished recording")
+    opcode, length, start, _, crc = _FOOTER.unpack_from(data, at)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
+        return Damage(at, "damaged: the footer of a finished recording is no footer")
+    if zlib.crc32(data[start : at + _FOOTER.size - 4]) != crc:
+        return Damage(start, "damaged: the index at the end does not match its checksum")
+    return start, at
 
 
 def check_record(data: memoryview, record: RawRecord) -> Damage | None:

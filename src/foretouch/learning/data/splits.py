@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.errors import DatasetError, FileError
 from foretouch.learning.data.folds import Fold, Indices, group_folds, random_folds, time_folds
@@ -122,16 +123,16 @@ def read_splits(path: str | Path) -> DatasetSplits:
     path = Path(path)
     file = path / SPLITS_FILE if path.is_dir() else path
     try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as err:
-        raise FileError(file, err.strerror or str(err)) from err
+        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
+    except UnicodeDecodeError as err:
+        raise FileError(file, f"is no text: {err}") from err
     return parse_splits(text, file)
 
 
 def parse_splits(text: str, file: str | Path = SPLITS_FILE) -> DatasetSplits:
     """Parse the text of a `splits.json`; raises `FileError`, which names `file`, as `read_splits`."""
     try:
-        content = json.loads(text)
+        content = parse_json(text)
         if content["schema_version"] != _VERSION:
             raise FileError(file, f"{content['schema_version']} is not {_VERSION}", field="schema_version")
         kinds = {str(kind): [_part(entry) for entry in entries] for kind, entries in content["splits"].items()}

@@ -21,12 +21,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import ConfigError, ModelError
+from foretouch.errors import ConfigError, ModelError, quoted
 from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact.features import FEATURES, ContactScene
 from foretouch.models.contact.regressors import Forest, KernelRegression
-from foretouch.models.files import TensorRecord, packed, read_part, read_tensors, replace_files
+from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
@@ -153,13 +153,13 @@ def load_model(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     """
     stored = card.get("ranges", {})
     if not isinstance(stored, dict):
-        raise ModelError(f"{card_path}: ranges: {stored!r} is of type {type(stored).__name__}")
+        raise ModelError(f"{card_path}: ranges: {quoted(stored)} is of type {type(stored).__name__}")
     try:
         ranges = TactileRanges.from_mapping(stored, f"{card_path}: ranges")
     except ConfigError as err:
         raise ModelError(str(err)) from err
     calibration, _ = load_calibration(card_path, card)
-    path = card_path.with_name(Path(card["weights"]).name)
+    path = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(path, card["sha256"], card_path.name)
     try:
         return TouchModel(ContactEstimator.from_tensors(tensors, ranges), card, calibration)

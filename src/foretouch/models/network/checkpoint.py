@@ -23,7 +23,7 @@ from foretouch.errors import ConfigError, ModelError
 from foretouch.models.calibration import load_calibration
 from foretouch.models.card import card_text, combined_sha256, new_card, read_card, write_text
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.files import packed, read_tensors, replace_files
+from foretouch.models.files import file_beside, packed, read_tensors, replace_files
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
@@ -159,7 +159,7 @@ def load_ensemble(card_path: Path, card: Mapping[str, Any]) -> TouchModel:
     Raises:
         ModelError: As `load_network`; if a member was replaced, or a modality is not predicted exactly once.
     """
-    loaded = [_load_member(card_path.with_name(Path(str(member)).name)) for member in card["members"]]
+    loaded = [_load_member(file_beside(card_path, member, "members")) for member in card["members"]]
     found = combined_sha256([sha256 for _, sha256 in loaded])
     if found != card["sha256"]:
         raise ModelError(f"{card_path}: sha256: {card['sha256']} is not {found} of its members; one was replaced")
@@ -181,7 +181,7 @@ def load_network(card_path: str | Path) -> tuple[TouchNet, dict[str, Any]]:
         config = ModelConfig.from_mapping(card["config"], f"{card_path}: config")
     except ConfigError as err:
         raise ModelError(str(err)) from err
-    weights = card_path.with_name(Path(card["weights"]).name)
+    weights = file_beside(card_path, card["weights"], "weights")
     tensors = read_tensors(weights, card["sha256"], card_path.name, load_file)
     with torch.device("meta"):  # shapes alone: no random numbers are drawn for weights that are replaced at once
         net = TouchNet(config)

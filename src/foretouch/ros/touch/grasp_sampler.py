@@ -77,7 +77,9 @@ class GraspSampler:
         if cost not in _COSTS:
             raise requests.RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
         if goal.count > self._max_grasps:
-            raise requests.RefusalError(Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}")
+            raise requests.RefusalError(
+                Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}"
+            )
         header, targets = _targets(goal, latest)
         config = self._grasp.replace(count=goal.count) if goal.count else self._grasp
         pipeline = Pipeline(PipelineConfig(grasp=config))

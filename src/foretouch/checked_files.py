@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads of files that nobody vouches for: regular files of a bounded size, and JSON of a bounded depth.
+
+A FIFO would block its reader for ever, a device has no end, and a text of a few kilobytes can nest deeper than any
+parser returns from. Every reader of the package opens files here.
+"""
+
+import hashlib
+import json
+import os
+import stat
+import time
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, Final
+
+from foretouch.errors import FileError
+
+TEXT_LIMIT: Final = 64_000_000
+"""Largest size of a JSON file [bytes]: the manifest of the largest store has a thousandth of it."""
+
+_DEPTH: Final = 64  # levels of lists and objects; no file of the package has more than 8
+_KINDS: Final = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "FIFO"), (stat.S_ISSOCK, "socket"))
+_SETTLED_NS: Final = 2_000_000_000  # a file changed later than this before its hash may change again in the same tick
+
+_Version = tuple[int, int, int, int, int]
+_hashes: dict[Path, tuple[_Version, str]] = {}
+
+
+def open_regular(path: str | Path) -> BufferedReader:
+    """Open a regular file for reading.
+
+    Raises:
+        FileError: If it is absent, may not be read, is a folder, FIFO, socket or device, or no file can have its name.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a FIFO is opened without its writer
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except ValueError as err:
+        raise FileError(path, f"is no name of a file: {err}") from err
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        kind = next((name for test, name in _KINDS if test(mode)), "device")
+        raise FileError(path, f"is a {kind}, not a regular file")
+    return os.fdopen(descriptor, "rb")
+
+
+def require_existing(path: str | Path) -> Path:
+    """The path of something that exists; a `FileError` if it does not, or if no file can have this name."""
+    try:
+        Path(path).stat()
+    except FileNotFoundError as err:
+        raise FileError(path, "does not exist") from err
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    except ValueError as err:
+        raise FileError(path, f"is no name of a file: {err}") from err
+    return Path(path)
+
+
+def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
+    """The content of a regular file of at most `limit` bytes.
+
+    Raises:
+        FileError: As `open_regular`; also if the file is larger, or reading fails.
+    """
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if limit is not None and size > limit:
+            raise FileError(path, f"{size} bytes exceed {limit}", field="size")
+        try:
+            return file.read()
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+
+
+def read_json(path: str | Path) -> Any:
+    """The document in a JSON file.
+
+    Raises:
+        FileError: As `read_bytes` and `parse_json`.
+    """
+    content = read_bytes(path, TEXT_LIMIT)
+    try:
+        return parse_json(content.decode("utf-8"))
+    except ValueError as err:
+        raise FileError(path, f"is no JSON: {' '.join(str(err).split())}") from err
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The document in a JSON text.
+
+    Raises:
+        ValueError: If it is no JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file accepts.
+    """
+    try:
+        document = json.loads(text)
+    except RecursionError:
+        raise ValueError(f"more than {_DEPTH} nested levels") from None
+    level = [document]
+    for _ in range(_DEPTH + 1):
+        level = [one for group in level if isinstance(group, dict | list) for one in _members(group)]
+        if not level:
+            break
+    else:
+        raise ValueError(f"more than {_DEPTH} nested levels")
+    if (b"\\ud" if isinstance(text, bytes) else "\\ud") in text.lower():  # type: ignore[operator]
+        json.dumps(document, ensure_ascii=False).encode()
+    return document
+
+
+def _members(group: dict[Any, Any] | list[Any]) -> list[Any]:
+    """The lists and objects in a list or object."""
+    values = group.values() if isinstance(group, dict) else group
+    return [value for value in values if isinstance(value, dict | list)]
+
+
+def file_sha256(path: str | Path) -> str:
+    """SHA-256 of a regular file, hexadecimal; computed once a process for a file that has not changed since.
+
+    A file counts as unchanged while its inode, its size and its times of change are those of the last computation.
+
+    Raises:
+        FileError: As `open_regular`; also if reading fails.
+    """
+    path = Path(path).absolute()
+    with open_regular(path) as file:
+        info = os.fstat(file.fileno())
+        version = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        known = _hashes.get(path)
+        if known is not None and known[0] == version:
+            return known[1]
+        try:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+    if time.time_ns() - max(info.st_mtime_ns, info.st_ctime_ns) > _SETTLED_NS:
+        _hashes[path] = (version, digest)
+    return digest

@@ -1,0 +1,378 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged and hostile files of every kind: one line that names file and rule, within a second, and in little memory."""
+
+import io
+import json
+import os
+import signal
+import struct
+import time
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from calibrated_models import save_calibrated_contact
+
+from foretouch.checked_files import file_sha256
+from foretouch.cloud.io.files import read_cloud, write_cloud
+from foretouch.config import load_yaml, parse_overrides
+from foretouch.dataset.samples import open_samples
+from foretouch.dataset.source import open_source, readable
+from foretouch.dataset.store import Store
+from foretouch.errors import ConfigError, ForetouchError
+from foretouch.models.card import read_card
+from foretouch.models.files import read_tensors
+from foretouch.models.registry import load_model
+from foretouch.pipeline import PipelineConfig
+from foretouch.types import Cloud
+
+DIGITS = "9" * 4400
+PCD = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA binary\n"
+PLY = (
+    "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    "end_header\n"
+)
+POINTS = np.zeros((2, 3), np.float32).tobytes()
+
+
+@pytest.fixture(autouse=True)
+def a_reader_that_waits_is_stopped() -> Iterator[None]:
+    """A FIFO without a writer would block a test for ever."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError("the reader did not return within 20 s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def npy(header: str, body: bytes = b"", version: tuple[int, int] = (1, 0)) -> bytes:
+    """A .npy file with a header of free text."""
+    text = header.encode("latin1") + b"\n"
+    size = struct.pack("<H" if version == (1, 0) else "<I", len(text))
+    return b"\x93NUMPY" + bytes(version) + size + text + body
+
+
+def npz(content: bytes, name: str = "xyz.npy", compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """An archive with one member."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", compression) as archive:
+        archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def encrypted(content: bytes) -> bytes:
+    """The archive, declared as encrypted in both of its headers."""
+    changed = bytearray(content)
+    changed[6] |= 1
+    changed[changed.index(b"PK\x01\x02") + 8] |= 1
+    return bytes(changed)
+
+
+def damaged_stream(content: bytes) -> bytes:
+    """The archive with other bytes in the middle of its compressed data."""
+    changed = bytearray(content)
+    start = content.index(b"xyz.npy") + 7
+    changed[start : start + 12] = b"\xff" * 12
+    return bytes(changed)
+
+
+GOOD_NPY = npy("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3)}", POINTS)
+HUGE = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s, 3)}"
+CLOUDS: dict[str, tuple[str, bytes]] = {
+    "pcd width of 4400 digits": (".pcd", PCD.replace("WIDTH 2", f"WIDTH {DIGITS}").encode() + POINTS),
+    "pcd points of 4400 digits": (".pcd", PCD.replace("POINTS 2", f"POINTS {DIGITS}").encode() + POINTS),
+    "pcd size of 4400 digits": (".pcd", PCD.replace("SIZE 4", f"SIZE {DIGITS}").encode() + POINTS),
+    "pcd count 1e10": (".pcd", PCD.replace("FIELDS x y z", "FIELDS x y z a").replace("SIZE", "SIZE 4").replace("TYPE", "TYPE F").replace("COUNT 1 1 1", "COUNT 1 1 1 10000000000").encode() + POINTS),
+    "pcd count 2e9": (".pcd", PCD.replace("FIELDS x y z", "FIELDS x y z a").replace("SIZE", "SIZE 4").replace("TYPE", "TYPE F").replace("COUNT 1 1 1", "COUNT 1 1 1 2000000000").encode() + POINTS),
+    "pcd count of 4400 digits": (".pcd", PCD.replace("COUNT 1", f"COUNT {DIGITS}").encode() + POINTS),
+    "pcd width 4e9, height 4e9": (".pcd", PCD.replace("WIDTH 2", "WIDTH 4000000000").replace("HEIGHT 1", "HEIGHT 4000000000").replace("POINTS 2\n", "").encode() + POINTS),
+    "pcd width 0, height 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 0").replace("HEIGHT 1", "HEIGHT 10000000000").replace("POINTS 2\n", "").encode()),
+    "pcd width 0, height 1e30": (".pcd", PCD.replace("WIDTH 2", "WIDTH 0").replace("HEIGHT 1", "HEIGHT 1" + 30 * "0").replace("POINTS 2\n", "").encode()),
+    "pcd superscript width": (".pcd", PCD.replace("WIDTH 2", "WIDTH ²").encode() + POINTS),
+    "pcd ascii word of 1e6 digits": (".pcd", PCD.replace("binary", "ascii").encode() + b"1 2 3 4 5 " + b"7" * 1_000_000 + b"x\n"),
+    "pcd ascii declares 1e10": (".pcd", PCD.replace("WIDTH 2", "WIDTH 10000000000").replace("POINTS 2\n", "").replace("binary", "ascii").encode() + b"1 2 3\n"),
+    "pcd field name of 60000": (".pcd", PCD.replace("FIELDS x", "FIELDS " + "x" * 60000).encode() + POINTS),
+    "pcd 20000 fields": (".pcd", ("FIELDS " + "a " * 20000 + "\nSIZE 4\nTYPE F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n").encode()),
+    "pcd compressed declares 4 GB": (".pcd", PCD.replace("binary", "binary_compressed").replace("WIDTH 2", "WIDTH 357913941").replace("POINTS 2\n", "").encode() + struct.pack("<II", 8, 4294967292) + bytes(8)),
+    "ply vertices of 4400 digits": (".ply", PLY.replace("vertex 2", f"vertex {DIGITS}").encode() + POINTS),
+    "ply columns of 4400 digits": (".ply", PLY.replace("element", f"obj_info num_cols {DIGITS}\nelement").encode() + POINTS),
+    "ply columns 0, rows 1e30": (".ply", PLY.replace("element vertex 2", "obj_info num_cols 0\nobj_info num_rows 1" + 30 * "0" + "\nelement vertex 0").encode()),
+    "ply superscript vertices": (".ply", PLY.replace("vertex 2", "vertex ²").encode() + POINTS),
+    "ply 1e10 vertices": (".ply", PLY.replace("vertex 2", "vertex 10000000000").encode() + POINTS),
+    "ply ascii 1e30 vertices": (".ply", PLY.replace("vertex 2", "vertex 1" + 30 * "0").replace("binary_little_endian", "ascii").encode() + b"1 2 3\n"),
+    "ply no newline after header": (".ply", PLY.encode().rstrip()),
+    "npy declares 1 GB": (".npy", npy(HUGE % 100_000_000, bytes(1_000_000))),
+    "npy declares 1e30": (".npy", npy(HUGE % ("1" + 30 * "0"), bytes(100))),
+    "npy shape of 4400 digits": (".npy", npy(HUGE % DIGITS, bytes(100))),
+    "npy negative shape": (".npy", npy(HUGE % "-1", bytes(100))),
+    "npy zero times huge": (".npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 9999999999999999999999, 3)}")),
+    "npy shape of True": (".npy", npy(HUGE % "True", bytes(100))),
+    "npy no mapping": (".npy", npy("[1, 2]")),
+    "npy unclosed": (".npy", npy("{'descr': ")),
+    "npy NUL": (".npy", npy("{'descr': '<f4\0'}")),
+    "npy deep brackets": (".npy", npy("(" * 9000)),
+    "npy deep brackets, version 2": (".npy", npy("(" * 200000, version=(2, 0))),
+    "npy minus signs": (".npy", npy("-" * 9000 + "1")),
+    "npy header of 4 GB": (".npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b"{}")
+    ,
+    "npy descr of objects": (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 3)}", bytes(100))),
+    "npy descr of tuples": (".npy", npy("{'descr': [('a', ('b', 'c'))], 'fortran_order': False, 'shape': (2, 3)}", bytes(100))),
+    "npy descr of a huge item": (".npy", npy("{'descr': '|V2000000000', 'fortran_order': False, 'shape': (0, 3)}")),
+    "npy descr of a number": (".npy", npy("{'descr': 7, 'fortran_order': False, 'shape': (2, 3)}", POINTS)),
+    "npy version 9": (".npy", npy(HUGE % 2, POINTS, (9, 0))),
+    "npy empty": (".npy", b""),
+    "npy is a zip": (".npy", npz(GOOD_NPY)),
+    "npz is no zip": (".npz", GOOD_NPY),
+    "npz encrypted": (".npz", encrypted(npz(GOOD_NPY))),
+    "npz damaged stream": (".npz", damaged_stream(npz(GOOD_NPY * 20))),
+    "npz truncated": (".npz", npz(GOOD_NPY)[:-30]),
+    "npz method 99": (".npz", npz(GOOD_NPY, compression=zipfile.ZIP_STORED).replace(b"PK\x03\x04\x14\x00\x00\x00\x00\x00", b"PK\x03\x04\x14\x00\x00\x00\x63\x00").replace(b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x03\x14\x00\x00\x00\x63\x00")),
+    "npz bad npy": (".npz", npz(npy("{'descr': "))),
+    "npz no npy": (".npz", npz(b"hello")),
+    "npz not npy by name": (".npz", npz(b"hello", "xyz")),
+    "npz zeros of 300 MB": (".npz", npz(npy(HUGE % 25_000_000, bytes(300_000_000)))),
+    "npz bzip2": (".npz", npz(npy(HUGE % 25_000_000, bytes(100_000)), compression=zipfile.ZIP_BZIP2)),
+    "npz declares 1 GB": (".npz", npz(npy(HUGE % 100_000_000, bytes(100_000)))),
+}  # fmt: skip
+
+
+def refused(call: Callable[[], Any], name: str, *, seconds: float = 1.0) -> str:
+    """The message of the refusal, which must be one line that names the file, of at most 1000 characters."""
+    start = time.monotonic()
+    with pytest.raises(ForetouchError) as caught:
+        call()
+    assert time.monotonic() - start < seconds
+    message = str(caught.value)
+    assert name in message
+    assert "\n" not in message
+    assert len(message) < 1000
+    return message
+
+
+@pytest.mark.parametrize("case", CLOUDS)
+def test_a_hostile_cloud_is_refused_in_a_second_and_little_memory(case: str, tmp_path: Path) -> None:
+    suffix, content = CLOUDS[case]
+    path = tmp_path / f"cloud{suffix}"
+    path.write_bytes(content)
+
+    tracemalloc.start()
+    try:
+        refused(lambda: read_cloud(path), path.name)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 10 * len(content) + 2_000_000
+
+
+def test_one_hostile_file_costs_one_item_of_a_folder(tmp_path: Path) -> None:
+    for k, (suffix, content) in enumerate(CLOUDS.values()):
+        if len(content) < 100_000:
+            (tmp_path / f"{k}{suffix}").write_bytes(content)
+    os.mkfifo(tmp_path / "fifo.pcd")
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "loop.npy").symlink_to("loop.npy")
+    write_cloud(tmp_path / "good.pcd", Cloud(np.ones((4, 3), np.float32)))
+    reasons: list[str] = []
+    found = [name for name, _ in readable(open_source(tmp_path), lambda name, err: reasons.append(str(err)))]
+    assert found == [str(tmp_path / "good.pcd")]
+    assert len(reasons) > 40
+
+
+@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz", ".npy"])
+def test_a_cloud_that_is_no_regular_file_is_refused(suffix: str, tmp_path: Path) -> None:
+    for name, make in (
+        ("fifo", os.mkfifo),
+        ("folder", os.mkdir),
+        ("device", lambda p: Path(p).symlink_to("/dev/zero")),
+    ):
+        path = tmp_path / f"{name}{suffix}"
+        make(path)
+        refused(lambda path=path: read_cloud(path), path.name)
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "yaml": load_yaml,
+    "card": read_card,
+    "store": lambda path: Store(path.parent),
+    "samples": lambda path: open_samples(path.parent),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: Path(p).symlink_to("/dev/zero")], ids=["fifo", "folder", "device"])  # fmt: skip
+def test_text_that_is_no_regular_file_is_refused(reader: str, make: Callable[[Path], None], tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    make(path)
+    refused(lambda: READERS[reader](path), tmp_path.name)
+
+
+YAML = {
+    "alias bomb": "a: &a [x, x, x, x, x, x, x, x, x]\n"
+    + "".join(f"{y}: &{y} [{', '.join([f'*{x}'] * 9)}]\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)),
+    "merge bomb": "a: &a {x: 1}\n"
+    + "".join(
+        f"{y}: &{y} {{<<: [{', '.join([f'*{x}'] * 9)}]}}\n" for x, y in zip("abcdefghij", "bcdefghijk", strict=True)
+    ),
+    "self-alias": "a: &a [*a]\n",
+    "self-alias in a mapping": "a: &a\n  b: *a\n",
+    "deep brackets": "a: " + "[" * 10_000,
+    "deep closed brackets": "a: " + "[" * 2000 + "]" * 2000,
+    "deep braces": "a: " + "{x: " * 10_000,
+    "deep indents": "".join(" " * k + "a:\n" for k in range(500)),
+    "deep dashes": "a:\n" + "- " * 5000,
+    "odd date": "a: 2026-13-45\n",
+    "odd time": "a: 2026-01-01 99:99:99\n",
+    "zone of 99 hours": "a: 2026-01-01 00:00:00 +99:99\n",
+    "NUL": "a: \0\n",
+    "number of 5000 digits": f"a: {'9' * 5000}\n",
+    "hexadecimal of 5000 digits": f"range_m: 0x{'f' * 5000}\n",
+    "number of 400 digits": f"range_m: {'9' * 400}\n",
+    "sexagesimal": "range_m: " + "1:" + ":".join(["59"] * 3000) + "\n",
+    "list as key": "? [a, b]\n: 1\n",
+    "list in the place of a date": "a: !!timestamp [1]\n",
+    "word as number": "a: !!int x\n",
+    "empty number": "a: !!int ''\n",
+    "word as truth": "a: !!bool maybe\n",
+    "python object": "a: !!python/object/apply:os.system [ls]\n",
+    "tab": "a:\n\t- b\n",
+    "two documents": "a: 1\n---\nb: 2\n",
+    "2 MB": "a: 1\n" + "# x\n" * 500_000,
+    "key of 5000 characters": "k" * 5000 + ": 1\n",
+    "value of 50000 characters": "range_m: " + "k" * 50000 + "\n",
+    "a number and a group": "1: 5\n'1': {a: 2}\n",
+    "surrogate": 'range_m: "\\ud800"\n',
+}
+
+
+@pytest.mark.parametrize("case", YAML)
+def test_hostile_yaml_is_refused_in_a_second(case: str, tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text(YAML[case].replace("range_m:", "segmentation.crop.max_range_m:"), encoding="utf-8")
+    refused(lambda: PipelineConfig.from_mapping(load_yaml(path), str(path)), "settings.yaml")
+
+
+def test_aliases_and_merges_of_usual_size_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text("a: &a {x: 1, y: [2, 3]}\nb: {<<: *a, x: 4}\nc: *a\n")
+    assert load_yaml(path) == {"a": {"x": 1, "y": [2, 3]}, "b": {"x": 4, "y": [2, 3]}, "c": {"x": 1, "y": [2, 3]}}
+
+
+@pytest.mark.parametrize("text", ["2026-13-45", "[" * 5000, "9" * 5000, "&a [*a]", "\0", "!!int x"])
+def test_a_hostile_override_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^key: .*YAML") as caught:
+        parse_overrides([f"key={text}"])
+    assert len(str(caught.value)) < 1000
+
+
+JSON_TEXTS = {
+    "deep lists": "[" * 100_000,
+    "deep closed lists": "[" * 900 + "]" * 900,
+    "deep objects": '{"a":' * 100_000,
+    "closed objects": '{"format": "foretouch-model", "x": ' * 100 + "1" + "}" * 100,
+    "number of 5000 digits": '{"format": ' + "9" * 5000 + "}",
+    "not UTF-8": "\udcff",
+    "surrogate": '{"format": "\\ud800"}',
+    "empty": "",
+    "a list": "[1]",
+    "a number": "1e999",
+    "NUL": "\0",
+    "70 MB": " " * 70_000_000,
+}
+
+
+@pytest.mark.parametrize("reader", ["card", "store", "samples"])
+@pytest.mark.parametrize("case", JSON_TEXTS)
+def test_hostile_json_is_refused_in_a_second(case: str, reader: str, tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    path.write_text(JSON_TEXTS[case], encoding="utf-8", errors="surrogateescape")
+    refused(lambda: READERS[reader](path), tmp_path.name)
+
+
+def tensor_file(path: Path, dtype: str, shape: list[int], size: int, **extra: Any) -> str:
+    header = json.dumps({"x": {"dtype": dtype, "shape": shape, "data_offsets": [0, size]}, **extra}).encode()
+    path.write_bytes(struct.pack("<Q", len(header)) + header + bytes(size))
+    return file_sha256(path)
+
+
+@pytest.mark.parametrize("dtype", ["BF16", "F8_E4M3", "F8_E5M2", "F4", "U1", "X"])
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_a_tensor_of_an_unsupported_dtype_is_refused(dtype: str, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    sha256 = tensor_file(path, dtype, [4], 8 if dtype == "BF16" else 4)
+    arguments: list[Any] = []
+    if kind == "torch":
+        from safetensors.torch import load_file
+
+        arguments = [load_file]
+        if dtype in ("BF16", "F8_E4M3", "F8_E5M2"):
+            pytest.skip("torch reads it; the architecture's dtype is compared afterwards")
+    refused(lambda: read_tensors(path, sha256, "card.json", *arguments), path.name)
+
+
+@pytest.mark.parametrize("head", [b"", b"\xff" * 8, struct.pack("<Q", 2**40), struct.pack("<Q", 6) + b'{"x":1'])
+def test_a_damaged_tensor_file_is_refused(head: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    path.write_bytes(head)
+    refused(lambda: read_tensors(path, file_sha256(path), "card.json"), path.name)
+
+
+def test_weights_that_are_no_regular_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    os.mkfifo(path)
+    refused(lambda: read_tensors(path, "0", "card.json"), path.name)
+
+
+LONG = "n" * 5000
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: read_cloud(f"{LONG}.pcd"),
+        lambda: read_cloud(f"{LONG}.npz"),
+        lambda: read_cloud("a\0b.ply"),
+        lambda: read_cloud("a\nb.ply"),
+        lambda: load_yaml(LONG),
+        lambda: load_yaml("a\0b"),
+        lambda: read_card(f"{LONG}.json"),
+        lambda: load_model(LONG),
+        lambda: load_model(f"{LONG}.json"),
+        lambda: load_model("a\0b.json"),
+        lambda: open_source(LONG),
+        lambda: open_source("a\0b"),
+        lambda: open_samples(LONG),
+        lambda: open_samples(f"{LONG}.mcap"),
+        lambda: open_samples("a\0b"),
+        lambda: Store(LONG),
+        lambda: Store("a\0b"),
+    ],
+)
+def test_a_name_that_no_file_can_have_is_refused(call: Callable[[], Any]) -> None:
+    refused(call, "")
+
+
+def test_a_card_with_long_or_absurd_fields_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = Path(save_calibrated_contact(tmp_path))
+    card = json.loads(path.read_text())
+    absurd: list[Any] = [LONG, ["x"] * 50_000, {"a": LONG}, 10**400, "a\nb", "a\0b", "", "../..", "."]
+    for field in ("weights", "sha256", "config", "calibration", "ranges", "limits", "name", "kind", "format_version"):
+        for value in absurd:
+            path.write_text(json.dumps(card | {field: value}))
+            message = ""
+            try:
+                load_model(path)
+            except ForetouchError as err:
+                message = str(err)
+            assert "\n" not in message
+            assert len(message) < 1000
+    for value in absurd:
+        path.write_text(json.dumps(card | {"calibration": card["calibration"] | {"weights": value}}))
+        refused(lambda: load_model(path), str(tmp_path.name))
