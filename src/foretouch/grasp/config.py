@@ -2,14 +2,22 @@
 """Settings of GeoGrasp. The defaults are those of the original with a BioTac SP fingertip."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
+
+GraspMethod = Literal["original", "stable"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeoGraspConfig(Settings):
     """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
+    method: GraspMethod = setting(
+        "original",
+        "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little",
+        choices=get_args(GraspMethod),
+    )
     tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
     count: int = setting(1, "Maximum number of grasps, best first", minimum=1, maximum=10_000)
     max_points: int = setting(

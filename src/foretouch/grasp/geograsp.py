@@ -34,6 +34,14 @@ from foretouch.grasp.ranking import (
     initial_score,
     rank_pairs,
 )
+from foretouch.grasp.stable import (
+    StableRanking,
+    mean_contacts,
+    object_frame,
+    soft_extremes,
+    stable_side,
+    weigh_points,
+)
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]
@@ -47,7 +55,8 @@ class GraspPlan:
         status: "ok": ranked candidates. "initial_points": no pair of candidates passes, the only grasp is that
             of the initial points. "no_grasp": there is none.
         reason: Explanation of the status.
-        grasps: Best first.
+        grasps: Best first. The first of method "stable" is the mean of the best pairs, whatever the scores of single
+            pairs, which follow it.
         initial_points: (2, 3) float64 [m], the extremes near the grasp plane; None if planning failed before.
         axis: (3,) float64, the object's axis; None if planning failed before.
         centroid: (3,) float64 [m], of the object; None if planning failed before.
@@ -133,7 +142,8 @@ def plan_grasps(
     points = finite_points(cloud, pixels, image_shape)
     builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
-        return _plan(points, plane, config, rng, builder)
+        plan = _plan_stable if config.method == "stable" else _plan
+        return plan(points, plane, config, rng, builder)
     except CloudError as err:
         return builder.plan("no_grasp", str(err))
 
@@ -213,3 +223,44 @@ def _best_grasps(
     if parallel:
         notes.append(f"{parallel} grasps run along the object's axis: their X follows a coordinate axis by convention")
     return builder.plan("ok" if ranked else "initial_points", "; ".join(notes), grasps)
+
+
+def _plan_stable(
+    points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None, builder: _PlanBuilder
+) -> GraspPlan:
+    """The method `stable` (see `foretouch.grasp.stable`)."""
+    counts = builder.counts
+    with builder.stage("outliers"):
+        downsampled = points.in_canonical_order().downsampled(config)
+        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
+        weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
+        counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
+    with builder.stage("axis"):
+        frame = object_frame(weighted, plane)
+        builder.axis, builder.centroid, builder.axis_ratio = frame.axis, frame.centroid, frame.ratio
+    with builder.stage("slab"):
+        if rng is not None:
+            kept = downsampled.xyz[weighted.inlier > 0.0]
+            builder.slide_m = random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
+        initial, counts["n_plane"] = soft_extremes(weighted, frame, builder.slide_m, config.slab_half_width_m)
+        builder.initial_points = initial
+    with builder.stage("candidates"):
+        width = float(np.linalg.norm(initial[1] - initial[0]))
+        first, second = (stable_side(weighted, one, frame, width, config) for one in initial)
+        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
+        counts["n_fv"], counts["n_sv"] = len(first.xyz) - 1, len(second.xyz) - 1
+    with builder.stage("ranking"):
+        ranking = StableRanking(weighted, (first, second), frame, builder.slide_m, config.normal_radius_m)
+        pairs = ranking.pairs()
+        contacts = mean_contacts(weighted, (first, second), pairs)
+        score, passes = ranking.score(contacts)
+        counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
+    with builder.stage("pose"):
+        found = [(contacts[0], contacts[1], score)]
+        if passes:
+            order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
+            i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
+            found += [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
+        grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
+    reason = f"the mean of {counts['n_pairs']} weighted pairs of candidates"
+    return builder.plan("ok" if passes else "initial_points", reason if passes else f"{reason} does not rank", grasps)
