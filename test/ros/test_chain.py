@@ -9,6 +9,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
+from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -53,7 +54,7 @@ def values(prediction):
 
 
 def test_nodes_and_command_line_give_the_same_bits(chain, scene_cloud, model_card):
-    pipeline = Pipeline(PipelineConfig(model=model_card))
+    pipeline = Pipeline(PipelineConfig(model=model_card, grasp=LiveGeoGraspConfig()))
     for seed in range(3):
         cloud = scene_cloud(seed, stamp_ns=1_700_000_000_000_000_001 + seed)
         said = send(chain, cloud_to_msg(cloud))

@@ -7,17 +7,13 @@ from typing import Literal, get_args
 from foretouch.config import Settings, setting
 
 GraspMethod = Literal["original", "stable"]
+_METHOD = "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeoGraspConfig(Settings):
     """Settings of the grasp planner (GeoGrasp: Zapata-Impata et al. 2019)."""
 
-    method: GraspMethod = setting(
-        "original",
-        "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little",
-        choices=get_args(GraspMethod),
-    )
     tip_mm: float = setting(25.0, "Size of the gripper's fingertip", unit="mm", minimum=1.0, maximum=200.0)
     count: int = setting(1, "Maximum number of grasps, best first", minimum=1, maximum=10_000)
     max_points: int = setting(
@@ -42,6 +38,7 @@ class GeoGraspConfig(Settings):
         minimum=0.0,
         maximum=1.0,
     )
+    method: GraspMethod = setting("original", _METHOD, choices=get_args(GraspMethod))
 
     @property
     def voxel_m(self) -> float:
@@ -52,3 +49,10 @@ class GeoGraspConfig(Settings):
     def contact_radius_m(self) -> float:
         """Radius around an initial point in which contacts are searched [m]: two fingertips."""
         return 2.0 * self.tip_mm / 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveGeoGraspConfig(GeoGraspConfig):
+    """Settings of the grasp planner in a stream of clouds."""
+
+    method: GraspMethod = setting("stable", _METHOD, choices=get_args(GraspMethod))

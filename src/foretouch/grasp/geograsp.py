@@ -23,6 +23,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.hold import held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import (
@@ -36,6 +37,7 @@ from foretouch.grasp.ranking import (
 )
 from foretouch.grasp.stable import (
     StableRanking,
+    in_order_of_sides,
     mean_contacts,
     object_frame,
     soft_extremes,
@@ -113,6 +115,8 @@ def plan_grasps(
     rng: np.random.Generator | None = None,
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
+    held: Grasp | None = None,
+    hold: float = 0.0,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
@@ -127,6 +131,9 @@ def plan_grasps(
         rng: Draws `slide_m` from the object's extent instead; see `random_slide`.
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the new
+            one is better by more than `hold`.
+        hold: In units of the score.
 
     Returns:
         The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
@@ -142,8 +149,9 @@ def plan_grasps(
     points = finite_points(cloud, pixels, image_shape)
     builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
-        plan = _plan_stable if config.method == "stable" else _plan
-        return plan(points, plane, config, rng, builder)
+        if config.method == "stable":
+            return _plan_stable(points, plane, config, rng, builder, None if held is None else (held, hold))
+        return _plan(points, plane, config, rng, builder)
     except CloudError as err:
         return builder.plan("no_grasp", str(err))
 
@@ -226,9 +234,14 @@ def _best_grasps(
 
 
 def _plan_stable(
-    points: FinitePoints, plane: Plane, config: GeoGraspConfig, rng: np.random.Generator | None, builder: _PlanBuilder
+    points: FinitePoints,
+    plane: Plane,
+    config: GeoGraspConfig,
+    rng: np.random.Generator | None,
+    builder: _PlanBuilder,
+    held: tuple[Grasp, float] | None,
 ) -> GraspPlan:
-    """The method `stable` (see `foretouch.grasp.stable`)."""
+    """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = builder.counts
     with builder.stage("outliers"):
         downsampled = points.in_canonical_order().downsampled(config)
@@ -256,11 +269,17 @@ def _plan_stable(
         score, passes = ranking.score(contacts)
         counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
     with builder.stage("pose"):
-        found = [(contacts[0], contacts[1], score)]
+        best = Grasp(*contacts, hand_rotation(*contacts, frame.axis), score)
+        if held is not None:
+            held_score, held_passes = ranking.score(in_order_of_sides(held[0].g1, held[0].g2, frame))
+            if held_passes >= passes:
+                best = held_or_new(held[0], held_score, best, held[1])
+                passes = held_passes if best.g1 is held[0].g1 else passes
+        others = []
         if passes:
             order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
             i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
-            found += [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
-        grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in found)
+            others = [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
+        grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
     reason = f"the mean of {counts['n_pairs']} weighted pairs of candidates"
     return builder.plan("ok" if passes else "initial_points", reason if passes else f"{reason} does not rank", grasps)
