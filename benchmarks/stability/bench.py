@@ -32,7 +32,16 @@ ROUND = 0.9  # middle over major eigenvalue, above which the axis is arbitrary, 
 METHODS = ("original", "stable")
 MOVED_MM = 10.0
 CONTACT_M = 0.00625  # half a voxel: over which normal and curvature of a contact are averaged [m]
-CHANGES = ("order", "jitter 1 um", "jitter 0.1 mm", "shift 1 mm", "shift 1 m", "turn 1 deg", "turn 90 deg", "turn 180 deg")
+CHANGES = (
+    "order",
+    "jitter 1 um",
+    "jitter 0.1 mm",
+    "shift 1 mm",
+    "shift 1 m",
+    "turn 1 deg",
+    "turn 90 deg",
+    "turn 180 deg",
+)
 
 
 def main() -> None:
@@ -54,7 +63,9 @@ def main() -> None:
         writer.writeheader()
         writer.writerows(rows)
     for row in rows:
-        print(f"{row['clouds']:5} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}")
+        print(
+            f"{row['clouds']:5} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}"
+        )
 
 
 def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:

@@ -57,7 +57,9 @@ def test_a_turned_object_is_grasped_at_the_same_place(wedge_cloud: Cloud, top_vi
     before = plan_grasps(wedge_cloud, top_view, STABLE)
     xyz, turn = turned(wedge_cloud.xyz, degrees)
     after = plan_grasps(Cloud(xyz), top_view, STABLE)
-    np.testing.assert_allclose(contacts(after), contacts(before) @ turn.T, atol=0.003)  # the preferred direction's share
+    np.testing.assert_allclose(
+        contacts(after), contacts(before) @ turn.T, atol=0.003
+    )  # the preferred direction's share
 
 
 def test_a_shift_carries_the_grasp_along(box_cloud: Cloud, top_view: Plane) -> None:

@@ -269,7 +269,7 @@ def _plan_stable(
         score, passes = ranking.score(contacts)
         counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
     with builder.stage("pose"):
-        best = Grasp(*contacts, hand_rotation(*contacts, frame.axis), score)
+        best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
         if held is not None:
             held_score, held_passes = ranking.score(in_order_of_sides(held[0].g1, held[0].g2, frame))
             if held_passes >= passes:

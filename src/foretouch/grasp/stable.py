@@ -147,7 +147,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
 
 def _third_moment(weight: Float64, along: Float64) -> float:
     """Skewness of weighted coordinates with mean zero."""
-    return float(weight @ along**3) / max(float(weight @ along**2), 1e-300) ** 1.5
+    return float(weight @ along**3 / max(float(weight @ along**2), 1e-300) ** 1.5)
 
 
 def soft_extremes(
