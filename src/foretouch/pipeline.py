@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.cloud.segmentation.objects import TargetConfig, select_targets
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
@@ -47,6 +47,7 @@ class FoundObject:
         plane: The table, in the cloud's frame.
         pixels: (N,) int64, flat index of each point in the image that it comes from; None if there is none.
         image_shape: (H, W) of that image.
+        flags: Of its predictions: `ambiguous_target` if other objects fit the rule of the target as well.
     """
 
     id: str
@@ -54,6 +55,7 @@ class FoundObject:
     plane: Plane
     pixels: npt.NDArray[np.int64] | None = None
     image_shape: tuple[int, int] | None = None
+    flags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +63,7 @@ class SegmentedScene:
     """The table and the objects of a scene."""
 
     status: str  # "ok", "no_target", or the status of the segmentation
-    reason: str  # why, in words; "" for "ok"
+    reason: str  # why, in words; for "ok" usually "", or how an ambiguous target was selected
     segmentation: Segmentation  # the table and all objects
     targets: tuple[FoundObject, ...]  # the objects to grasp, best first
 
@@ -100,25 +102,43 @@ class Pipeline:
             self._model = load_model(self.config.model)
         return self._model
 
-    def segment(self, cloud: Cloud) -> SegmentedScene:
-        """Find the table and the target objects in a cloud of (H, W, 3) or (N, 3) points with the table in view."""
+    def segment(self, cloud: Cloud, previous: Float64 | None = None) -> SegmentedScene:
+        """Find the table and the target objects in a cloud with the table in view.
+
+        Args:
+            cloud: (H, W, 3) or (N, 3) points.
+            previous: (3,) float64 [m], centroid of the target in the previous cloud of a stream; of objects that fit the
+                rule equally well, it stays the target.
+        """
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:
             return SegmentedScene(found.status, found.reason, found, ())
-        chosen, reason = select_targets(found.objects, self.config.target)
+        chosen, reason = select_targets(found.objects, self.config.target, previous)
         shape = (cloud.xyz.shape[0], cloud.xyz.shape[1]) if cloud.organised else None
+        flags = (AMBIGUOUS_TARGET,) if reason.startswith(AMBIGUOUS_TARGET) else ()
         targets = tuple(
-            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape) for one in chosen
+            FoundObject(str(one.id), one.cloud, found.plane, one.pixels if shape else None, shape, flags)
+            for one in chosen
         )
-        return SegmentedScene("ok" if targets else "no_target", "" if targets else reason, found, targets)
+        return SegmentedScene("ok" if targets else "no_target", reason, found, targets)
 
-    def plan(self, target: FoundObject, *, slide_m: float = 0.0, rng: np.random.Generator | None = None) -> GraspPlan:
+    def plan(
+        self,
+        target: FoundObject,
+        *,
+        slide_m: float = 0.0,
+        rng: np.random.Generator | None = None,
+        held: Grasp | None = None,
+        hold: float = 0.0,
+    ) -> GraspPlan:
         """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).
 
         Args:
             target: The object.
             slide_m: Shift of the grasp plane along the object's axis [m].
             rng: Draws a random shift instead, where given.
+            held: Grasp of the previous cloud, which is kept unless another is better by more than `hold`.
+            hold: In units of the score.
         """
         plan = plan_grasps(
             target.cloud,
@@ -129,6 +149,8 @@ class Pipeline:
             pixels=target.pixels,
             image_shape=target.image_shape,
             limits=self.config.limits,
+            held=held,
+            hold=hold,
         )
         return replace(plan, grasps=tuple(replace(grasp, object_id=target.id) for grasp in plan.grasps))
 
@@ -163,7 +185,12 @@ class Pipeline:
         if not grasps:
             return []
         limits, reach = self.config.limits, self.config.reach
-        return self.model.predict(target.cloud, grasps, tare=tare, residuals=residuals, limits=limits, reach=reach)
+        predictions = self.model.predict(
+            target.cloud, grasps, tare=tare, residuals=residuals, limits=limits, reach=reach
+        )
+        if not target.flags:
+            return predictions
+        return [replace(one, flags=(*one.flags, *target.flags)) for one in predictions]
 
     def run(self, cloud: Cloud) -> PipelineResult:
         """From a cloud of the whole scene to predicted touch."""

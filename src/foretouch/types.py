@@ -176,7 +176,7 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`
+    flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`, `ambiguous_target`
     status: Literal["ok", "refused"] = "ok"
     reason: str = ""  # why it was refused; "" if ok
 

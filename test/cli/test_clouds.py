@@ -74,6 +74,24 @@ def test_grasp_segments_an_organised_cloud_first(call: Call, files: Path) -> Non
     assert all(1 <= len(record["grasps"]) <= 3 for record in records)
 
 
+def test_predict_takes_every_object_of_a_scene(call: Call, files: Path) -> None:
+    records = call("predict", files / "scene.npz", "--json").records
+    assert [record["object"] for record in records] == ["1", "2"]
+    (one,) = call("predict", files / "scene.npz", "--json", "--target", "nearest").records
+    assert one["predictions"] == records[0]["predictions"]
+    (limited,) = call("predict", files / "scene.npz", "--json", "--set", "target.max_objects=1").records
+    assert limited["object"] == "1"
+
+
+def test_an_ambiguous_target_is_predicted_and_flagged(call: Call, files: Path) -> None:
+    words = ["predict", files / "scene.npz", "--json", "--target", "nearest"]
+    (sure,) = call(*words).records
+    (tied,) = call(*words, "--set", "target.margin_m=1").records
+    flags = [[flag for one in record["predictions"] for flag in one["flags"]] for record in (sure, tied)]
+    assert "ambiguous_target" not in flags[0]
+    assert "ambiguous_target" in flags[1]
+
+
 def test_vary_is_repeated_by_its_seed_and_slide_by_its_length(call: Call, files: Path) -> None:
     def contact(*options: str) -> list[list[float]]:
         return call("grasp", files / "object.pcd", "--json", *options).records[0]["initial_points"]

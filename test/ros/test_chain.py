@@ -9,6 +9,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
+from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -53,7 +54,7 @@ def values(prediction):
 
 
 def test_nodes_and_command_line_give_the_same_bits(chain, scene_cloud, model_card):
-    pipeline = Pipeline(PipelineConfig(model=model_card))
+    pipeline = Pipeline(PipelineConfig(model=model_card, grasp=LiveGeoGraspConfig()))
     for seed in range(3):
         cloud = scene_cloud(seed, stamp_ns=1_700_000_000_000_000_001 + seed)
         said = send(chain, cloud_to_msg(cloud))
@@ -71,6 +72,26 @@ def test_nodes_and_command_line_give_the_same_bits(chain, scene_cloud, model_car
         for message, prediction in zip(said["touch"].predictions, felt.predictions, strict=True):
             np.testing.assert_array_equal(values(message), prediction.value.vector().astype(np.float32))
             assert set(prediction.flags) <= set(message.flags)
+
+
+def test_the_target_and_the_grasp_of_a_still_scene_are_kept(chain, scene_cloud):
+    graph, *_ = chain
+    graph.nodes[0].set_parameters([rclpy_parameter("target.margin_m", 1.0)])  # both objects are equally near
+    graph.nodes[1].set_parameters([rclpy_parameter("grasp_hold", 5.0)])  # far more than the noise of the score
+    cloud = scene_cloud(3)
+    rng = np.random.default_rng(5)
+    grasps = []
+    for number in range(6):
+        noise = rng.normal(0.0, 1e-4, cloud.xyz.shape).astype(np.float32)
+        said = send(chain, cloud_to_msg(Cloud(cloud.xyz + noise, None, cloud.frame_id, cloud.stamp_ns + number)))
+        (prediction,) = said["touch"].predictions
+        assert "ambiguous_target" in prediction.flags
+        assert said["grasps"].reason.startswith("ambiguous_target: objects 1 and 2 are equally near to the camera")
+        if number:
+            assert "was the target before" in said["grasps"].reason
+        grasps.append(decode_grasp(said["grasps"].grasps[0]))
+    for grasp in grasps[1:]:
+        np.testing.assert_array_equal(np.stack([grasp.g1, grasp.g2]), np.stack([grasps[0].g1, grasps[0].g2]))
 
 
 def test_frame_and_stamp_are_kept_through_the_whole_chain(chain, scene_cloud):

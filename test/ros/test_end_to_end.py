@@ -22,6 +22,7 @@ from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, read_bag
 from foretouch.dataset.bag_writer import BagWriter, serialize_cloud, write_bag
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
+from foretouch.grasp import LiveGeoGraspConfig
 from foretouch.models.network.checkpoint import save_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
@@ -59,7 +60,8 @@ def recording(tmp_path_factory) -> Path:
 def play(graph, path: Path, model: str, **parameters) -> tuple[ReplayNode, list[TouchPredictionArray]]:
     """The four nodes and a subscriber; returns when the replay has ended."""
     received = graph.listen(TouchPredictionArray, "touch")
-    graph.add("segmentation", "grasp")
+    graph.add("segmentation")
+    graph.add("grasp", grasp_hold=0.0)  # so that each cloud is answered as it would be alone
     graph.add("touch_predictor", model=model)
     (replay,) = graph.add("replay", **{"path": str(path), "lockstep": True, "rate_hz": 1000.0, **parameters})
     assert replay.ended.wait(60.0)
@@ -84,7 +86,7 @@ def assert_same(message: TouchPredictionArray, cloud: Cloud, result: PipelineRes
 
 
 def test_a_recording_gets_one_answer_a_cloud_equal_to_the_pipeline(graph, recording, model):
-    pipeline = Pipeline(PipelineConfig(model=model))
+    pipeline = Pipeline(PipelineConfig(model=model, grasp=LiveGeoGraspConfig()))
     _, received = play(graph, recording, model)
     clouds = list(read_bag(recording))
     assert len(received) == len(clouds) == SCENES.count
@@ -105,7 +107,7 @@ def test_a_bag_of_others_gets_the_same_touch(graph, recording, model, tmp_path):
     write_foreign(tmp_path / "foreign", clouds)
     with Recording(tmp_path / "foreign") as foreign:
         assert foreign.content(next(foreign.messages())).is_bigendian
-    pipeline = Pipeline(PipelineConfig(model=model))
+    pipeline = Pipeline(PipelineConfig(model=model, grasp=LiveGeoGraspConfig()))
     _, received = play(graph, tmp_path / "foreign", model)
     assert len(received) == len(clouds)
     for message, cloud in zip(received, clouds, strict=True):
@@ -113,7 +115,7 @@ def test_a_bag_of_others_gets_the_same_touch(graph, recording, model, tmp_path):
 
 
 def test_a_folder_of_objects_gets_one_answer_a_file_behind_the_segmentation(graph, model, tmp_path):
-    pipeline = Pipeline(PipelineConfig(model=model))
+    pipeline = Pipeline(PipelineConfig(model=model, grasp=LiveGeoGraspConfig()))
     sight = pipeline.segment(next(iter(scene_clouds(SCENES))))
     for number, segment in enumerate(sight.segmentation.objects):
         write_cloud(tmp_path / f"object{number}.npz", segment.cloud)
@@ -166,7 +168,7 @@ def test_a_program_with_nothing_but_rclpy_hears_every_touch(graph, recording, mo
 @pytest.mark.real_data
 def test_real_samples_get_one_answer_each_equal_to_the_pipeline(graph, real_data, model):
     folder = real_data / "vision2tactile" / "rugby"
-    pipeline = Pipeline(PipelineConfig(model=model))
+    pipeline = Pipeline(PipelineConfig(model=model, grasp=LiveGeoGraspConfig()))
     _, received = play(graph, folder, model)
     items = list(open_source(folder, frame_id="camera_depth_optical_frame"))
     assert len(received) == len(items) == 50

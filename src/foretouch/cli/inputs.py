@@ -55,17 +55,20 @@ def positive_number(text: str) -> int:
     return value
 
 
-def pipeline_config(arguments: argparse.Namespace, changes: dict[str, Any] | None = None) -> PipelineConfig:
+def pipeline_config(
+    arguments: argparse.Namespace, changes: dict[str, Any] | None = None, defaults: dict[str, Any] | None = None
+) -> PipelineConfig:
     """Pipeline settings from the defaults, --config, --set and the command's own options, in this order.
 
     Args:
         arguments: Arguments with `config`, `set` and possibly `target`.
         changes: Dotted settings from the command's own options.
+        defaults: Dotted settings that the command starts with.
     """
     from foretouch.pipeline import PipelineConfig
 
     settings: dict[str, Any] = load_yaml(arguments.config) if arguments.config else {}
-    config = PipelineConfig.from_mapping(settings, arguments.config or "")
+    config = PipelineConfig().updated(defaults or {}).updated(settings, arguments.config or "")
     target = {"target.mode": arguments.target} if getattr(arguments, "target", None) else {}
     for source, layer in (("--set", parse_overrides(arguments.set)), ("options", {**target, **(changes or {})})):
         config = config.updated(layer, source)

@@ -234,7 +234,8 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.pipeline import Pipeline
 
     changes = {"model": arguments.model} if arguments.model else {}
-    pipeline = Pipeline(inputs.pipeline_config(arguments, changes))
+    defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
+    pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
     model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
     adaptation = read_adaptation(arguments, pipeline.model)
 
@@ -246,7 +247,12 @@ def run(arguments: argparse.Namespace) -> int:
             )
         for target in targets:
             began = time.perf_counter()
-            grasps, reason = _grasps(item, target, arguments, pipeline)
+            try:
+                grasps, reason = _grasps(item, target, arguments, pipeline)
+            except GraspError as err:
+                if len(targets) == 1:
+                    raise
+                grasps, reason = [], str(err)
             planned = time.perf_counter()
             predictions = adaptation.predict(pipeline, target, grasps, item.sample)
             ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
@@ -254,7 +260,7 @@ def run(arguments: argparse.Namespace) -> int:
             yield {
                 **({"sample": item.sample.id} if item.sample is not None else {}),
                 "object": target.id,
-                "status": "refused" if refused else "ok",
+                "status": "ok" if predictions and not refused else "refused",
                 "reason": "; ".join(refused) or reason,
                 "predictions": [prediction_record(one) for one in predictions],
                 "model": model,

@@ -2,13 +2,16 @@
 """GeoGrasp: contacts for two fingers on the cloud of an unknown object, and the pose of the hand."""
 
 from foretouch.grasp.axis import object_axis
-from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps, random_slide
+from foretouch.grasp.hold import GraspHold
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 
 __all__ = [
     "GeoGraspConfig",
+    "GraspHold",
     "GraspPlan",
+    "LiveGeoGraspConfig",
     "PlanStatus",
     "hand_rotation",
     "object_axis",

@@ -12,6 +12,7 @@ from foretouch.cloud.geometry.pcl_filters import VoxelGrid, voxel_grid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.preprocessing import finite_points
+from foretouch.grasp.stable import object_frame, weigh_points
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 _TOP_VIEW = 0.9  # |n_z| of the table above which the camera looks down on it
@@ -36,11 +37,15 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
         config: Settings.
 
     Returns:
-        (3,) float64 axis of unit length with the sign of `find_axis`, and (3,) float64 centroid [m].
+        (3,) float64 axis of unit length with the sign of `find_axis` (method `stable`: of `object_frame`), and (3,) float64 centroid [m].
 
     Raises:
         CloudError: If the points are too few, too far away, or all in one voxel.
     """
+    if config.method == "stable":
+        points = finite_points(cloud).in_canonical_order().downsampled(config)
+        frame = object_frame(weigh_points(points.xyz, points.neighbour_distance(config), config), plane)
+        return frame.axis, frame.centroid
     axis = find_axis(finite_points(cloud).downsampled(config).without_outliers(config), plane, config)
     return axis.direction, axis.centroid
 

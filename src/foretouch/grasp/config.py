@@ -2,8 +2,12 @@
 """Settings of GeoGrasp. The defaults are those of the original with a BioTac SP fingertip."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from foretouch.config import Settings, setting
+
+GraspMethod = Literal["original", "stable"]
+_METHOD = "original: equal to the published GeoGrasp; stable: its grasps move little when the cloud changes little"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +38,7 @@ class GeoGraspConfig(Settings):
         minimum=0.0,
         maximum=1.0,
     )
+    method: GraspMethod = setting("original", _METHOD, choices=get_args(GraspMethod))
 
     @property
     def voxel_m(self) -> float:
@@ -44,3 +49,10 @@ class GeoGraspConfig(Settings):
     def contact_radius_m(self) -> float:
         """Radius around an initial point in which contacts are searched [m]: two fingertips."""
         return 2.0 * self.tip_mm / 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveGeoGraspConfig(GeoGraspConfig):
+    """Settings of the grasp planner in a stream of clouds."""
+
+    method: GraspMethod = setting("stable", _METHOD, choices=get_args(GraspMethod))

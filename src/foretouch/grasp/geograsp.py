@@ -24,6 +24,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.hold import held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import (
@@ -34,6 +35,15 @@ from foretouch.grasp.ranking import (
     find_grasp_plane,
     initial_score,
     rank_pairs,
+)
+from foretouch.grasp.stable import (
+    StableRanking,
+    in_order_of_sides,
+    mean_contacts,
+    object_frame,
+    soft_extremes,
+    stable_side,
+    weigh_points,
 )
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
@@ -48,7 +58,8 @@ class GraspPlan:
         status: "ok": ranked candidates. "initial_points": no pair of candidates passes, the only grasp is that
             of the initial points. "no_grasp": there is none.
         reason: Explanation of the status.
-        grasps: Best first.
+        grasps: Best first. The first of method "stable" is the mean of the best pairs, whatever the scores of single
+            pairs, which follow it.
         initial_points: (2, 3) float64 [m], the extremes near the grasp plane; None if planning failed before.
         axis: (3,) float64, the object's axis; None if planning failed before.
         centroid: (3,) float64 [m], of the object; None if planning failed before.
@@ -106,6 +117,8 @@ def plan_grasps(
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
     limits: ObjectLimits = DEFAULT_LIMITS,
+    held: Grasp | None = None,
+    hold: float = 0.0,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
 
@@ -121,6 +134,9 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the new
+            one is better by more than `hold`.
+        hold: In units of the score.
 
     Returns:
         The plan. If the cloud allows no grasp, its status is "no_grasp" and it contains the reason.
@@ -137,6 +153,9 @@ def plan_grasps(
     builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
         check_table(plane, limits)
+        if config.method == "stable":
+            stream = None if held is None else (held, hold)
+            return _plan_stable(points, plane, config, rng, builder, limits, stream)
         return _plan(points, plane, config, rng, builder, limits)
     except CloudError as err:
         return builder.plan("no_grasp", str(err))
@@ -223,3 +242,57 @@ def _best_grasps(
     if parallel:
         notes.append(f"{parallel} grasps run along the object's axis: their X follows a coordinate axis by convention")
     return builder.plan("ok" if ranked else "initial_points", "; ".join(notes), grasps)
+
+
+def _plan_stable(
+    points: FinitePoints,
+    plane: Plane,
+    config: GeoGraspConfig,
+    rng: np.random.Generator | None,
+    builder: _PlanBuilder,
+    limits: ObjectLimits,
+    held: tuple[Grasp, float] | None,
+) -> GraspPlan:
+    """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
+    counts = builder.counts
+    with builder.stage("outliers"):
+        downsampled = points.in_canonical_order().downsampled(config)
+        check_object(points.xyz, limits)
+        counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
+        weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
+        counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
+    with builder.stage("axis"):
+        frame = object_frame(weighted, plane)
+        builder.axis, builder.centroid, builder.axis_ratio = frame.axis, frame.centroid, frame.ratio
+    with builder.stage("slab"):
+        if rng is not None:
+            kept = downsampled.xyz[weighted.inlier > 0.0]
+            builder.slide_m = random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
+        initial, counts["n_plane"] = soft_extremes(weighted, frame, builder.slide_m, config.slab_half_width_m)
+        builder.initial_points = initial
+    with builder.stage("candidates"):
+        width = float(np.linalg.norm(initial[1] - initial[0]))
+        first, second = (stable_side(weighted, one, frame, width, config) for one in initial)
+        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
+        counts["n_fv"], counts["n_sv"] = len(first.xyz) - 1, len(second.xyz) - 1
+    with builder.stage("ranking"):
+        ranking = StableRanking(weighted, (first, second), frame, builder.slide_m, config.normal_radius_m)
+        pairs = ranking.pairs()
+        contacts = mean_contacts(weighted, (first, second), pairs)
+        score, passes = ranking.score(contacts)
+        counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
+    with builder.stage("pose"):
+        best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
+        if held is not None:
+            held_score, held_passes = ranking.score(in_order_of_sides(held[0].g1, held[0].g2, frame))
+            if held_passes >= passes:
+                best = held_or_new(held[0], held_score, best, held[1])
+                passes = held_passes if best.g1 is held[0].g1 else passes
+        others = []
+        if passes:
+            order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
+            i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
+            others = [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
+        grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
+    reason = f"the mean of {counts['n_pairs']} weighted pairs of candidates"
+    return builder.plan("ok" if passes else "initial_points", reason if passes else f"{reason} does not rank", grasps)

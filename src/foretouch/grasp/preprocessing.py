@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask
+from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
@@ -27,6 +27,12 @@ class FinitePoints:
     n_dropped: int  # number of points that were not finite
     pixels: npt.NDArray[np.int64] | None = None  # (N,) int64, flat indices into the image, or None
     image_shape: tuple[int, int] | None = None  # (H, W) of that image, or None
+
+    def in_canonical_order(self) -> FinitePoints:
+        """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
+        order = np.lexsort(self.xyz.T[::-1])
+        pixels = None if self.pixels is None else self.pixels[order]
+        return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
     def downsampled(self, config: GeoGraspConfig) -> FinitePoints:
         """At most about `config.max_points`: every k-th row and column, or every k-th point without an image.
@@ -57,6 +63,10 @@ class FinitePoints:
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
         return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._pixel_grid())]
+
+    def neighbour_distance(self, config: GeoGraspConfig) -> Float32:
+        """(N,) float32 [m], the mean distance of each point to its nearest neighbours."""
+        return mean_neighbour_distance(self.xyz, config.neighbours, self._pixel_grid())
 
     def _pixel_grid(self) -> PixelGrid | None:
         """The given pixels, else those recovered from the rays, else None."""

@@ -48,25 +48,64 @@ def test_the_rule_decides(config: TargetConfig, ids: list[int]) -> None:
             TargetConfig(mode="point", point=(0.0, 0.0, 1.0)),
             "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away",
         ),
+    ],
+)
+def test_no_target_is_explained(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
+    assert select_targets(objects, config) == ([], reason)
+
+
+@pytest.mark.parametrize(
+    ("objects", "config", "chosen", "reason"),
+    [
         (
             [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)],
             TargetConfig(mode="point", point=(0.025, 0.0, 0.8)),
+            1,
             "objects 1 and 2 are equally near to the point (0.025, 0, 0.8), 0.005 and 0.005 m",
         ),
         (
-            [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)],
+            [_object(1, (0.05, 0.0, 0.8), 500), _object(2, (0.0, 0.0, 0.802), 500)],
             TargetConfig(),
-            "objects 1 and 2 are equally near to the camera, 0.800 and 0.802 m",
+            2,
+            "objects 1 and 2 are equally near to the camera, 0.802 and 0.802 m",
         ),
         (
             [OBJECTS[0], _object(2, (0.05, 0.0, 0.9), 510)],
             TargetConfig(mode="largest"),
+            1,
             "objects 2 and 1 are equally large, 510 and 500 points",
         ),
     ],
 )
-def test_ambiguity_is_reported(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
-    assert select_targets(objects, config) == ([], reason)
+def test_of_equal_objects_the_most_central_is_selected_and_named(
+    objects: list[ObjectSegment], config: TargetConfig, chosen: int, reason: str
+) -> None:
+    found, why = select_targets(objects, config)
+    assert [obj.id for obj in found] == [chosen]
+    assert why == f"ambiguous_target: {reason}; object {chosen} is nearest to the optical axis"
+
+
+def test_of_equally_central_objects_the_leftmost_is_selected() -> None:
+    pair = [_object(1, (0.1, 0.0, 0.8), 500), _object(2, (-0.1, 0.0, 0.8), 500)]
+    found, why = select_targets(pair, TargetConfig())
+    assert [obj.id for obj in found] == [2]
+    assert why.endswith("object 2 is the leftmost of those nearest to the optical axis")
+
+
+def test_of_equal_objects_the_previous_target_is_kept() -> None:
+    pair = [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)]
+    found, why = select_targets(pair, TargetConfig(), previous=np.array([0.052, 0.001, 0.8]))
+    assert [obj.id for obj in found] == [2]
+    assert why.endswith("object 2 was the target before")
+    assert select_targets(pair, TargetConfig(), previous=np.array([0.3, 0.0, 0.8]))[0] == [pair[0]]
+    nearer = [_object(1, (0.0, 0.0, 0.78), 500), pair[1]]
+    assert select_targets(nearer, TargetConfig(), previous=pair[1].centroid) == ([nearer[0]], "")
+
+
+def test_all_is_limited_to_the_nearest() -> None:
+    found, why = select_targets(OBJECTS, TargetConfig(mode="all", max_objects=2))
+    assert [obj.id for obj in found] == [1, 2]
+    assert why == "the 2 nearest of 3 objects (target.max_objects)"
 
 
 def test_the_margin_is_a_setting() -> None:

@@ -13,6 +13,11 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.types import Cloud, Float64, Plane
 
+AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
+
+_SAME_PLACE_M = 0.03  # an object that moves less between two clouds is the same
+_SAME_ANGLE = float(np.radians(1.0))  # objects whose angles to the optical axis differ less are equally central
+
 TargetMode = Literal["nearest", "largest", "point", "all"]
 
 
@@ -152,6 +157,7 @@ class TargetConfig(Settings):
     margin_m: float = setting(
         0.005, "Two objects whose distances differ less are ambiguous", minimum=0.0, maximum=1.0, unit="m"
     )
+    max_objects: int = setting(16, "Most objects of mode all, nearest first", minimum=1, maximum=10_000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -161,49 +167,80 @@ class TargetConfig(Settings):
             raise ConfigError("TargetConfig.point: is empty, mode point needs x, y, z")
 
 
-def select_targets(objects: Sequence[ObjectSegment], config: TargetConfig) -> tuple[list[ObjectSegment], str]:
+def select_targets(
+    objects: Sequence[ObjectSegment], config: TargetConfig, previous: Float64 | None = None
+) -> tuple[list[ObjectSegment], str]:
     """Select the objects that get grasps.
+
+    Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would decide.
+    Of them, the object is selected that is still where the previous target was; else the one at the smallest angle to the
+    optical axis; of those within 1 degree of it the leftmost in the image, then the highest.
 
     Args:
         objects: In order of id.
         config: The rule.
+        previous: (3,) float64 [m], centroid of the target of the previous cloud in a stream.
 
     Returns:
-        The selected objects and "", or none and the reason: there is no object, none is at the point, or two are
-        within `margin_m` (mode `largest`: within 5 % of the points) of each other, so that noise would decide.
+        The selected objects, and why: "" if the rule decides; else none with the reason, or an ambiguous one with a
+        reason that starts with `ambiguous_target`, or the nearest of too many.
     """
     if not objects:
         return [], "there is no object"
     if config.mode == "all":
-        return list(objects), ""
+        return _all(objects, config.max_objects)
     if config.mode == "largest":
-        return _largest(objects)
-    if config.mode == "nearest":
-        return _nearest(objects, [obj.distance_m for obj in objects], config.margin_m, "the camera")
-    point = np.asarray(config.point)
-    distances = [float(np.sqrt(((obj.cloud.xyz.astype(np.float64) - point) ** 2).sum(axis=1).min())) for obj in objects]
-    at = f"({', '.join(f'{p:g}' for p in config.point)})"
+        largest = max(obj.n_points for obj in objects)
+        tied = [obj for obj in objects if obj.n_points > 0.95 * largest or obj.n_points == largest]
+        tied.sort(key=lambda obj: -obj.n_points)
+        return _one_of(tied, previous, "equally large", [f"{obj.n_points}" for obj in tied], "points")
+    where, distances = "the camera", [obj.distance_m for obj in objects]
+    if config.mode == "point":
+        point = np.asarray(config.point)
+        distances = [
+            float(np.sqrt(((obj.cloud.xyz.astype(np.float64) - point) ** 2).sum(axis=1).min())) for obj in objects
+        ]
+        at = f"({', '.join(f'{p:g}' for p in config.point)})"
+        where, nearest = f"the point {at}", min(distances)
+        if nearest > config.tolerance_m:
+            return (
+                [],
+                f"no object within {config.tolerance_m:g} m of the point {at}: the nearest is {nearest:.3f} m away",
+            )
     nearest = min(distances)
-    if nearest > config.tolerance_m:
-        return [], f"no object within {config.tolerance_m:g} m of the point {at}: the nearest is {nearest:.3f} m away"
-    return _nearest(objects, distances, config.margin_m, f"the point {at}")
+    near = [i for i, d in enumerate(distances) if d - nearest < config.margin_m or d == nearest]
+    if config.margin_m == 0.0:
+        near = near[:1]
+    tied = [objects[i] for i in near]
+    return _one_of(tied, previous, f"equally near to {where}", [f"{distances[i]:.3f}" for i in near], "m")
 
 
-def _nearest(
-    objects: Sequence[ObjectSegment], distances: Sequence[float], margin: float, where: str
+def _all(objects: Sequence[ObjectSegment], limit: int) -> tuple[list[ObjectSegment], str]:
+    reason = f"the {limit} nearest of {len(objects)} objects (target.max_objects)" if len(objects) > limit else ""
+    return list(objects[:limit]), reason
+
+
+def _one_of(
+    tied: Sequence[ObjectSegment], previous: Float64 | None, how: str, values: Sequence[str], unit: str
 ) -> tuple[list[ObjectSegment], str]:
-    order = sorted(range(len(objects)), key=lambda i: distances[i])
-    if len(order) > 1 and distances[order[1]] - distances[order[0]] < margin:
-        a, b = sorted(order[:2])
-        pair = f"objects {objects[a].id} and {objects[b].id}"
-        return [], f"{pair} are equally near to {where}, {distances[a]:.3f} and {distances[b]:.3f} m"
-    return [objects[order[0]]], ""
+    """The object that is selected of those that tie, and the reason where there are several."""
+    if len(tied) == 1:
+        return [tied[0]], ""
+    chosen, why = _break_tie(tied, previous)
+    ids = f"{', '.join(str(obj.id) for obj in tied[:-1])} and {tied[-1].id}"
+    numbers = f"{', '.join(values[:-1])} and {values[-1]} {unit}"
+    return [chosen], f"{AMBIGUOUS_TARGET}: objects {ids} are {how}, {numbers}; object {chosen.id} {why}"
 
 
-def _largest(objects: Sequence[ObjectSegment]) -> tuple[list[ObjectSegment], str]:
-    first, *rest = sorted(objects, key=lambda obj: -obj.n_points)
-    if rest and rest[0].n_points > 0.95 * first.n_points:
-        return [], (
-            f"objects {first.id} and {rest[0].id} are equally large, {first.n_points} and {rest[0].n_points} points"
-        )
-    return [first], ""
+def _break_tie(tied: Sequence[ObjectSegment], previous: Float64 | None) -> tuple[ObjectSegment, str]:
+    if previous is not None:
+        nearest = min(tied, key=lambda obj: float(np.linalg.norm(obj.centroid - previous)))
+        if np.linalg.norm(nearest.centroid - previous) < _SAME_PLACE_M:
+            return nearest, "was the target before"
+    angles = {obj.id: float(np.arctan2(np.hypot(*obj.centroid[:2]), obj.centroid[2])) for obj in tied}
+    smallest = min(angles.values())
+    central = [obj for obj in tied if angles[obj.id] - smallest < _SAME_ANGLE]
+    chosen = min(central, key=lambda obj: (obj.centroid[0], obj.centroid[1], obj.id))
+    if len(central) > 1:
+        return chosen, "is the leftmost of those nearest to the optical axis"
+    return chosen, "is nearest to the optical axis"

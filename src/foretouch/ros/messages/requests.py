@@ -9,6 +9,7 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, ForetouchError
+from foretouch.grasp import GraspHold
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg
@@ -127,18 +128,36 @@ def check_frames(name: str, header: Header, cloud: Header) -> None:
         )
 
 
-def plan_targets(pipeline: Pipeline, targets: Sequence[FoundObject], header: Header) -> GraspArray:
+def plan_targets(
+    pipeline: Pipeline,
+    targets: Sequence[FoundObject],
+    header: Header,
+    note: str = "",
+    held: GraspHold | None = None,
+    margin: float = 0.0,
+) -> GraspArray:
     """Plan grasps on all targets; those of the first target come first, each with an id made of stamp, object and rank.
 
     Args:
         pipeline: Its grasp settings are used.
         targets: At least one.
         header: Of the cloud.
+        note: How the targets were selected, for the reason.
+        held: Best grasps of the previous cloud, to be kept and updated.
+        margin: Score by which another grasp must be better than the held one.
 
     Returns:
         Status OK if any target has a grasp, else that of the first target; the reasons of all that have none.
     """
-    plans = [(target, pipeline.plan(target)) for target in targets]
+    plans = []
+    for target in targets:
+        before = None if held is None else held.find(target.cloud)
+        plan = pipeline.plan(target, held=before, hold=margin)
+        plans.append((target, plan))
+        if held is not None and plan.grasps:
+            held.remember(target.cloud, plan.grasps[0])
+    if held is not None:
+        held.next_cloud()
     grasps = []
     for target, plan in plans:
         for rank, grasp in enumerate(plan.grasps):
@@ -146,7 +165,8 @@ def plan_targets(pipeline: Pipeline, targets: Sequence[FoundObject], header: Hea
             message.id = message.id or f"{stamp_ns(header.stamp)}/{target.id}/{rank}"
             message.object_id = target.id
             grasps.append(message)
-    reasons = [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
+    reasons = [note] if note else []
+    reasons += [f"object {t.id}: {p.reason}" if len(plans) > 1 else p.reason for t, p in plans if p.status != "ok"]
     answered = [plan.status for _, plan in plans if plan.grasps]
     status = min(map(status_code, answered)) if answered else status_code(plans[0][1].status)
     return GraspArray(header=header, grasps=grasps, status=status, reason="; ".join(reasons))

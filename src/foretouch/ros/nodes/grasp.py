@@ -8,7 +8,8 @@ from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from foretouch.grasp import GeoGraspConfig
+from foretouch.config import setting
+from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
@@ -20,7 +21,16 @@ from foretouch_msgs.msg import GraspArray, TablePlane
 class GraspNodeConfig(ProcessingConfig):
     """Settings of the grasp node."""
 
-    grasp: GeoGraspConfig = GeoGraspConfig()
+    grasp: LiveGeoGraspConfig = LiveGeoGraspConfig()
+    grasp_hold: float = setting(
+        1.0,
+        "The last grasp of an object is kept until another is better by this score; 0 disables it, as grasp.method original",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    grasp_hold_tolerance_m: float = setting(
+        0.005, "Change of position or size that makes it another object", unit="m", minimum=0.0, maximum=1.0
+    )
 
 
 class GraspNode(ProcessingNode[GraspNodeConfig]):
@@ -31,7 +41,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
         super().__init__("grasp", GraspNodeConfig, inputs, **options)
-        self._pipeline = Pipeline(PipelineConfig(grasp=self.config.grasp))
+        self.config_changed(self.config)
 
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
@@ -41,13 +51,17 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         super().setup()
 
     def config_changed(self, config: GraspNodeConfig) -> None:
-        """Apply the new settings from the next cloud on."""
+        """Apply the new settings from the next cloud on; held grasps are forgotten."""
         self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp))
+        holds = config.grasp_hold > 0.0 and config.grasp.method == "stable"
+        self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Plan grasps on the targets of one cloud."""
-        targets = read_targets(messages[CLOUD_TOPIC], read_table(messages["table"], header))
-        message = plan_targets(self._pipeline, targets, header)
+        table = messages["table"]
+        targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header))
+        margin = self.config.grasp_hold
+        message = plan_targets(self._pipeline, targets, header, table.reason, self._held, margin)
         self._grasps.publish(message)
         return message.status, message.reason
 

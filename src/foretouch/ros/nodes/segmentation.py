@@ -20,6 +20,7 @@ from foretouch.ros.messages.requests import RefusalError, read_cloud, status_cod
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC
+from foretouch.types import Float64
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
 
 
@@ -43,6 +44,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     def __init__(self, **options: Any) -> None:
         super().__init__("segmentation", SegmentationNodeConfig, [(PointCloud2, "points")], **options)
         self._pipeline = _pipeline(self.config)
+        self._previous: Float64 | None = None  # (3,) centroid of the last single target [m]
 
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
@@ -56,12 +58,16 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     def config_changed(self, config: SegmentationNodeConfig) -> None:
         """Apply the new settings from the next cloud on."""
         self._pipeline = _pipeline(config)
+        self._previous = None
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Segment one cloud."""
         self._check_frame(header.frame_id)
         cloud = read_cloud(messages["points"])
-        scene = self._pipeline.segment(cloud)
+        scene = self._pipeline.segment(cloud, self._previous)
+        ids = [target.id for target in scene.targets]
+        centroids = [one.centroid for one in scene.segmentation.objects if [str(one.id)] == ids]
+        self._previous = centroids[0] if centroids else None
         status = status_code(scene.status)
         self._publish(header, scene, cloud.xyz.shape, status)
         return status, scene.reason

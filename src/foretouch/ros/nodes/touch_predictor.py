@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.markers import touch_markers
@@ -146,6 +147,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         check_frames(GRASPS_TOPIC, grasps.header, header)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
         message = self._predict(targets, grasps.grasps, header, None)
+        if grasps.reason.startswith(AMBIGUOUS_TARGET):
+            for prediction in message.predictions:
+                prediction.flags = [*prediction.flags, AMBIGUOUS_TARGET]
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
         self._touch.publish(message)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp, real and made objects."""
+
+import argparse
+import csv
+import os
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
+from foretouch.cloud.io.files import read_cloud
+from foretouch.errors import CloudError
+from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
+from foretouch.grasp.axis import find_axis, side_coordinate
+from foretouch.grasp.preprocessing import finite_points
+from foretouch.grasp.ranking import (
+    SurfacePoints,
+    _ScaledSide,
+    _two_rankings,
+    contact_radius,
+    contact_side,
+    find_grasp_plane,
+)
+from foretouch.types import Cloud, Float32, Float64, Plane
+
+TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
+ROUND = 0.9  # middle over major eigenvalue, above which the axis is arbitrary, and with it the original's score
+METHODS = ("original", "stable")
+MOVED_MM = 10.0
+CONTACT_M = 0.00625  # half a voxel: over which normal and curvature of a contact are averaged [m]
+CHANGES = (
+    "order",
+    "jitter 1 um",
+    "jitter 0.1 mm",
+    "shift 1 mm",
+    "shift 1 m",
+    "turn 1 deg",
+    "turn 90 deg",
+    "turn 180 deg",
+)
+
+
+def main() -> None:
+    """Measure, print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
+    parser.add_argument("--every", type=int, default=1, help="use each k-th recorded cloud")
+    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
+    arguments = parser.parse_args()
+    groups = {"made": list(made_clouds())}
+    paths = sorted(Path(arguments.data).glob("vision2tactile/*/*/cloud-object.pcd")) if arguments.data else []
+    if paths:
+        groups["real"] = [read_cloud(path).xyz.reshape(-1, 3) for path in paths[:: arguments.every]]
+    else:
+        print("no recordings: --data or FORETOUCH_DATA; only made objects are measured")
+    rows = [row for name, clouds in groups.items() for row in measure(name, clouds)]
+    with arguments.out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["clouds", "n", "quantity", "unit", *METHODS])
+        writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        print(
+            f"{row['clouds']:5} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}"
+        )
+
+
+def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
+    """The rows of the table for some clouds."""
+    moved: dict[tuple[str, str], list[float]] = defaultdict(list)
+    scores: dict[str, list[tuple[float, bool]]] = defaultdict(list)
+    seconds: dict[str, float] = defaultdict(float)
+    for seed, xyz in enumerate(clouds):
+        judge = OriginalScore.of(xyz)
+        plans = {}
+        for method in METHODS:
+            plans[method] = plan(xyz, method)
+            seconds[method] += _timed(xyz, method)
+        if judge is not None and judge.has_axis and all(one.grasps for one in plans.values()):
+            for method, one in plans.items():
+                scores[method].append(judge(contacts(one)))
+        for change, other, rotation, shift in changed(xyz, seed):
+            for method in METHODS:
+                moved[change, method].append(distance_mm(plans[method], plan(other, method), rotation, shift))
+    row = {"clouds": name, "n": len(clouds)}
+    for change in CHANGES:
+        values = {method: np.array(moved[change, method]) for method in METHODS}
+        yield {
+            **row,
+            "quantity": f"{change}: moved > {MOVED_MM:g} mm",
+            "unit": "%",
+            **{method: f"{100.0 * np.mean(v > MOVED_MM):.2f}" for method, v in values.items()},
+        }
+        yield {
+            **row,
+            "quantity": f"{change}: largest move",
+            "unit": "mm",
+            **{method: f"{v.max():.2f}" for method, v in values.items()},
+        }
+    finite = np.isfinite([[score for score, _ in scores[method]] for method in METHODS]).all(axis=0)
+    judged = {method: [one for one, ok in zip(scores[method], finite, strict=True) if ok] for method in METHODS}
+    yield {
+        **row,
+        "quantity": f"original's score, mean ({finite.sum()} clouds)",
+        "unit": "",
+        **{method: f"{np.mean([score for score, _ in one]):.3f}" for method, one in judged.items()},
+    }
+    yield {
+        **row,
+        "quantity": "R1 >= 1 and R2 >= 1",
+        "unit": "%",
+        **{method: f"{100.0 * np.mean([ok for _, ok in one]):.1f}" for method, one in judged.items()},
+    }
+    total = {method: seconds[method] / len(clouds) * 1e3 for method in METHODS}
+    yield {**row, "quantity": "time of a plan", "unit": "ms", **{m: f"{value:.1f}" for m, value in total.items()}}
+    ratio = {method: f"{value / total['original']:.2f}" for method, value in total.items()}
+    yield {**row, "quantity": "time of a plan, ratio", "unit": "", **ratio}
+
+
+def plan(xyz: Float32, method: str) -> GraspPlan:
+    """The best grasp on an object seen from above."""
+    return plan_grasps(Cloud(xyz), TOP_VIEW, GeoGraspConfig().replace(method=method))
+
+
+def contacts(one: GraspPlan) -> Float64:
+    """(2, 3) float64 [m], of the best grasp."""
+    return np.stack([one.grasps[0].g1, one.grasps[0].g2])
+
+
+def distance_mm(before: GraspPlan, after: GraspPlan, rotation: Float64, shift: Float64) -> float:
+    """How far the contact that moved more is from where the change carries it; infinite if one plan has no grasp."""
+    if not before.grasps or not after.grasps:
+        return 0.0 if before.grasps == after.grasps else float("inf")
+    carried = contacts(before) @ rotation.T + shift
+    return float(np.linalg.norm(carried - contacts(after), axis=1).max() * 1e3)
+
+
+def changed(xyz: Float32, seed: int) -> Iterator[tuple[str, Float32, Float64, Float64]]:
+    """The changes by name: the changed cloud, and the rotation and shift that carry the grasp along."""
+    rng = np.random.default_rng(seed)
+    x, none, still = xyz.astype(np.float64), np.eye(3), np.zeros(3)
+    yield "order", xyz[rng.permutation(len(xyz))], none, still
+    for name, sigma in (("jitter 1 um", 1e-6), ("jitter 0.1 mm", 1e-4)):
+        yield name, (x + rng.normal(0.0, sigma, x.shape)).astype(np.float32), none, still
+    for name, shift in (("shift 1 mm", [1e-3, 0.0, 0.0]), ("shift 1 m", [1.0, 0.0, 0.0])):
+        yield name, (x + shift).astype(np.float32), none, np.array(shift)
+    centre = x.mean(axis=0)
+    for degrees in (1, 90, 180):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        yield f"turn {degrees} deg", ((x - centre) @ turn.T + centre).astype(np.float32), turn, centre - turn @ centre
+
+
+def made_clouds() -> Iterator[Float32]:
+    """Boxes, lying cylinders, domes and rings of several sizes, as a depth camera 1.2 m above the table sees them."""
+    rng = np.random.default_rng(11)
+    for size in (0.05, 0.08, 0.11):
+        for shape in ("box", "cylinder", "dome", "ring"):
+            for turn in rng.uniform(0.0, np.pi, 3):
+                u, v = np.meshgrid(np.arange(-0.15, 0.15, 0.002), np.arange(-0.15, 0.15, 0.002))
+                a = u * np.cos(turn) + v * np.sin(turn)
+                b = v * np.cos(turn) - u * np.sin(turn)
+                radius = np.hypot(a, b)
+                inside, height = {
+                    "box": ((np.abs(a) < size) & (np.abs(b) < size / 2), np.full(a.shape, 0.05)),
+                    "cylinder": (
+                        (np.abs(a) < size) & (np.abs(b) < size / 2),
+                        np.sqrt(np.maximum((size / 2) ** 2 - b**2, 0.0)),
+                    ),
+                    "dome": (radius < size / 2, np.sqrt(np.maximum((size / 2) ** 2 - radius**2, 0.0))),
+                    "ring": ((radius < size / 2) & (radius > size / 4), np.full(a.shape, 0.02)),
+                }[shape]
+                depth = 1.2 - height + rng.normal(0.0, 0.0007, a.shape)
+                yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
+
+
+class OriginalScore:
+    """The original's score of any two contacts on a cloud, in the scales of its own candidates."""
+
+    def __init__(self, xyz: Float32) -> None:
+        config = GeoGraspConfig()
+        self._xyz = finite_points(Cloud(xyz)).downsampled(config).without_outliers(config)
+        axis = find_axis(self._xyz, TOP_VIEW, config)
+        self.has_axis = axis.ratio < ROUND
+        self._plane = find_grasp_plane(
+            self._xyz,
+            axis.centroid,
+            axis.direction,
+            side_coordinate(axis.direction, TOP_VIEW),
+            config.slab_half_width_m,
+        )
+        radius = contact_radius(self._plane.width_m, config)
+        self._sides = [
+            _ScaledSide(contact_side(self._xyz, one, radius, config).candidates, self._plane, axis.centroid)
+            for one in (self._plane.first, self._plane.second)
+        ]
+
+    @classmethod
+    def of(cls, xyz: Float32) -> "OriginalScore | None":
+        """None if the original finds no grasp plane."""
+        try:
+            return cls(xyz)
+        except CloudError:
+            return None
+
+    def __call__(self, pair: Float64) -> tuple[float, bool]:
+        """The score, and whether both rankings are at least 1."""
+        across = self._xyz[self._plane.second] - self._xyz[self._plane.first]
+        first, second = (pair if (pair[1] - pair[0]) @ across >= 0.0 else pair[::-1])[:, None]
+        a, b = self._surface(first), self._surface(second)
+        (_, pd_a, k_a), (_, pd_b, k_b) = self._sides[0].scaled(a), self._sides[1].scaled(b)
+        unit = (second - first) / np.linalg.norm(second - first)
+        r1, r2 = _two_rankings(unit, self._plane.normal, (a.normal, b.normal), (pd_a, pd_b), (k_a, k_b))
+        return float(1.5 * r1[0] + r2[0]), bool(r1[0] >= 1.0 and r2[0] >= 1.0)
+
+    def _surface(self, contact: Float64) -> SurfacePoints:
+        squared = ((self._xyz - contact) ** 2).sum(axis=1)
+        near = np.flatnonzero(squared <= max(CONTACT_M**2, float(squared.min())))
+        normals, curvature = normals_and_curvature(self._xyz, near)
+        mean = normals.mean(axis=0)
+        return SurfacePoints(contact, (mean / np.linalg.norm(mean))[None], np.array([curvature.mean()]))
+
+
+def _timed(xyz: Float32, method: str) -> float:
+    start = time.process_time()
+    plan(xyz, method)
+    return time.process_time() - start
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stable variant of GeoGrasp: the same idea, with no decision that a small change of the cloud can flip.
+
+GeoGrasp (Zapata-Impata et al. 2019) decides by hard limits: a point is an outlier or not, belongs to a voxel of a grid
+that is anchored at the sensor, is the extreme of the grasp plane, or ranks first. Here every such limit is a weight
+between 0 and 1, all directions are those of the object and its table, and sums do not depend on the order of the points:
+
+- outliers fade out around the limit of the filter; points weigh by the area that they cover, instead of voxels;
+- the sign of the axis is that of the object's own asymmetry;
+- the initial points are weighted means of the points near the two extremes of the grasp plane;
+- candidates are the nodes of a grid anchored at the initial points, each the mean of the points around it with tent
+  weights, which add up to one for each point;
+- the grasp is the mean of the pairs of candidates, weighted by score, moved back onto the surface.
+
+A rigid motion of object and table therefore moves the grasp along. Only where the object is too round or too symmetric
+to have an axis or a sign of its own, one direction of the camera's frame decides.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import CloudError
+from foretouch.grasp.config import GeoGraspConfig
+from foretouch.types import Float32, Float64, Plane
+
+_FADE = 0.25  # standard deviations on either side of the outlier limit, over which points fade out
+_UPRIGHT = (0.45, 0.65)  # |axis · table normal| over which the sides turn from across the table to across the view
+_EXTREME_M = 0.001  # depth over which points count as extreme [m]
+_OVERLAP_FRACTION = 0.35  # of the width: radius of the two spheres where two full ones would overlap
+_TEMPERATURE = 0.25  # of the score, in which the weight of a pair falls by a factor of e
+_INSIDE_M = 0.0005  # depth over which a contact inside its initial point loses its weight [m]
+_SURFACE_M = 0.001  # over which the surface is averaged around a contact [m]
+_INITIAL_WEIGHT = 0.05  # of the pair of initial points, beside the pairs of candidates
+_FULL_CELL = 4.0  # points in a cell, from which on their number does not count
+_EPSILON = 1e-9  # floor of a divisor
+# What an object without a main axis or without asymmetry leaves open follows one direction of the camera's frame.
+_PREFERRED = np.array([0.95, 0.3, 0.08])  # mostly the image's x; of length 1 within 0.1 %
+_AXIS_BIAS = 0.01  # of the major eigenvalue, added along it
+_SIGN_BIAS = 0.01  # of the normalised third moment; 0.1 mm of noise on a recorded cloud changes it by 0.002
+# Of the original's score.
+_FREE_COSINE = 0.2  # between grasp and object axis, without penalty
+_ALIGNMENT_WEIGHT = 10.0
+_FIRST_WEIGHT = 1.5
+_MIN_RANK = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedPoints:
+    """The points of an object with their weights."""
+
+    xyz: Float64  # (N, 3) float64 [m]
+    inlier: Float64  # (N,) float64, 0 for an outlier ... 1
+    area: Float64  # (N,) float64, proportional to the surface that each point covers, 0 for an outlier
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectFrame:
+    """The object's own frame."""
+
+    centroid: Float64  # (3,) float64 [m], of the visible surface
+    axis: Float64  # (3,) float64, the object's main axis
+    across: Float64  # (3,) float64, from the first to the second side, perpendicular to the axis
+    ratio: float  # middle over major eigenvalue, 0 ... 1
+
+
+@dataclass(frozen=True, eq=False)
+class StableSide:
+    """The candidates of one side; the first is its initial point."""
+
+    xyz: Float64  # (M, 3) float64 [m]
+    mass: Float64  # (M,) float64, 0 ... 1: how well the candidate is supported by points
+    normal: Float64  # (M, 3) float64, unit length, of any sign
+    curvature: Float64  # (M,) float64, 0 ... 1/3
+    n_points: int  # points within the radius
+
+
+@dataclass(frozen=True, eq=False)
+class StablePairs:
+    """All pairs of candidates with their scores; row and column 0 are those of the initial points."""
+
+    weight: Float64  # (A, B) float64, sums to 1
+    score: Float64  # (A, B) float64
+    passes: npt.NDArray[np.bool_]  # (A, B) bool, both rankings reach their minimum
+
+
+def smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
+    """0 below `low`, 1 above `high`, with a continuous slope between."""
+    t = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
+
+
+def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConfig) -> WeightedPoints:
+    """Weights of the points by their mean distance to their neighbours.
+
+    Args:
+        xyz: (N, 3) float32 [m], finite, in an order that does not depend on the input's.
+        neighbour_distance: (N,) float32 [m], see `mean_neighbour_distance`.
+        config: Settings.
+    """
+    d = neighbour_distance.astype(np.float64)
+    spread = float(d.std(ddof=1)) if len(d) > 1 else 0.0
+    limit = float(d.mean()) + config.outlier_deviations * spread
+    fade = _FADE * spread + 1e-9
+    inlier = 1.0 - smoothstep(d, limit - fade, limit + fade)
+    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d)
+
+
+def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
+    """Centroid, main axis and the direction across it; the signs follow the object's asymmetry.
+
+    `across` is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes its
+    sign with the axis. Of the two signs, that with the larger sum of the third moments along both directions is taken.
+    A small constant preference for one direction of the camera's frame is added to the second and the third moments:
+    it decides where the object is as round, or as symmetric, as the noise.
+
+    Raises:
+        CloudError: If the points coincide.
+    """
+    total = float(points.area.sum())
+    if not total > 0.0:
+        raise CloudError(f"xyz: {len(points.xyz)} points at one place have no axis")
+    centroid = points.area @ points.xyz / total
+    offset = points.xyz - centroid
+    covariance = (offset * points.area[:, None]).T @ offset / total
+    largest = float(np.linalg.eigvalsh(covariance)[2])
+    values, vectors = np.linalg.eigh(covariance + _AXIS_BIAS * largest * np.outer(_PREFERRED, _PREFERRED))
+    axis = vectors[:, 2]
+    up = np.asarray(plane.normal, np.float64)
+    if up @ centroid > 0.0:
+        up = -up
+    lying = np.cross(up, axis)
+    upright = np.cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
+    share = float(smoothstep(np.array(abs(up @ axis)), *_UPRIGHT))
+    across = (1.0 - share) * lying + share * upright
+    if np.linalg.norm(across) < 1e-6:
+        across = vectors[:, 1]
+    across -= (across @ axis) * axis
+    across /= np.linalg.norm(across)
+    weight = points.area / total
+    skew = sum(_third_moment(weight, along) for along in (offset @ axis, offset @ across))
+    if skew + _SIGN_BIAS * (across @ _PREFERRED) < 0.0:
+        axis, across = -axis, -across
+    return ObjectFrame(centroid, axis, across, float(max(values[1], 0.0) / values[2]))
+
+
+def _third_moment(weight: Float64, along: Float64) -> float:
+    """Skewness of weighted coordinates with mean zero."""
+    return float(weight @ along**3 / max(float(weight @ along**2), 1e-300) ** 1.5)
+
+
+def soft_extremes(
+    points: WeightedPoints, frame: ObjectFrame, slide_m: float, half_width_m: float
+) -> tuple[Float64, int]:
+    """The initial points: weighted means of the points near the two extremes of the grasp plane.
+
+    Returns:
+        (2, 3) float64 [m], first and second; and the number of points near the plane.
+
+    Raises:
+        CloudError: If no point is near the plane, or the two coincide.
+    """
+    offset = points.xyz - frame.centroid
+    along = offset @ frame.axis
+    near = np.clip(1.0 - ((along - slide_m) / (1.5 * half_width_m)) ** 2, 0.0, None) ** 2 * points.inlier
+    index = np.flatnonzero(near > 0.0)
+    if len(index) == 0:
+        raise CloudError(
+            f"no point within {half_width_m * 1e3:g} mm of the grasp plane; "
+            f"from it the object spans {along.min() - slide_m:.3f} ... {along.max() - slide_m:.3f} m along its axis"
+        )
+    t, near, xyz = (offset @ frame.across)[index], near[index], points.xyz[index]
+    ends = []
+    for sign in (-1.0, 1.0):
+        weight = near * np.exp((sign * t - (sign * t).max()) / _EXTREME_M)
+        ends.append(weight @ xyz / weight.sum())
+    first, second = ends
+    if np.linalg.norm(first - second) < 1e-6:
+        raise CloudError(f"the {len(index)} points near the grasp plane leave no two contacts")
+    return np.stack([first, second]), len(index)
+
+
+def stable_side(
+    points: WeightedPoints, initial: Float64, frame: ObjectFrame, width_m: float, config: GeoGraspConfig
+) -> StableSide:
+    """Candidates around one initial point, on a grid anchored at it."""
+    radius = min(config.contact_radius_m, _OVERLAP_FRACTION * width_m)
+    offset = points.xyz - initial
+    squared = np.einsum("ij,ij->i", offset, offset)
+    weight = points.inlier * smoothstep(-np.sqrt(squared), -radius * 1.1, -radius * 0.9)
+    index = np.flatnonzero(weight > 0.0)
+    weight, xyz = weight[index], points.xyz[index]
+    third = np.cross(frame.axis, frame.across)
+    basis = np.stack([frame.axis, frame.across, third])
+    cell, share = _tents((offset[index] @ basis.T) / config.voxel_m)
+    share = share * weight[:, None]
+    _, key = np.unique(cell.reshape(-1, 3), axis=0, return_inverse=True)
+    key = key.reshape(-1)
+    size = int(key.max(initial=-1)) + 1
+    mass = np.bincount(key, share.ravel(), minlength=size)
+    sums = np.stack([np.bincount(key, (share * column[:, None]).ravel(), minlength=size) for column in xyz.T], axis=1)
+    held = mass > 1e-6
+    centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
+    masses = np.concatenate([[1.0], mass[held] / (mass[held] + _FULL_CELL)])
+    normal, curvature = local_planes(points, centres, config.normal_radius_m)
+    return StableSide(centres, masses, normal, curvature, len(index))
+
+
+def _tents(scaled: Float64) -> tuple[npt.NDArray[np.int64], Float64]:
+    """The eight nodes of the unit grid around each point, and their tent weights, which add up to one."""
+    low = np.floor(scaled)
+    part = scaled - low
+    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    share = np.prod(np.where(corners[None] == 1, part[:, None], 1.0 - part[:, None]), axis=2)
+    return (low[:, None] + corners[None]).astype(np.int64), share
+
+
+def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> tuple[Float64, Float64]:
+    """Normal and curvature of the surface around some places; points fade out towards the radius.
+
+    Returns:
+        (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
+    """
+    low, high = centres.min(axis=0) - radius_m, centres.max(axis=0) + radius_m
+    inside = np.flatnonzero(((points.xyz >= low) & (points.xyz <= high)).all(axis=1) & (points.inlier > 0.0))
+    origin = centres.mean(axis=0)
+    xyz, places = points.xyz[inside] - origin, centres - origin
+    squared = (places**2).sum(axis=1)[:, None] + (xyz**2).sum(axis=1)[None] - 2.0 * places @ xyz.T
+    weight = np.clip(1.0 - squared / radius_m**2, 0.0, 1.0) * points.inlier[inside]
+    total = np.maximum(weight.sum(axis=1), _EPSILON)
+    mean = weight @ xyz / total[:, None]
+    i, j = np.triu_indices(3)
+    products = weight @ (xyz[:, i] * xyz[:, j]) / total[:, None] - mean[:, i] * mean[:, j]
+    covariance = np.empty((len(centres), 3, 3))
+    covariance[:, i, j] = covariance[:, j, i] = products
+    values, vectors = np.linalg.eigh(covariance)
+    curvature = np.clip(values[:, 0], 0.0, None) / np.maximum(values.sum(axis=1), 1e-15)
+    return vectors[:, :, 0], curvature
+
+
+class StableRanking:
+    """GeoGrasp's two rankings, with the scales of the candidates of one object.
+
+    Args:
+        points: Of the object.
+        sides: Their candidates.
+        frame: The object's frame.
+        slide_m: Shift of the grasp plane along the axis [m].
+        normal_radius_m: Radius of the neighbourhood for normals [m].
+    """
+
+    def __init__(
+        self,
+        points: WeightedPoints,
+        sides: tuple[StableSide, StableSide],
+        frame: ObjectFrame,
+        slide_m: float,
+        normal_radius_m: float,
+    ) -> None:
+        self._points, self._sides, self._frame = points, sides, frame
+        self._plane_at = frame.centroid + slide_m * frame.axis
+        self._normal_radius_m = normal_radius_m
+        self._largest = [
+            (_soft_max(side.mass, self._plane_distance(side.xyz)), _soft_max(side.mass, side.curvature))
+            for side in sides
+        ]
+
+    def pairs(self) -> StablePairs:
+        """Scores of all pairs of candidates, and the weights by which they are averaged."""
+        a, b = self._sides
+        width = _norm(b.xyz[0] - a.xyz[0])
+        r1, r2 = self._rank(a.xyz, b.xyz, (a.normal, b.normal), (a.curvature, b.curvature))
+        score = _FIRST_WEIGHT * r1 + r2
+        # No contact is deeper in the object than its initial point, nor closer to the opposite one.
+        inside = []
+        for side, other in ((a, b.xyz[0]), (b, a.xyz[0])):
+            to_centroid = _norm(side.xyz - self._frame.centroid)
+            inside.append(side.mass * _keep(to_centroid[0] - to_centroid) * _keep(width - _norm(side.xyz - other)))
+        support = inside[0][:, None] * inside[1][None] * _keep(width - _norm(b.xyz[None] - a.xyz[:, None]))
+        support[0, :] *= _INITIAL_WEIGHT
+        support[:, 0] *= _INITIAL_WEIGHT
+        support[0, 0] = _INITIAL_WEIGHT
+        weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
+        return StablePairs(weight / weight.sum(), score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK))
+
+    def score(self, contacts: Float64) -> tuple[float, bool]:
+        """Score of any two contacts, and whether both rankings reach their minimum.
+
+        Args:
+            contacts: (2, 3) float64 [m], on the first and the second side.
+        """
+        normals, curvature = local_planes(self._points, contacts, self._normal_radius_m)
+        first, second = contacts[:1], contacts[1:]
+        r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]))
+        passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
+        return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(passes)
+
+    def _rank(
+        self, a: Float64, b: Float64, normals: tuple[Float64, Float64], curvatures: tuple[Float64, Float64]
+    ) -> tuple[Float64, Float64]:
+        """(A, B) float64 R1 and R2 of every pair of (A, 3) and (B, 3) places."""
+        (pd_a, k_a), (pd_b, k_b) = (
+            (self._plane_distance(xyz) / largest[0], curvature / largest[1])
+            for xyz, curvature, largest in zip((a, b), curvatures, self._largest, strict=True)
+        )
+        apart = b[None] - a[:, None]
+        unit = apart / np.maximum(_norm(apart), _EPSILON)[..., None]
+        c_a = np.abs(np.einsum("abi,ai->ab", unit, normals[0]))
+        c_b = np.abs(np.einsum("abi,bi->ab", unit, normals[1]))
+        aligned = np.abs(unit @ self._frame.axis) - _FREE_COSINE
+        r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
+        r2 = 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
+        return r1, r2
+
+    def _plane_distance(self, xyz: Float64) -> Float64:
+        return np.asarray(np.abs((xyz - self._plane_at) @ self._frame.axis), np.float64)
+
+
+def _soft_max(mass: Float64, values: Float64) -> float:
+    """Smooth maximum of supported values: the mean weighted by their cubes."""
+    weight = mass * values**3
+    return max(float(weight @ values) / max(float(weight.sum()), 1e-300), _EPSILON)
+
+
+def _keep(depth: Float64) -> Float64:
+    """1 outside, falling to 0 with the depth inside [m]."""
+    return np.asarray(1.0 / (1.0 + np.exp(np.clip(depth / _INSIDE_M, -40.0, 40.0))), np.float64)
+
+
+def _norm(vectors: Float64) -> Float64:
+    return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
+
+
+def mean_contacts(points: WeightedPoints, sides: tuple[StableSide, StableSide], pairs: StablePairs) -> Float64:
+    """(2, 3) float64 [m]: the weighted mean of the pairs, each contact moved onto the surface near it."""
+    contacts = (pairs.weight.sum(axis=1) @ sides[0].xyz, pairs.weight.sum(axis=0) @ sides[1].xyz)
+    return np.stack([onto_surface(points, contact) for contact in contacts])
+
+
+def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
+    """(2, 3) float64 [m]: two contacts, that on the first side first."""
+    return np.stack([g1, g2] if (g2 - g1) @ frame.across >= 0.0 else [g2, g1])
+
+
+def onto_surface(points: WeightedPoints, place: Float64) -> Float64:
+    """The mean of the points near a place, with weights that fall with the distance beyond that of the nearest."""
+    squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
+    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * _SURFACE_M**2))
+    return np.asarray(weight @ points.xyz / weight.sum(), np.float64)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The method `stable`: what small changes of the cloud do to its best grasp, and that it is held in a stream."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from foretouch.cloud.io.files import read_cloud
+from foretouch.grasp import GeoGraspConfig, GraspHold, GraspPlan, object_axis, plan_grasps
+from foretouch.types import Cloud, Float64, Plane
+
+STABLE = GeoGraspConfig(method="stable")
+
+
+def contacts(plan: GraspPlan) -> Float64:
+    return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+
+
+def turned(xyz: np.ndarray, degrees: float) -> tuple[np.ndarray, Float64]:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return (xyz.astype(np.float64) @ turn.T).astype(np.float32), turn
+
+
+@pytest.fixture
+def wedge_cloud(rng: np.random.Generator) -> Cloud:
+    """The top of an object that is wider at one end, with 0.5 mm of noise."""
+    along, across = np.meshgrid(np.arange(-0.06, 0.06, 0.002), np.arange(-0.04, 0.04, 0.002))
+    inside = np.abs(across) < 0.03 + 0.15 * along
+    depth = 1.2 + 30.0 * across**2 + rng.normal(0.0, 0.0005, along.shape)
+    return Cloud(np.stack([across, along, depth], axis=-1)[inside].astype(np.float32))
+
+
+def test_the_order_of_points_changes_no_bit(box_cloud: Cloud, top_view: Plane, rng: np.random.Generator) -> None:
+    one = plan_grasps(box_cloud, top_view, STABLE.replace(count=5))
+    other = plan_grasps(Cloud(box_cloud.xyz[rng.permutation(box_cloud.size)]), top_view, STABLE.replace(count=5))
+    assert len(one.grasps) == len(other.grasps) == 5
+    for a, b in zip(one.grasps, other.grasps, strict=True):
+        np.testing.assert_array_equal(np.stack([a.g1, a.g2, *a.rotation]), np.stack([b.g1, b.g2, *b.rotation]))
+        assert a.score == b.score
+
+
+@pytest.mark.parametrize(("sigma", "limit_mm"), [(1e-6, 0.2), (1e-4, 5.0)])
+def test_jitter_moves_the_grasp_little(
+    box_cloud: Cloud, top_view: Plane, rng: np.random.Generator, sigma: float, limit_mm: float
+) -> None:
+    before = contacts(plan_grasps(box_cloud, top_view, STABLE))
+    for _ in range(5):
+        xyz = box_cloud.xyz + rng.normal(0.0, sigma, box_cloud.xyz.shape)
+        after = contacts(plan_grasps(Cloud(xyz.astype(np.float32)), top_view, STABLE))
+        assert np.linalg.norm(after - before, axis=1).max() * 1e3 < limit_mm
+
+
+@pytest.mark.parametrize("degrees", [1.0, 90.0, 180.0, 217.0])
+def test_a_turned_object_is_grasped_at_the_same_place(wedge_cloud: Cloud, top_view: Plane, degrees: float) -> None:
+    before = plan_grasps(wedge_cloud, top_view, STABLE)
+    xyz, turn = turned(wedge_cloud.xyz, degrees)
+    after = plan_grasps(Cloud(xyz), top_view, STABLE)
+    np.testing.assert_allclose(
+        contacts(after), contacts(before) @ turn.T, atol=0.003
+    )  # the preferred direction's share
+
+
+def test_a_shift_carries_the_grasp_along(box_cloud: Cloud, top_view: Plane) -> None:
+    before = contacts(plan_grasps(box_cloud, top_view, STABLE))
+    for shift in ([0.001, 0.0, 0.0], [0.0, 0.0, 0.1], [1.0, 0.0, 0.0]):
+        after = contacts(plan_grasps(Cloud((box_cloud.xyz + shift).astype(np.float32)), top_view, STABLE))
+        np.testing.assert_allclose(after, before + shift, atol=2e-4)
+
+
+def test_the_contacts_face_each_other_across_the_object(box_cloud: Cloud, top_view: Plane) -> None:
+    plan = plan_grasps(box_cloud, top_view, STABLE)
+    assert plan.status == "ok"
+    assert 0.05 < plan.grasps[0].width_m < 0.07  # the box is 60 mm wide
+    axis, centroid = object_axis(box_cloud, top_view, STABLE)
+    np.testing.assert_array_equal(axis, plan.axis)
+    np.testing.assert_array_equal(centroid, plan.centroid)
+    assert abs((plan.grasps[0].g1 - plan.grasps[0].g2) @ axis) < 0.01
+    assert abs((plan.grasps[0].midpoint - centroid) @ axis) < 0.005
+    assert abs(np.linalg.det(plan.grasps[0].rotation) - 1.0) < 1e-9
+
+
+def test_a_slide_moves_the_grasp_along_the_axis(box_cloud: Cloud, top_view: Plane) -> None:
+    plan = plan_grasps(box_cloud, top_view, STABLE, slide_m=0.03)
+    assert abs((plan.grasps[0].midpoint - plan.centroid) @ plan.axis - 0.03) < 0.01
+    drawn = plan_grasps(box_cloud, top_view, STABLE, rng=np.random.default_rng(3))
+    assert drawn.slide_m != 0.0
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3, 5])
+def test_few_points_give_a_grasp_or_a_reason(top_view: Plane, n: int) -> None:
+    xyz = np.array([[0.0, 0.0, 1.0], [0.03, 0.0, 1.0], [0.0, 0.05, 1.0], [0.01, 0.02, 0.98], [0.03, 0.05, 1.0]])
+    plan = plan_grasps(Cloud(xyz[:n].astype(np.float32)), top_view, STABLE)
+    assert plan.grasps or plan.reason
+
+
+@pytest.mark.parametrize("shape", ["one place", "a line", "a sheet"])
+def test_degenerate_clouds_give_a_finite_grasp_or_a_reason(top_view: Plane, shape: str) -> None:
+    t = np.linspace(-0.05, 0.05, 30)
+    u, v = np.meshgrid(t, t)
+    points = {
+        "one place": np.full((50, 3), 1.0),
+        "a line": np.column_stack([t, 0 * t, 0 * t + 1.0]),
+        "a sheet": np.column_stack([u.ravel(), v.ravel(), 0 * u.ravel() + 1.0]),
+    }[shape]
+    plan = plan_grasps(Cloud(points.astype(np.float32)), top_view, STABLE)
+    assert plan.reason
+    for grasp in plan.grasps:
+        assert np.isfinite([*grasp.g1, *grasp.g2, *grasp.rotation.ravel()]).all()
+        assert grasp.width_m < 0.15
+
+
+def test_a_held_grasp_is_kept_until_another_is_better_by_the_margin(box_cloud: Cloud, top_view: Plane) -> None:
+    best = plan_grasps(box_cloud, top_view, STABLE).grasps[0]
+    second = plan_grasps(box_cloud, top_view, STABLE, slide_m=0.01).grasps[0]
+    kept = plan_grasps(box_cloud, top_view, STABLE, held=second, hold=100.0)
+    np.testing.assert_array_equal(contacts(kept), np.stack([second.g1, second.g2]))
+    assert kept.grasps[0].score < best.score  # on this cloud, not that of its own plan
+    left = plan_grasps(box_cloud, top_view, STABLE, held=second, hold=0.0)
+    np.testing.assert_array_equal(contacts(left), np.stack([best.g1, best.g2]))
+
+
+def test_the_hold_ends_with_the_object(box_cloud: Cloud, top_view: Plane) -> None:
+    hold = GraspHold(0.005)
+    grasp = plan_grasps(box_cloud, top_view, STABLE).grasps[0]
+    hold.remember(box_cloud, grasp)
+    hold.next_cloud()
+    assert hold.find(box_cloud) is grasp
+    assert hold.find(Cloud(box_cloud.xyz + np.float32([0.004, 0.0, 0.0]))) is grasp
+    assert hold.find(Cloud(box_cloud.xyz + np.float32([0.006, 0.0, 0.0]))) is None
+    assert hold.find(Cloud(box_cloud.xyz[: box_cloud.size // 2])) is None
+    hold.next_cloud()
+    assert hold.find(box_cloud) is None
+
+
+def test_small_motions_do_not_add_up(box_cloud: Cloud, top_view: Plane) -> None:
+    hold = GraspHold(0.005)
+    grasp = plan_grasps(box_cloud, top_view, STABLE).grasps[0]
+    hold.remember(box_cloud, grasp)
+    hold.next_cloud()
+    moved = Cloud(box_cloud.xyz + np.float32([0.003, 0.0, 0.0]))
+    hold.remember(moved, grasp)
+    hold.next_cloud()
+    assert hold.find(moved) is grasp
+    assert hold.find(Cloud(moved.xyz + np.float32([0.003, 0.0, 0.0]))) is None
+
+
+def test_in_a_still_stream_the_grasp_does_not_move(box_cloud: Cloud, top_view: Plane, rng: np.random.Generator) -> None:
+    hold, before, moves = GraspHold(0.005), None, 0
+    for _ in range(30):
+        noise = rng.normal(0.0, [0.0, 0.0, 0.001], box_cloud.xyz.shape)
+        cloud = Cloud((box_cloud.xyz + noise).astype(np.float32))
+        grasp = plan_grasps(cloud, top_view, STABLE, held=hold.find(cloud), hold=1.0).grasps[0]
+        hold.remember(cloud, grasp)
+        hold.next_cloud()
+        moves += before is not None and np.linalg.norm(grasp.g1 - before.g1) > 0.005
+        before = grasp
+    assert moves <= 1
+
+
+@pytest.mark.real_data
+def test_recorded_objects_hold_still(real_data, top_view: Plane, rng: np.random.Generator) -> None:
+    paths = sorted((real_data / "vision2tactile").glob("*/*/cloud-object.pcd"))[::25]
+    moved = {"order": [], "1 um": [], "0.1 mm": [], "1 degree": []}
+    for path in paths:
+        xyz = read_cloud(path).xyz.reshape(-1, 3)
+        before = contacts(plan_grasps(Cloud(xyz), top_view, STABLE))
+        xyz_turned, turn = turned(xyz, 1.0)
+        for name, other, carried in (
+            ("order", xyz[rng.permutation(len(xyz))], before),
+            ("1 um", xyz + rng.normal(0.0, 1e-6, xyz.shape), before),
+            ("0.1 mm", xyz + rng.normal(0.0, 1e-4, xyz.shape), before),
+            ("1 degree", xyz_turned, before @ turn.T),
+        ):
+            after = contacts(plan_grasps(Cloud(other.astype(np.float32)), top_view, STABLE))
+            moved[name].append(np.linalg.norm(after - carried, axis=1).max() * 1e3)
+    assert max(moved["order"]) == 0.0
+    assert max(moved["1 um"]) < 10.0
+    assert sum(mm > 10.0 for mm in moved["0.1 mm"]) <= 1
+    assert sum(mm > 10.0 for mm in moved["1 degree"]) <= 2
