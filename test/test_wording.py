@@ -14,7 +14,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SEARCHED = ("src", "launch", "examples", "README.md", "docs/architecture.md", "docs/recording.md")
+SEARCHED = (
+    "src",
+    "launch",
+    "examples",
+    "README.md",
+    "docs/architecture.md",
+    "docs/recording.md",
+    "docs/numerical_stability.md",
+)
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""
 )  # names in quotes or backticks, *titles* and `file.tell()`
