@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import torch
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
+from foretouch.dataset.store import MANIFEST, seal_manifest
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.training.learners import read_run_config
@@ -190,15 +193,15 @@ def test_models_of_others_in_the_folder_are_not_written_over(data, tmp_path) -> 
     assert contents(card.parent) == before
 
 
-def test_splits_of_a_store_give_the_reason_one_is_missing(data, store) -> None:
+def test_splits_of_a_store_give_the_reason_one_is_missing(store, tmp_path) -> None:
+    store = Path(shutil.copytree(store, tmp_path / store.name))
     file = store / "splits.json"
-    text = file.read_text()
-    book = json.loads(text)
-    del book["splits"]["object"]
-    book["omitted"]["object"] = "too few"
-    file.write_text(json.dumps(book))
-    try:
-        with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
-            load_dataset(store).parts("object")
-    finally:
-        file.write_text(text)
+    splits = json.loads(file.read_text())
+    del splits["splits"]["object"]
+    splits["omitted"]["object"] = "too few"
+    before = hashlib.sha256(file.read_bytes()).hexdigest()
+    file.write_text(json.dumps(splits))
+    manifest = (store / MANIFEST).read_text().replace(before, hashlib.sha256(file.read_bytes()).hexdigest())
+    (store / MANIFEST).write_text(seal_manifest(json.loads(manifest)))
+    with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
+        load_dataset(store).parts("object")

@@ -269,7 +269,7 @@ def test_a_contact_at_1e160_m_is_refused_and_the_next_request_answered(graph, mo
     request.grasps[1].g1.x = 1e160
     answer = ask(graph, request)
     assert [p.status for p in answer.predictions] == [Status.OK, Status.BAD_GRASP, Status.OK]
-    assert answer.predictions[1].reason == "g1, g2: 1e+160 m apart, which is above max_width_m, 0.15 m"
+    assert answer.predictions[1].reason == "g1, g2: 1e+160 m apart, more than max_width_m 0.15"
     assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
     assert not node.internal_errors.counts()
 
@@ -277,10 +277,10 @@ def test_a_contact_at_1e160_m_is_refused_and_the_next_request_answered(graph, mo
 @pytest.mark.parametrize(
     ("move", "reason"),
     [
-        (lambda g: setattr(g.g1, "x", g.g1.x + 1.0), "m apart, which is above max_width_m, 0.15 m"),
+        (lambda g: setattr(g.g1, "x", g.g1.x + 1.0), "m apart, more than max_width_m 0.15"),
         (
             lambda g: (setattr(g.g1, "y", g.g1.y + 50.0), setattr(g.g2, "y", g.g2.y + 50.0)),
-            "m from the nearest point of the cloud, which is above max_distance_m, 0.1 m",
+            "m from the object, more than max_distance_m 0.1",
         ),
     ],
 )
@@ -336,7 +336,7 @@ def test_a_cancel_is_honoured_within_a_hundred_grasps(graph, model_card, target,
             graph.until(cancelled.done)
         return real(predictor, targets, grasps, *rest)
 
-    monkeypatch.setattr("foretouch.ros.touch.grasp_sampler.plan_targets", many)
+    monkeypatch.setattr("foretouch.ros.messages.requests.plan_targets", many)
     monkeypatch.setattr(type(node._predictor), "array", slow)
     sent = sampler.client.send_goal_async(goal_of(target))
     sent.add_done_callback(lambda future: handles.append(future.result()))

@@ -218,7 +218,9 @@ def _coordinates(layout: PointCloud2Layout, data: UInt8) -> Float32:
         return _view(layout, data, "f4", x.offset, (3, spacing))
     columns = [_view(layout, data, _dtype(layout, field), field.offset) for field in fields]
     xyz = np.empty((*layout.shape, 3), np.float32)
-    with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite, hence no point
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # beyond float32 becomes infinite, and a signalling NaN quiet: no point
         for i, column in enumerate(columns):
             xyz[..., i] = column
     return xyz

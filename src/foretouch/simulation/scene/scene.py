@@ -17,7 +17,7 @@ from foretouch.simulation.scene.camera import CameraConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
 from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
 
-_YOUNGER: Final = {"first_variant": 0, "sessions": None}
+_YOUNGER: Final = {"first_variant": 0, "sessions": None, "method": "original"}
 """Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""
 
 FIDELITIES = ("auto", "hertz", "winkler", "layer")
