@@ -48,6 +48,10 @@ class CloudError(ForetouchError):
     """A cloud whose shape, layout or values cannot be used."""
 
 
+class LimitError(CloudError):
+    """An object or a table where the camera cannot see it, or of a size that a hand cannot hold."""
+
+
 class ContactError(ForetouchError):
     """A contact that cannot be solved: no surface, a fully compressed layer, no convergence."""
 

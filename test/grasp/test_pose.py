@@ -86,3 +86,8 @@ def test_quaternion_of_a_half_turn_has_its_first_component_positive(axis):
 def test_quaternion_of_no_rotation_is_refused(matrix):
     with pytest.raises(GraspError, match="is not a rotation matrix"):
         quaternion_xyzw(matrix)
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-200, 1e160, 1e300])
+def test_contacts_whose_squared_distance_is_out_of_range_have_a_direction(length):
+    np.testing.assert_allclose(hand_rotation(length * X, -length * X, Y), hand_rotation(X, -X, Y), atol=1e-15)

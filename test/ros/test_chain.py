@@ -182,6 +182,15 @@ def test_all_targets_get_grasps_and_predictions_that_name_them(chain, scene_clou
     assert len({grasp.id for grasp in said["grasps"].grasps}) == len(said["grasps"].grasps)
 
 
+def test_the_limits_of_objects_are_parameters_of_the_grasp_node(chain, scene_cloud):
+    graph, *_ = chain
+    assert graph.nodes[1].set_parameters([rclpy_parameter("limits.max_extent_m", 0.03)])[0].successful
+    said = send(chain, cloud_to_msg(scene_cloud()))
+    for topic in ("grasps", "touch"):
+        assert said[topic].status == Status.NO_GRASP
+        assert "more than max_extent_m 0.03" in said[topic].reason
+
+
 def test_an_ambiguous_target_is_named(chain, scene_cloud):
     graph, *_ = chain
     far = [rclpy_parameter("target.mode", "point"), rclpy_parameter("target.point", [0.0, 0.0, 9.0])]

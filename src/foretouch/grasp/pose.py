@@ -87,7 +87,11 @@ def check_rotation(rotation: Float64) -> None:
 
 
 def _unit(vector: Float64, name: str) -> Float64:
-    length = float(np.linalg.norm(vector))
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(vector))
+        if length in (0.0, np.inf) and 0.0 < np.abs(vector).max() < np.inf:  # the squares are out of range
+            vector = vector / np.abs(vector).max()
+            length = float(np.linalg.norm(vector))
     if not np.isfinite(length) or length == 0.0:
         raise GraspError(f"{name}: {np.asarray(vector).tolist()} has no direction")
     return np.asarray(vector / length, np.float64)

@@ -117,7 +117,7 @@ class TouchModel:
             usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
             predicted = iter(self._predict(cloud, usable, tare, residuals))
             return [
-                TouchPrediction(grasp, None, status="refused", reason=reason) if reason else next(predicted)
+                TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
                 for grasp, reason in zip(grasps, refusals, strict=True)
             ]
         return self._predict(cloud, grasps, tare, residuals)
@@ -138,15 +138,17 @@ class TouchModel:
         reference: Reference = "touches" if touches else "none" if tare is None else "tare"
         return self._predictions(grasps, Estimate(counts, estimate.in_distribution), half, reference)
 
-    def expect(self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None) -> Float64:
+    def expect(
+        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None, limits: ObjectLimits = DEFAULT_LIMITS
+    ) -> Float64:
         """(K, 50) predictions before any touch, which readings are compared with [counts].
 
         Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
         """
         self._require_calibration()
-        check_object(cloud.xyz)
+        check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
-        refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, DEFAULT_LIMITS.max_range_m) for grasp in grasps]
+        refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, limits.max_range_m) for grasp in grasps]
         usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
         estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
@@ -217,13 +219,14 @@ class ObjectResiduals:
         self._read = np.zeros(TOUCH_SIZE)
         self._expected = np.zeros(TOUCH_SIZE)
 
-    def add(self, cloud: Cloud, grasp: Grasp, reading: Touch) -> None:
+    def add(self, cloud: Cloud, grasp: Grasp, reading: Touch, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         """Add the reading of an executed grasp.
 
         Args:
             cloud: The cloud that the grasp was planned on.
             grasp: As executed.
             reading: Both fingers in contact [counts].
+            limits: Range and size of objects.
 
         Raises:
             TactileError: If the reading, or the tare, is not that of working sensors.
@@ -234,7 +237,7 @@ class ObjectResiduals:
         faults = check_touch(reading).faults
         if faults:
             raise TactileError(f"touched: {faults[0]}")
-        self._expected += self.model.expect(cloud, [grasp], self.tare)[0]
+        self._expected += self.model.expect(cloud, [grasp], self.tare, limits)[0]
         self._read += reading.vector()
         self.count += 1
 

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from calibrated_models import save_calibrated_network
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.grasp import GeoGraspConfig
@@ -269,7 +271,7 @@ def test_a_contact_at_1e160_m_is_refused_and_the_next_request_answered(graph, mo
     request.grasps[1].g1.x = 1e160
     answer = ask(graph, request)
     assert [p.status for p in answer.predictions] == [Status.OK, Status.BAD_GRASP, Status.OK]
-    assert answer.predictions[1].reason == "g1, g2: 1e+160 m apart, more than max_width_m 0.15"
+    assert answer.predictions[1].reason == "g1, g2: 1e+160 m apart, more than max_width_m 0.2"
     assert ask(graph, request_of(target, plan.grasps[:1])).status == Status.OK
     assert not node.internal_errors.counts()
 
@@ -277,7 +279,7 @@ def test_a_contact_at_1e160_m_is_refused_and_the_next_request_answered(graph, mo
 @pytest.mark.parametrize(
     ("move", "reason"),
     [
-        (lambda g: setattr(g.g1, "x", g.g1.x + 1.0), "m apart, more than max_width_m 0.15"),
+        (lambda g: setattr(g.g1, "x", g.g1.x + 1.0), "m apart, more than max_width_m 0.2"),
         (
             lambda g: (setattr(g.g1, "y", g.g1.y + 50.0), setattr(g.g2, "y", g.g2.y + 50.0)),
             "m from the object, more than max_distance_m 0.1",
@@ -291,6 +293,71 @@ def test_a_grasp_out_of_reach_is_refused_by_name(graph, model_card, target, plan
     refused, fine = ask(graph, request).predictions
     assert (refused.status, fine.status) == (Status.BAD_GRASP, Status.OK)
     assert reason in refused.reason
+
+
+@pytest.fixture(params=["plain", "calibrated"])
+def any_card(request, model_card, tmp_path):
+    """A model whose predictions pass the online adaptation, and one that has none."""
+    return model_card if request.param == "plain" else save_calibrated_network(tmp_path)
+
+
+def test_the_reach_is_that_of_the_parameters_and_of_nothing_else(graph, any_card, target, plan):
+    (node,) = graph.add("touch_predictor", model=any_card, max_width_m=0.4, max_distance_m=0.5)
+    request = request_of(target, plan.grasps[:3])
+    first, second, _ = request.grasps
+    first.g1.x = first.g2.x + 0.35
+    second.g1.x = second.g2.x + 0.45
+    wide, wider, fine = ask(graph, request).predictions
+    assert (wide.status, fine.status) == (Status.OK, Status.OK), wide.reason
+    assert (wider.status, wider.model) == (Status.BAD_GRASP, fine.model)
+    assert "m apart, more than max_width_m 0.4" in wider.reason
+    node.set_parameters([Parameter("max_width_m", value=0.3)])
+    wide, *_ = ask(graph, request).predictions
+    assert (wide.status, "more than max_width_m 0.3" in wide.reason) == (Status.BAD_GRASP, True)
+
+
+def test_the_reach_of_the_node_is_by_default_that_of_the_command_line(graph, model_card):
+    (node,) = graph.add("touch_predictor", model=model_card)
+    config, default = node.config, PipelineConfig()
+    assert (config.max_width_m, config.max_distance_m) == (default.reach.max_width_m, default.reach.max_distance_m)
+    assert config.limits == default.limits
+
+
+def test_the_limits_of_objects_are_parameters_and_named(graph, any_card, target, plan):
+    (node,) = graph.add("touch_predictor", model=any_card, limits__max_extent_m=0.03)
+    answer = ask(graph, request_of(target, plan.grasps[:2]))
+    assert (answer.status, len(answer.predictions)) == (Status.BAD_CLOUD, 2)
+    assert "more than max_extent_m 0.03" in answer.reason
+    result = Sampler(graph).sample(goal_of(target))
+    assert (result.status, "more than max_extent_m 0.03" in result.grasp_state) == (Status.NO_GRASP, True)
+    house = [Parameter("limits.max_extent_m", value=5.0), Parameter("max_distance_m", value=5.0)]
+    assert all(one.successful for one in node.set_parameters(house))
+    request = request_of(target, plan.grasps[:1])
+    points = np.concatenate([target.cloud.xyz, target.cloud.xyz + np.float32([2.0, 0.0, 0.0])])
+    request.cloud = cloud_to_msg(Cloud(points, frame_id="cam"))
+    assert ask(graph, request).status == Status.OK
+
+
+def test_a_table_behind_the_camera_poses_no_grasp(graph, model_card, target, plan):
+    graph.add("touch_predictor", model=model_card)
+    request = request_of(target, plan.grasps[:1])
+    request.table[0].coef = [0.0, 0.0, 1.0, 1.0]
+    assert ask(graph, request).status == Status.OK  # it has its orientation
+    request.grasps[0].rotation = np.zeros(9)
+    request.grasps[0].pose.orientation = Quaternion(w=0.0)
+    answer = ask(graph, request)
+    assert (answer.status, "is behind the camera" in answer.reason) == (Status.BAD_PLANE, True)
+
+
+def test_contacts_far_away_without_orientation_are_refused_by_their_width(graph, model_card, target, plan):
+    graph.add("touch_predictor", model=model_card)
+    request = request_of(target, plan.grasps[:1])
+    request.grasps[0].rotation = np.zeros(9)
+    request.grasps[0].pose.orientation = Quaternion(w=0.0)
+    for far in (1e160, 1e300):
+        request.grasps[0].g1.x = far
+        answer = ask(graph, request)
+        assert (answer.status, "more than max_width_m" in answer.reason) == (Status.BAD_GRASP, True), answer.reason
 
 
 def test_a_request_with_too_many_grasps_is_refused(graph, model_card, target, plan):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import CloudError, ConfigError
+from foretouch.errors import ConfigError, LimitError
 from foretouch.types import Float32, Plane
 
 _WIDEST = math.tan(math.radians(60.0))  # largest |x/z| and |y/z| that a depth camera sees
@@ -49,7 +49,7 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         limits: Range and size.
 
     Raises:
-        CloudError: Names the measure and its limit.
+        LimitError: Names the measure and its limit.
     """
     points = xyz.reshape(-1, 3)
     columns = points.T.astype(np.float64, order="C")  # reductions along rows of three are slow
@@ -63,13 +63,13 @@ def check_object(xyz: Float32, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         return
     distance = math.hypot(*((low + high) / 2.0).tolist())
     if distance > limits.max_range_m:
-        raise CloudError(f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}")
+        raise LimitError(f"xyz: the object is {distance:.4g} m away, more than max_range_m {limits.max_range_m:g}")
     if extent > limits.max_extent_m:
-        raise CloudError(f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}")
+        raise LimitError(f"xyz: the object extends {extent:.4g} m, more than max_extent_m {limits.max_extent_m:g}")
     if extent < limits.min_extent_m:
-        raise CloudError(f"xyz: the object extends {extent:.4g} m, less than min_extent_m {limits.min_extent_m:g}")
+        raise LimitError(f"xyz: the object extends {extent:.4g} m, less than min_extent_m {limits.min_extent_m:g}")
     if distance < limits.min_range_m:
-        raise CloudError(f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}")
+        raise LimitError(f"xyz: the object is {distance:.4g} m away, less than min_range_m {limits.min_range_m:g}")
 
 
 def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
@@ -80,12 +80,12 @@ def check_table(plane: Plane, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
         limits: Range.
 
     Raises:
-        CloudError: If it is behind the camera, or out of range.
+        LimitError: If it is behind the camera, or out of range.
     """
     if not abs(plane.offset) <= limits.max_range_m:
-        raise CloudError(f"plane: is {abs(plane.offset):.4g} m away, more than max_range_m {limits.max_range_m:g}")
+        raise LimitError(f"plane: is {abs(plane.offset):.4g} m away, more than max_range_m {limits.max_range_m:g}")
     x, y, z = plane.normal.tolist()
     sideways = _WIDEST * (abs(x) + abs(y))
     # n·p + d = 0 has no solution p = t (u, v, 1) with t > 0 in the field of view.
     if (plane.offset > 0.0 and z - sideways >= 0.0) or (plane.offset < 0.0 and z + sideways <= 0.0):
-        raise CloudError(f"plane: {plane.coefficients.tolist()} is behind the camera")
+        raise LimitError(f"plane: {plane.coefficients.tolist()} is behind the camera")

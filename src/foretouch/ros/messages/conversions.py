@@ -2,7 +2,7 @@
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -101,7 +101,8 @@ def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
 def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
     """Convert the prediction for one grasp, with the header of the cloud; the node adds model, age and further flags."""
     if prediction.value is None:
-        return refusal_to_msg(grasp, header, Status.REFUSED, prediction.reason)
+        status = Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED
+        return refusal_to_msg(grasp, header, status, prediction.reason)
     return TouchPredictionMsg(
         header=header,
         grasp=grasp,
@@ -122,6 +123,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
     names = {code: name for name, code in _REFERENCES.items()}
     refused = bool(np.isnan(value).any())
+    refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(
         grasp=decode_grasp(message.grasp),
         value=None if refused else Touch.from_vector(value),
@@ -129,7 +131,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
         upper=None if np.isnan(upper).any() else Touch.from_vector(upper),
         reference=names[message.reference],
         flags=tuple(message.flags),
-        status="refused" if refused else "ok",
+        status=refusal if refused else "ok",
         reason=message.reason,
     )
 

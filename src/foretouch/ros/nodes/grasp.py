@@ -8,6 +8,7 @@ from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
@@ -21,6 +22,7 @@ from foretouch_msgs.msg import GraspArray, TablePlane
 class GraspNodeConfig(ProcessingConfig):
     """Settings of the grasp node."""
 
+    limits: ObjectLimits = ObjectLimits()
     grasp: LiveGeoGraspConfig = LiveGeoGraspConfig()
     grasp_hold: float = setting(
         1.0,
@@ -52,7 +54,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def config_changed(self, config: GraspNodeConfig) -> None:
         """Apply the new settings from the next cloud on; held grasps are forgotten."""
-        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp))
+        self._pipeline = Pipeline(PipelineConfig(grasp=config.grasp, limits=config.limits))
         holds = config.grasp_hold > 0.0 and config.grasp.method == "stable"
         self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
 

@@ -25,7 +25,7 @@ from visualization_msgs.msg import MarkerArray
 
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import FoundObject, PipelineConfig
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
@@ -264,7 +264,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         with self._latest_lock:
             latest = self._latest
         config = self.config
-        sampler = GraspSampler(self._predict_candidates, config.grasp, config.ranges, config.max_grasps)
+        settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
+        sampler = GraspSampler(self._predict_candidates, settings, config.ranges, config.max_grasps)
         goal = goal_handle.request
         result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
         own = goal.cloud.width * goal.cloud.height > 0

@@ -3,9 +3,11 @@
 
 from dataclasses import dataclass, field
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp.reach import ReachConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
 from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
@@ -14,8 +16,8 @@ from foretouch.topics import TACTILE_TOPIC
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig):
-    """Settings of the touch predictor; tactile settings have the same names as those of the recorder."""
+class TouchPredictorConfig(ProcessingConfig, ReachConfig):
+    """Settings of the touch predictor: it is the hand's reach too. Tactile settings have the names of the recorder's."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
     fallback_model: str = setting(
@@ -43,17 +45,10 @@ class TouchPredictorConfig(ProcessingConfig):
         minimum=0.0, maximum=1.0,
     )  # fmt: skip
     max_grasps: int = setting(1000, "Maximum number of grasps in a request", minimum=1, maximum=10_000)
-    max_width_m: float = setting(
-        0.15, "Greatest distance between the contacts of a grasp; wider grasps are refused", unit="m", minimum=0.001,
-        maximum=10.0,
-    )  # fmt: skip
-    max_distance_m: float = setting(
-        0.1, "Greatest distance of a grasp from its object's cloud; farther grasps are refused", unit="m", minimum=0.0,
-        maximum=10.0,
-    )  # fmt: skip
     tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
+    limits: ObjectLimits = ObjectLimits()
     grasp: GeoGraspConfig = GeoGraspConfig()
     ranges: TactileRanges = TactileRanges()

@@ -10,7 +10,6 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.conversions import pose_stamped
@@ -44,14 +43,14 @@ class GraspSampler:
 
     Args:
         predict: Gives the predictions for grasps on one target, in order.
-        grasp: Settings of GeoGrasp.
+        settings: Of GeoGrasp, with the limits of objects.
         ranges: Ranges of the tactile values, for the cost `pressure`.
         max_grasps: Maximum number of grasps that a goal may ask for.
     """
 
-    def __init__(self, predict: Predict, grasp: GeoGraspConfig, ranges: TactileRanges, max_grasps: int) -> None:
+    def __init__(self, predict: Predict, settings: PipelineConfig, ranges: TactileRanges, max_grasps: int) -> None:
         self._predict = predict
-        self._grasp = grasp
+        self._settings = settings
         self._ranges = ranges
         self._max_grasps = max_grasps
 
@@ -81,8 +80,9 @@ class GraspSampler:
                 Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}"
             )
         header, targets = _targets(goal, latest)
-        config = self._grasp.replace(count=goal.count) if goal.count else self._grasp
-        pipeline = Pipeline(PipelineConfig(grasp=config))
+        grasp = self._settings.grasp
+        config = grasp.replace(count=goal.count) if goal.count else grasp
+        pipeline = Pipeline(self._settings.replace(grasp=config))
         candidates: list[_Candidate] = []
         plan = GraspArray()
         for target in targets:

@@ -18,8 +18,10 @@ from typing import Any
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
 from foretouch.errors import CloudError, ForetouchError, TactileError
+from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.tactile_state import LiveTare, ObjectMemory
@@ -116,7 +118,9 @@ class OnlineAdapter:
 
     # Output, for the thread that predicts.
 
-    def predict(self, cloud: Cloud, grasps: Sequence[Grasp]) -> list[TouchPrediction]:
+    def predict(
+        self, cloud: Cloud, grasps: Sequence[Grasp], *, limits: ObjectLimits, reach: ReachConfig
+    ) -> list[TouchPrediction]:
         """Predict as `TouchModel.predict`, with the touches of the object in this cloud, else with a recent tare.
 
         Raises:
@@ -128,9 +132,10 @@ class OnlineAdapter:
         with self._memory_lock:
             memory = self._memory.of(cloud, config.same_object_m) if config.use_touches else None
             if memory is not None:
-                return self._noted(self._model.predict(cloud, grasps, residuals=memory), memory.tare)
+                predictions = self._model.predict(cloud, grasps, residuals=memory, limits=limits, reach=reach)
+                return self._noted(predictions, memory.tare)
         tare = self._recent_tare(config)
-        return self._noted(self._model.predict(cloud, grasps, tare=tare), tare)
+        return self._noted(self._model.predict(cloud, grasps, tare=tare, limits=limits, reach=reach), tare)
 
     def process_touches(self) -> None:
         """Add the touches that are complete by now to the memory, and forget touches that are too old."""
@@ -188,7 +193,15 @@ class OnlineAdapter:
         assert cut is not None  # noqa: S101  samples without a touch are not asked for
         tare = cut.tare if config.use_tare else None
         try:
-            self._memory.add(sample.cloud, sample.grasp, cut.touch, tare, time.monotonic(), config.same_object_m)
+            self._memory.add(
+                sample.cloud,
+                sample.grasp,
+                cut.touch,
+                tare,
+                now_s=time.monotonic(),
+                same_object_m=config.same_object_m,
+                limits=config.limits,
+            )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
             self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from std_msgs.msg import Header
 
+from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.dataset.messages import decode_grasp, has_orientation
-from foretouch.errors import CloudError, ForetouchError, GraspError, ModelError
+from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
-from foretouch.grasp.reach import check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.conversions import duration_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
@@ -77,7 +78,7 @@ class Predictor:
             targets: The objects; features are computed once for each that has grasps.
             grasps: Each on the object that it names, or on the only one.
             header: Header of the cloud.
-            config: Its `max_width_m` and `max_distance_m` limit the grasps.
+            config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
 
         Returns:
@@ -91,8 +92,8 @@ class Predictor:
             except GraspError as err:
                 answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
-            poser = _Poser(targets[k], config, posing)
-            predicted = self._on_target(poser, [grasps[i] for i in members], header)
+            poser = _Poser(targets[k], config.limits, posing)
+            predicted = self._on_target(poser, [grasps[i] for i in members], header, config)
             for i, answer in zip(members, predicted, strict=True):
                 answers[i] = answer
         predictions = [answer for answer in answers if answer is not None]
@@ -117,7 +118,9 @@ class Predictor:
                 prediction.model, prediction.model_sha256 = self.model.name, self.model.sha256
         return message
 
-    def _on_target(self, poser: _Poser, grasps: Sequence[GraspMsg], header: Header) -> list[TouchPrediction]:
+    def _on_target(
+        self, poser: _Poser, grasps: Sequence[GraspMsg], header: Header, config: TouchPredictorConfig
+    ) -> list[TouchPrediction]:
         model = self.model
         if model is None:
             return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
@@ -127,42 +130,59 @@ class Predictor:
             try:
                 posed.append(poser.grasp(grasp))
                 answers.append(None)
-            except (GraspError, CloudError) as err:
-                answers.append(refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err)))
+            except (GraspError, CloudError, RefusalError) as err:
+                answers.append(refusal_to_msg(grasp, header, _status_of(err), str(err)))
+        cloud, limits = poser.target.cloud, config.limits
         try:
-            predicted = iter((self.adapter or model).predict(poser.target.cloud, posed) if posed else [])
+            predicted = iter(
+                (self.adapter or model).predict(cloud, posed, limits=limits, reach=config) if posed else []
+            )
         except (CloudError, ModelError) as err:
-            status = Status.TOO_FEW_POINTS if isinstance(err, CloudError) else Status.REFUSED
-            return [old or refusal_to_msg(g, header, status, str(err)) for g, old in zip(grasps, answers, strict=True)]
+            status, reason = _status_of(err), str(err)
+            return [old or refusal_to_msg(g, header, status, reason) for g, old in zip(grasps, answers, strict=True)]
         return [old or prediction_to_msg(next(predicted), g, header) for g, old in zip(grasps, answers, strict=True)]
 
 
 class _Poser:
-    """Decodes and checks grasps on one object.
+    """Decodes grasps on one object.
 
     Missing orientations are computed as `Pipeline.grasp_between` does, with one search for the object's axis.
     """
 
-    def __init__(self, target: FoundObject, limits: TouchPredictorConfig, config: GeoGraspConfig | None) -> None:
+    def __init__(self, target: FoundObject, limits: ObjectLimits, config: GeoGraspConfig | None) -> None:
         self.target = target
         self._limits = limits
         self._config = config
         self._axis: Float64 | None = None
 
     def grasp(self, message: GraspMsg) -> Grasp:
-        """The grasp of a message, within reach, with an orientation computed if the message has none."""
+        """The grasp of a message, with an orientation computed if the message has none."""
         if has_orientation(message):
-            return self._checked(decode_grasp(message))
+            return decode_grasp(message)
         if self._config is None:
             raise GraspError("pose: no orientation, and no table to compute it with")
-        unposed = self._checked(decode_grasp(message, np.eye(3)))
+        unposed = decode_grasp(message, np.eye(3))
         if self._axis is None:
-            self._axis, _ = object_axis(self.target.cloud, self.target.plane, self._config)
+            self._axis = self._find_axis(self._config)
         return decode_grasp(message, hand_rotation(unposed.g1, unposed.g2, self._axis))
 
-    def _checked(self, grasp: Grasp) -> Grasp:
-        check_reach(grasp, self.target.cloud.xyz, self._limits.max_width_m, self._limits.max_distance_m)
-        return grasp
+    def _find_axis(self, config: GeoGraspConfig) -> Float64:
+        try:
+            check_table(self.target.plane, self._limits)
+        except LimitError as err:
+            raise RefusalError(Status.BAD_PLANE, str(err)) from err
+        check_object(self.target.cloud.xyz, self._limits)
+        axis, _ = object_axis(self.target.cloud, self.target.plane, config)
+        return axis
+
+
+def _status_of(err: ForetouchError) -> int:
+    """The status of what an error keeps from being predicted."""
+    if isinstance(err, RefusalError):
+        return err.status
+    if isinstance(err, CloudError):
+        return Status.BAD_CLOUD if isinstance(err, LimitError) else Status.TOO_FEW_POINTS
+    return Status.BAD_GRASP if isinstance(err, GraspError) else Status.REFUSED
 
 
 def _target_of(grasp: GraspMsg, targets: Sequence[FoundObject]) -> int:

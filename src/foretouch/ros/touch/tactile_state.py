@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import check_touch, offsets, restore
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
@@ -153,7 +154,14 @@ class ObjectMemory:
         return 0 if self._memory is None else self._memory.count
 
     def add(
-        self, cloud: Cloud, grasp: Grasp, reading: Touch, tare: Touch | None, now_s: float, same_object_m: float
+        self,
+        cloud: Cloud,
+        grasp: Grasp,
+        reading: Touch,
+        tare: Touch | None,
+        now_s: float,
+        same_object_m: float,
+        limits: ObjectLimits = DEFAULT_LIMITS,
     ) -> None:
         """Add a touch; touches of another object before it are forgotten.
 
@@ -164,6 +172,7 @@ class ObjectMemory:
             tare: Tactile reading before contact; None to compare readings without a tare.
             now_s: Time of a clock that never goes back [s].
             same_object_m: See above [m].
+            limits: Range and size of objects.
 
         Raises:
             TactileError: See `ObjectResiduals.add`.
@@ -175,7 +184,7 @@ class ObjectMemory:
             memory = ObjectResiduals(self._model, tare)
         elif memory.tare is not None and tare is not None:
             reading = restore(offsets(reading, tare), memory.tare)  # as the sensors read when the first one was taken
-        memory.add(cloud, grasp, reading)
+        memory.add(cloud, grasp, reading, limits)
         self._memory, self._extent, self._touched_s = memory, extent, now_s
 
     def of(self, cloud: Cloud, same_object_m: float) -> ObjectResiduals | None:
