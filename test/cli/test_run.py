@@ -40,6 +40,8 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, enviro
     assert status == 0, err
     *answers, last = lines
     assert (last["played"], last["answered"], len(answers)) == (5, 5, 5)
+    assert last["conflicts"] == []
+    assert "second graph" not in err
     assert len({answer["stamp_ns"] for answer in answers}) == 5
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from foretouch.cli.output import print_json, warn
+from foretouch.cli.run import report_conflicts
 from foretouch.errors import ForetouchError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
 from foretouch.topics import TACTILE_TOPIC
@@ -152,6 +153,7 @@ def run(arguments: argparse.Namespace) -> int:
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
         node.end()
+        report_conflicts(graph)
         return _finish(node.status(), arguments)
 
 

@@ -5,7 +5,7 @@ import argparse
 
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
-from foretouch.cli.run import replay_fault, source_parameters
+from foretouch.cli.run import replay_fault, report_conflicts, source_parameters
 from foretouch.errors import ForetouchError
 
 
@@ -47,6 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             "clouds": graph.played(),
             "unreadable": replay.unreadable,
             "played": dict(replay.played),
+            "conflicts": report_conflicts(graph),
         }
         if arguments.json:
             print_json(counts)

@@ -139,6 +139,14 @@ def replay_fault(replay: ReplayNode | None) -> str | None:
     return f"{replay.unreadable} entries could not be read" if replay.unreadable else None
 
 
+def report_conflicts(graph: Graph) -> list[str]:
+    """Print the signs of a second graph in the namespace, and return them."""
+    found = graph.conflicts()
+    if found:
+        warn(f"a second graph or source runs in the namespace: {'; '.join(found)}")
+    return found
+
+
 def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     """Draw until the end of the source, N answers, or Ctrl-C; False if answers are missing."""
     replay, count = graph.replay, arguments.count
@@ -179,8 +187,10 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     time.sleep(_DIAGNOSED_S)
     view = graph.monitor.view()
     answered, played = sum(view.answers.values()), graph.played()
+    conflicts = report_conflicts(graph)
     if arguments.json:
-        counts = {"played": played, "answered": answered, "answers": dict(view.answers), "reasons": dict(view.reasons)}
+        counts: dict[str, Any] = {"played": played, "answered": answered, "conflicts": conflicts}
+        counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
         print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
     else:
         from rich.console import Console

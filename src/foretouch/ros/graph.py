@@ -102,6 +102,10 @@ class Graph:
         """The simulated hand, if it is one of the nodes."""
         return cast("HandNode | None", self.nodes.get("hand"))
 
+    def conflicts(self) -> list[str]:
+        """Signs of a second graph in the namespace, a line each, now or before."""
+        return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
+
     def played(self) -> int:
         """Clouds published by the replay or the camera; 0 without one."""
         return sum(self.nodes[name].statistics.summary().used for name in _SOURCES if name in self.nodes)

@@ -157,6 +157,10 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
             "since_frame_s": age,
         }
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """The clouds."""
+        return ("points",)
+
     # The thread.
 
     def _run(self, camera: RealSenseCamera) -> None:

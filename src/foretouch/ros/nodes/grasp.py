@@ -58,6 +58,10 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         holds = config.grasp_hold > 0.0 and config.grasp.method == "stable"
         self._held = GraspHold(config.grasp_hold_tolerance_m) if holds else None
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """The answers of this node."""
+        return (GRASPS_TOPIC,)
+
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Plan grasps on the targets of one cloud."""
         table = messages["table"]

@@ -116,6 +116,10 @@ class RecorderNode(ForetouchNode[RecorderConfig]):
             self._input_topics.destroy()
         self._offered, self._input_topics, self._reader = [], None, None
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """What samples are made of, as far as one node publishes it."""
+        return (GRASPS_TOPIC,)
+
     def errors(self) -> tuple[str, ...]:
         """Why the last recording ended by itself."""
         return (self.reason,) if self.reason else ()

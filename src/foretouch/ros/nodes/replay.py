@@ -34,7 +34,7 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC
+from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
 from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 
@@ -250,12 +250,17 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             **{f"left_out.{topic}": reason for topic, reason in self._left_out.items()},
         }
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """The clouds, and the answers to them."""
+        return ("points", "objects", GRASPS_TOPIC, "touch")
+
     # The thread.
 
     def _run(self) -> None:
         self._report_outcome("waiting")
         try:
             if self._wait_for_subscribers():
+                self.look_for_second_graph()
                 self._report_outcome("playing")
                 self._play()
             self._report_outcome("stopped" if self._stopping.is_set() else "finished")

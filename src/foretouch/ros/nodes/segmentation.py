@@ -60,6 +60,10 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         self._pipeline = _pipeline(config)
         self._previous = None
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """The answers of this node."""
+        return ("objects",)
+
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Segment one cloud."""
         self._check_frame(header.frame_id)

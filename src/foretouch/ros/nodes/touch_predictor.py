@@ -136,6 +136,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             if self._adapter is not None:
                 self._adapter.forget()
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """The answers of this node."""
+        return ("touch",)
+
     # The topic.
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:

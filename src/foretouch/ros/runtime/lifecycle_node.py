@@ -27,9 +27,11 @@ from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.parameters import NodeSettings
+from foretouch.ros.runtime.second_graph import find_conflicts
 from foretouch.topics import NAMESPACE
 
 _OUTPUT_DEPTH = 10
+_GRAPH_PERIOD_S = 1.0  # between two looks for a second graph
 _INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile
 _C = TypeVar("_C", bound="NodeConfig")
 
@@ -52,6 +54,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         config_class: Class of its settings; every field becomes a parameter.
         options: For rclpy's `Node`; the namespace is `/foretouch` by default.
 
+    Attributes:
+        conflicts: Signs of a second graph in the namespace, a line each.
+        past_conflicts: All that there have been.
+
     Raises:
         ConfigError: If a parameter given at the start breaks a rule.
     """
@@ -68,12 +74,15 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._outputs: list[LifecyclePublisher[Any]] = []
         self._inputs: list[Subscription[Any]] = []
         self._mismatches: dict[str, str] = {}
+        self.conflicts: tuple[str, ...] = ()
+        self.past_conflicts: list[str] = []
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
         self._input_group = MutuallyExclusiveCallbackGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
+        self.create_timer(_GRAPH_PERIOD_S, self.look_for_second_graph, callback_group=own_group)
 
     @property
     def config(self) -> _C:
@@ -113,6 +122,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Further values for /diagnostics."""
         return {}
 
+    def exclusive_topics(self) -> tuple[str, ...]:
+        """Topics that only one node of a graph publishes; another publisher is reported as a second graph."""
+        return ()
+
     # What a node uses.
 
     def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher[Any]:
@@ -148,6 +161,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
         )
         self._inputs.append(subscription)
+
+    def look_for_second_graph(self) -> None:
+        """Log signs of a second graph once, and report them in /diagnostics while they last."""
+        found = find_conflicts(self, self.exclusive_topics())
+        fresh = [text for text in found if text not in self.conflicts]
+        self.conflicts = found
+        self.past_conflicts += [text for text in fresh if text not in self.past_conflicts]
+        if fresh:
+            space = self.get_namespace()
+            self.get_logger().warning(f"a second graph or source runs in {space}: {'; '.join(fresh)}")
 
     def unknown_parameters(self) -> set[str]:
         """Names of given parameters that this node does not have; ROS ignores them without a message."""
@@ -243,7 +266,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         node = NodeStatus(
             state=self.state_name,
             errors=self.errors(),
-            warnings=(*self._mismatches.values(), *recent),
+            warnings=(*self.conflicts, *self._mismatches.values(), *recent),
             notes={**self.notes(), **{f"internal_errors.{name}": str(count) for name, count in errors.items()}},
             expects_input_every_s=self.expects_input_every_s(),
         )
