@@ -14,12 +14,15 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sim_builders import CAN, SPONGE, run, scene
 from std_srvs.srv import Trigger
 
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
+from foretouch.ros.messages.tactile import biotac_all_to_msg
+from foretouch.ros.nodes import hand
 from foretouch.ros.nodes.hand import HandConfig, HandNode
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER, finger_counts
@@ -218,6 +221,58 @@ def test_stopping_in_the_middle_of_a_grasp_tells_nothing_of_it(graph, scene_file
     send.publish(grasps(planned(config), "whole", time.time_ns()))
     graph.until(lambda: told)
     assert [report.grasp_id for report in told] == ["whole"]
+
+
+def failing(times: int, real: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that raises so many times and works from then on."""
+    left = iter(range(times))
+
+    def call(*arguments: Any) -> Any:
+        if next(left, None) is None:
+            return real(*arguments)
+        raise FloatingPointError("overflow")
+
+    return call
+
+
+def test_messages_go_on_after_an_internal_error(graph, scene_file, monkeypatch) -> None:
+    node, tactile, _ = start(graph, scene_file(scene()), diagnostics_period_s=0.1)
+    reports = graph.listen(DiagnosticArray, "/diagnostics")
+    graph.until(lambda: tactile)
+    monkeypatch.setattr("foretouch.ros.nodes.hand.biotac_all_to_msg", failing(7, biotac_all_to_msg))
+    graph.until(lambda: node.internal_errors.counts() == {"hand": 7})
+    heard = len(tactile)
+    graph.until(lambda: len(tactile) >= heard + 50)
+    steps = np.diff([stamp_ns(m.header.stamp) for m in tactile])
+    assert sorted(set(steps)) == [SECOND // 100, 8 * SECOND // 100]  # the stamps of the seven are left out
+
+    def reported() -> bool:
+        values = {pair.key: pair.value for one in reports for status in one.status for pair in status.values}
+        return values.get("internal_errors.hand") == "7"
+
+    graph.until(reported)
+
+
+@pytest.mark.parametrize("broken", ["_executed_to_msg", "biotac_all_to_msg"])
+def test_a_grasp_with_an_internal_error_has_failed_and_the_next_one_is_executed(
+    graph, scene_file, monkeypatch, broken
+) -> None:
+    config = scene()
+    node, _, told = start(graph, scene_file(config))
+    send = graph.talk(GraspArray, "grasps")
+    graph.matched("grasps")
+    send.publish(grasps(planned(config), "first", time.time_ns()))
+    graph.until(lambda: node.phase == "hold")
+    real = getattr(hand, broken)
+    monkeypatch.setattr(hand, broken, failing(1, real))
+    graph.until(lambda: not node.busy)
+    assert dict(node.statistics.summary().dropped) == {"failed": 1}
+    assert node.internal_errors.counts() == {"hand": 1}
+    send.publish(grasps(planned(config), "second", time.time_ns()))
+    graph.until(lambda: told)
+    assert [report.grasp_id for report in told] == ["second"]
+    summary = node.statistics.summary()
+    assert summary.received == 2 == summary.used + sum(summary.dropped.values())
 
 
 def test_it_says_what_is_wrong_with_its_settings(graph, tmp_path) -> None:

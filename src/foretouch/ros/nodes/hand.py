@@ -157,9 +157,7 @@ class HandNode(ForetouchNode[HandConfig]):
             self._solver.stop()
             self._thread.join()
             self._thread = None
-            if self._ready is not None or self._current is not None:
-                self._ready = self._current = None
-                self._drop("stopped")
+            self._abandon("stopped")
 
     def teardown(self) -> None:
         """Release the scene and the grasps."""
@@ -214,6 +212,12 @@ class HandNode(ForetouchNode[HandConfig]):
         self._solver.put(_Command(newest, planned_ns, self.statistics.receive()))
         return True, newest.grasps[0].id
 
+    def _abandon(self, reason: str) -> None:
+        """Drop the grasp that is being executed or is ready for it, if there is one."""
+        if self._ready is not None or self._current is not None:
+            self._ready = self._current = None
+            self._drop(reason)
+
     def _drop(self, reason: str) -> None:
         self.statistics.drop(reason)
         self._idle()
@@ -263,10 +267,11 @@ class HandNode(ForetouchNode[HandConfig]):
                 number += missed
             try:
                 self._send(number, start_ns, period_ns)
-            except Exception as err:  # noqa: BLE001  the end of a thread must be reported
-                if self.context.ok():
-                    self.get_logger().error(f"{type(err).__name__}: {err}")
-                return
+            except Exception as err:  # noqa: BLE001  it would end the thread
+                if not self.context.ok():
+                    return
+                self.internal_errors.report("hand", err)
+                self._abandon("failed")
             number += 1
 
     def _send(self, number: int, start_ns: int, period_ns: int) -> None:
@@ -276,7 +281,6 @@ class HandNode(ForetouchNode[HandConfig]):
             self._tactile.publish(biotac_all_to_msg(counts, self.config.tactile_frame, stamp))
         current = self._current
         if current is not None and number - current.first >= len(current.course.counts) - 1:
-            self._current = None
             self._finish(current, start_ns + current.first * period_ns, period_ns)
 
     def _fingers(self, number: int) -> dict[str, Any]:
@@ -297,7 +301,8 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _finish(self, running: _RunningGrasp, first_ns: int, period_ns: int) -> None:
         """Report the grasp and become idle."""
-        course = running.course
+        course, message = running.course, _executed_to_msg(running, first_ns, period_ns)
+        self._current = None
         self.executed[course.reason or "success"] += 1
         if course.success:
             self.statistics.use(running.command.arrived, (first_ns - running.command.planned_ns) * 1e-9)
@@ -305,4 +310,4 @@ class HandNode(ForetouchNode[HandConfig]):
             self.get_logger().warning(f"grasp {running.command.message.grasps[0].id}: {course.message}")
             self.statistics.drop(course.reason)
         self._idle()
-        self._executed_publisher.publish(_executed_to_msg(running, first_ns, period_ns))
+        self._executed_publisher.publish(message)
