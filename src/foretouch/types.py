@@ -19,7 +19,7 @@ from foretouch.errors import CloudError, GraspError, TactileError
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
-Reference = Literal["none", "tare", "touches"]
+Reference = Literal["none", "tare", "touches", "history"]
 
 ELECTRODES = 24  # per BioTac SP
 TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
@@ -167,6 +167,16 @@ class Touch:
         return np.concatenate([[self.pdc_th, self.pdc_mf], self.e_th, self.e_mf])
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """How many readings a prediction was adapted to, and how old they are."""
+
+    touches: int = 0  # of the same object
+    touch_age_s: float | None = None  # since the last touch of the object [s]; None without, or if it is not known
+    readings: int = 0  # of the hand in all, touches of any object and tares
+    reading_age_s: float | None = None  # since the last of them [s]; None without, or if it is not known
+
+
 @dataclass(frozen=True, eq=False)
 class TouchPrediction:
     """The predicted reading of both fingertips if `grasp` were executed."""
@@ -179,6 +189,7 @@ class TouchPrediction:
     flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`, `ambiguous_target`
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
+    evidence: Evidence = Evidence()  # the readings behind `reference`
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction of touch: one cloud and K grasps in, K predictions out, with an interval, a reference and flags.
 
-cloud, K grasps ─ estimator ─► counts ─ + tare - rest ─ adapted to earlier touches ─► value ± half width, flags
+cloud, K grasps ─ estimator ─► counts ─ adapted to earlier readings ─► value ± half width, flags
+
+Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. A calibration with the parameters
+of a tracker (`models.tracker`) adapts to all of them by it; one without, such as that of contact-v1, to a tare and to touches of one
+object in closed form (`models.calibration`).
 """
 
 from __future__ import annotations
@@ -18,8 +22,9 @@ from foretouch.errors import GraspError, ModelError, TactileError
 from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach
 from foretouch.models.calibration import Calibration
+from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import TactileRanges, check_touch
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, Reference, Touch, TouchPrediction
+from foretouch.types import TOUCH_SIZE, Cloud, Evidence, Float64, Grasp, Reference, Touch, TouchPrediction
 
 _EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
 
@@ -30,6 +35,44 @@ class Estimate:
 
     counts: Float64  # (K, 50) float64 [counts]
     in_distribution: npt.NDArray[np.bool_]  # (K,) bool: whether cloud and grasp resemble those of training
+
+
+@dataclass(frozen=True, eq=False)
+class _Adapted:
+    """Predictions for K grasps after readings."""
+
+    counts: Float64  # (K, 50) float64 [counts]
+    half: Float64  # (K, 50) float64, half widths of the intervals; NaN without a calibration [counts]
+    reference: Reference
+    evidence: Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Readings of one hand up to a time, for predictions at that time."""
+
+    tracker: SensorTracker  # of the model's calibration
+    stamp_ns: int  # time of the predictions [ns]
+    same_object: bool = True  # whether they are for the object that was touched last
+    tare: bool = False  # whether a tare was taken shortly before
+
+    def adapt(self, estimate: Estimate) -> _Adapted:
+        """Predictions by sight, adapted to the readings."""
+        counts, half = estimate.counts.copy(), np.empty_like(estimate.counts)
+        level = self.tracker.level(self.stamp_ns, same_object=self.same_object)
+        same = level.touches_of_object > 0
+        for inside in np.unique(estimate.in_distribution):
+            rows = estimate.in_distribution == inside
+            counts[rows], half[rows] = self.tracker.predict(
+                self.stamp_ns, estimate.counts[rows], same_object=same, known=bool(inside)
+            )
+        evidence = Evidence(
+            level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s
+        )
+        reference: Reference = (
+            "touches" if same else "tare" if self.tare else "history" if level.readings_of_history else "none"
+        )
+        return _Adapted(counts, half, reference, evidence)
 
 
 class Estimator(Protocol):
@@ -70,6 +113,18 @@ class TouchModel:
         self.calibration = calibration
         self.ranges = estimator.ranges
         self._estimator = estimator
+        tracked = calibration is not None and calibration.tracker is not None
+        self._unread = SensorTracker(calibration.tracker_parameters()) if calibration and tracked else None
+
+    def new_tracker(self) -> SensorTracker:
+        """A tracker of a hand whose readings are compared with this model's predictions.
+
+        Raises:
+            ModelError: If the calibration has no parameters of a tracker.
+        """
+        if self.calibration is None or self.calibration.tracker is None:
+            raise ModelError(f"{self.name}: history: cannot be used: its calibration does not model the sensors' drift")
+        return SensorTracker(self.calibration.tracker)
 
     def predict(
         self,
@@ -78,6 +133,7 @@ class TouchModel:
         *,
         tare: Touch | None = None,
         residuals: ObjectResiduals | None = None,
+        history: History | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
     ) -> list[TouchPrediction]:
@@ -90,18 +146,19 @@ class TouchModel:
             grasps: In the cloud's frame.
             tare: A reading without contact, taken shortly before.
             residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
+            history: Readings of the hand so far, which include tares; `tare` and `residuals` must be omitted.
             limits: Range and size of objects.
             reach: Of the hand.
 
         Returns:
             One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference` names the
-            strongest reading that it was adapted to: touches, tare or none. Flags: `out_of_range` where a value leaves the
+            strongest reading that it was adapted to: touches of the object, tare, history or none. Flags: `out_of_range` where a value leaves the
             model's ranges (it is not clipped), `unfamiliar` where cloud or grasp is out of the training distribution.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
-            ModelError: If the cloud lacks a colour that the model needs; if tare or residuals are given to a model without
-                calibration, or both are; if the residuals are of another model.
+            ModelError: If the cloud lacks a colour that the model needs; if readings are given to a model without
+                calibration, or in more than one form; if residuals or history are of another model.
             TactileError: If the tare is not a reading of working sensors.
         """
         if residuals is not None:
@@ -111,22 +168,49 @@ class TouchModel:
                 raise ModelError(f"{self.name}: residuals: are of {residuals.model.name}, which predicts otherwise")
             self._require_calibration()
             tare = residuals.tare
+        if history is not None and (tare is not None or residuals is not None):
+            raise ModelError("history: has tares and touches of its own")
+        if history is not None and (self._unread is None or history.tracker.parameters is not self._unread.parameters):
+            self.new_tracker()  # names a calibration without a tracker
+            raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         check_object(cloud.xyz, limits)
         refusals = [_refusal(grasp, cloud, reach.max_width_m, reach.max_distance_m) for grasp in grasps]
         if any(refusals):
             usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
-            predicted = iter(self._predict(cloud, usable, tare, residuals))
+            predicted = iter(self._predict(cloud, usable, tare, residuals, history))
             return [
                 TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
                 for grasp, reason in zip(grasps, refusals, strict=True)
             ]
-        return self._predict(cloud, grasps, tare, residuals)
+        return self._predict(cloud, grasps, tare, residuals, history)
 
     def _predict(
-        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None, residuals: ObjectResiduals | None
+        self,
+        cloud: Cloud,
+        grasps: Sequence[Grasp],
+        tare: Touch | None,
+        residuals: ObjectResiduals | None,
+        history: History | None,
     ) -> list[TouchPrediction]:
         """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
+        if residuals is None and self._unread is not None:
+            adapted = (history or self._history_of(tare)).adapt(estimate)
+        else:
+            adapted = self._adapted(estimate, tare, residuals)
+        return self._predictions(grasps, estimate.in_distribution, adapted)
+
+    def _history_of(self, tare: Touch | None) -> History:
+        """A hand of which nothing was read but maybe a tare, just now."""
+        if tare is None:
+            assert self._unread is not None  # noqa: S101  only called with a tracker
+            return History(self._unread, 0)
+        tracker = self.new_tracker()
+        tracker.add_tare(0, self.tare_offset(tare))
+        return History(tracker, 0, tare=True)
+
+    def _adapted(self, estimate: Estimate, tare: Touch | None, residuals: ObjectResiduals | None) -> _Adapted:
+        """Adapted to a tare and to touches of one object in closed form."""
         counts = self._shifted(estimate.counts, tare)
         touches = residuals.count if residuals is not None else 0
         half = np.full_like(counts, np.nan)
@@ -136,7 +220,7 @@ class TouchModel:
                 counts, estimate.in_distribution, tare=tare is not None, touched=touched, count=touches
             )
         reference: Reference = "touches" if touches else "none" if tare is None else "tare"
-        return self._predictions(grasps, Estimate(counts, estimate.in_distribution), half, reference)
+        return _Adapted(counts, half, reference, Evidence(touches=touches))
 
     def expect(
         self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None, limits: ObjectLimits = DEFAULT_LIMITS
@@ -146,6 +230,12 @@ class TouchModel:
         Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
         """
         self._require_calibration()
+        return self._shifted(self.estimate_executed(cloud, grasps, limits).counts, tare)
+
+    def estimate_executed(
+        self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS
+    ) -> Estimate:
+        """Predictions by sight for grasps that were executed; raises as `expect`."""
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
         refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, limits.max_range_m) for grasp in grasps]
@@ -153,7 +243,21 @@ class TouchModel:
         estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
             raise GraspError(next(filter(None, refusals)))
-        return self._shifted(estimate.counts, tare)
+        return estimate
+
+    def tare_offset(self, tare: Touch) -> Float64:
+        """(50,) a tare minus the rest level of the model [counts].
+
+        Raises:
+            ModelError: If the model has no rest level.
+            TactileError: If the tare is not a reading of working sensors.
+        """
+        if self.calibration is None:
+            raise ModelError(f"{self.name}: tare: cannot be used: its card holds no rest level")
+        faults = check_touch(tare).faults
+        if faults:
+            raise TactileError(f"tare: {faults[0]}")
+        return tare.vector() - self.calibration.rest
 
     def _require_calibration(self) -> None:
         if self.calibration is None:
@@ -161,22 +265,15 @@ class TouchModel:
 
     def _shifted(self, counts: Float64, tare: Touch | None) -> Float64:
         """Counts at the rest level of training, shifted to that of the tare."""
-        if tare is None:
-            return counts
-        if self.calibration is None:
-            raise ModelError(f"{self.name}: tare: cannot be used: its card holds no rest level")
-        faults = check_touch(tare).faults
-        if faults:
-            raise TactileError(f"tare: {faults[0]}")
-        return counts + (tare.vector() - self.calibration.rest)
+        return counts if tare is None else counts + self.tare_offset(tare)
 
     def _predictions(
-        self, grasps: Sequence[Grasp], estimate: Estimate, half: Float64, reference: Reference
+        self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
     ) -> list[TouchPrediction]:
-        outside = np.any(self.ranges.outside(estimate.counts), axis=1)
+        outside = np.any(self.ranges.outside(adapted.counts), axis=1)
         predictions = []
         for grasp, counts, width, outside_range, inside in zip(
-            grasps, estimate.counts, half, outside, estimate.in_distribution, strict=True
+            grasps, adapted.counts, adapted.half, outside, in_distribution, strict=True
         ):
             if not np.isfinite(counts).all():
                 reason = "the model gives a value that is not finite"
@@ -185,7 +282,17 @@ class TouchModel:
             flags = ("out_of_range",) * bool(outside_range) + ("unfamiliar",) * (not inside)
             bounds = (Touch.from_vector(end) for end in (counts - width, counts + width))
             lower, upper = (None, None) if self.calibration is None else bounds
-            predictions.append(TouchPrediction(grasp, Touch.from_vector(counts), lower, upper, reference, flags))
+            predictions.append(
+                TouchPrediction(
+                    grasp,
+                    Touch.from_vector(counts),
+                    lower,
+                    upper,
+                    adapted.reference,
+                    flags,
+                    evidence=adapted.evidence,
+                )
+            )
         return predictions
 
 
