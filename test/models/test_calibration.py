@@ -228,3 +228,15 @@ def test_damage_is_refused_by_name(name: str, change: Any, rule: str) -> None:
         del tensors[name]
     with pytest.raises(ModelError, match=rule):
         Calibration.from_tensors(tensors)
+
+
+def test_the_parameters_of_a_tracker_are_stored_beside_the_groups() -> None:
+    calibration = make_calibration()
+    assert not any(name.startswith("tracker/") for name in calibration.to_tensors())
+    fitted = replace(calibration, tracker=calibration.tracker_parameters())
+    again = Calibration.from_tensors(fitted.to_tensors())
+    for name, array in fitted.to_tensors().items():
+        assert_array_equal(again.to_tensors()[name], array)
+    damaged = fitted.to_tensors() | {"tracker/slow": np.full(SIZE, np.nan)}
+    with pytest.raises(ModelError, match=r"^tracker/slow: "):
+        Calibration.from_tensors(damaged)

@@ -25,6 +25,8 @@ from foretouch.errors import ModelError
 from foretouch.models.card import card_text, read_card
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import Fallback
+from foretouch.models.state_space import TrackerParameters
+from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 GROUPS: Final = ("known", "new", "known_tare", "new_tare")
@@ -32,6 +34,7 @@ GROUPS: Final = ("known", "new", "known_tare", "new_tare")
 
 _POSITIVE: Final = ("within", "spread", "half_width")
 _FALLBACK: Final = "fallback/"
+_TRACKER: Final = "tracker/"
 _TOUCHES: Final = (1, 10, 100, 1000)  # counts of touches at which an adaptation is checked
 _MAX_GAIN: Final = 10.0  # of a mean residual; the released models reach 2.5
 _MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
@@ -122,10 +125,25 @@ class Calibration:
         rest: (50,) float64 [counts]: readings of the training sensors without contact. A tare shifts predictions by its
             difference from it.
         groups: By name from `GROUPS`; "known" and "new" always exist, the others where tares were recorded.
+        tracker: Of the sensors' state, fitted to recordings with stamps; None in calibrations without.
     """
 
     rest: Float64
     groups: Mapping[str, CalibrationGroup]
+    tracker: TrackerParameters | None = None
+
+    def tracker_parameters(self) -> TrackerParameters:
+        """The fitted ones, or else those of a sensor without drift, whose tracker adapts to touches as `adapt` does."""
+        if self.tracker is not None:
+            return self.tracker
+        new, known = self.groups["new"], self.groups["known"]
+        ratio = new.half_width / np.sqrt(new.spread)
+        return TrackerParameters.from_memory(
+            (new.between, known.between),
+            (new.within, known.within),
+            (new.worth, known.worth),
+            np.array([ratio[columns([name])].mean() for name in MODALITIES]),
+        )
 
     def group(self, *, in_distribution: bool, tare: bool) -> CalibrationGroup:
         """The group of a prediction; if training had no recorded tares, the one without a tare serves for both."""
@@ -166,6 +184,8 @@ class Calibration:
         tensors: dict[str, npt.NDArray[Any]] = {"rest": self.rest}
         for name, group in self.groups.items():
             tensors |= {f"{name}/{field}": array for field, array in group.to_tensors().items()}
+        if self.tracker is not None:
+            tensors |= {_TRACKER + field: array for field, array in self.tracker.to_tensors().items()}
         return tensors
 
     @classmethod
@@ -181,7 +201,9 @@ class Calibration:
         tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
         _check_array("rest", tensors["rest"])
         names = [name for name in GROUPS if name in ("known", "new") or f"{name}/between" in tensors]
-        return cls(tensors["rest"], {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in names})
+        tracked = any(name.startswith(_TRACKER) for name in tensors)
+        tracker = read_part(TrackerParameters, tensors, _TRACKER) if tracked else None
+        return cls(tensors["rest"], {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in names}, tracker)
 
 
 def _check_array(name: str, array: npt.NDArray[Any]) -> None:

@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking of a sensor's state over readings of many objects, and prediction intervals that stay calibrated while it drifts.
+
+    tare ────────────► state ◄──┐
+    touch - sight ───► state + object ──► level ± deviation ──► prediction ± factor · deviation
+                                                                    factor ◄── did the interval contain the reading?
+
+Half widths are the predicted deviation times one factor per modality. Each touch adapts the factor by adaptive conformal inference [Gibbs and
+Candès 2021], as quantile tracking [Angelopoulos, Candès and Tibshirani 2023] of the logarithm: log factor += rate · (share of values outside -
+0.1). Over many touches the share outside tends to 10 %, whatever the sensors do, as long as the factor stays within its limits.
+
+Innovation test. For each finger, of the innovations of its 25 values in units of their predicted deviations, the mean square (a wrong pattern)
+and the squared mean (a common jump) are compared with limits that each is above in one of 200 recorded readings. A touch that fails is not
+used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was learned about it is forgotten. At
+independent readings, a sensor without fault is restarted once in 10,000 readings of a finger (two failures of at most 1 % each); a tare, which
+is the median of many readings, restarts a finger at once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ModelError, TactileError
+from foretouch.models.files import packed
+from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
+from foretouch.tactile import FULL_SCALE, MODALITIES, columns
+from foretouch.types import TOUCH_SIZE, Float64
+
+MISS_RATE: Final = 0.1
+"""Share of readings outside the intervals."""
+
+_ADAPTATION_RATE: Final = 0.05  # of the logarithm of the factor, a touch
+_FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first value, and at least an eighth of it
+_LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
+_AHEAD_NS: Final = 60 * 10**9
+_LEAP_NS: Final = 10 * 365 * 86400 * 10**9  # no sensor is stored for longer
+_MOST_COUNTS: Final = 10.0 * FULL_SCALE  # of a prediction, which may leave the range of readings
+
+
+def _mean_rows(groups: Sequence[npt.NDArray[np.intp]]) -> Float64:
+    """(G, 50) matrix that takes the mean of each group of values."""
+    rows = np.zeros((len(groups), TOUCH_SIZE))
+    for row, values in zip(rows, groups, strict=True):
+        row[values] = 1.0 / len(values)
+    return rows
+
+
+_VALUES_OF: Final = {"TH": columns(["PDC_TH", "E_TH"]), "MF": columns(["PDC_MF", "E_MF"])}
+_MODALITY: Final = np.repeat(np.arange(len(MODALITIES)), [len(columns([name])) for name in MODALITIES])
+_MODALITY_MEANS: Final = _mean_rows([columns([name]) for name in MODALITIES])
+_FINGER_MEANS: Final = _mean_rows(list(_VALUES_OF.values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """What readings differ by from predictions by sight, at one time."""
+
+    offset: Float64  # (50,) [counts]
+    variance: Float64  # (50,) of the offset, without the noise of a grasp [counts²]
+    touches_of_object: int  # touches of the current object; 0 for another object
+    readings_of_history: int  # all touches and tares, of whatever object, since the sensor's state was unknown
+    object_age_s: float | None  # since the last touch of the object; None without
+    history_age_s: float | None  # since the last reading; None without
+
+
+class SensorTracker:
+    """State of the sensors of a hand, and offset of the object that is touched; not for several threads at once.
+
+    Every method that adds a reading takes its stamp on the wall clock, which goes on while the robot is off. Stamps may be up to 60 s out of order.
+    Readings and predictions are vectors as of `Touch.vector()`; predictions are those by sight, without a shift by a tare.
+
+    Args:
+        parameters: Of the model that predicts by sight.
+    """
+
+    def __init__(self, parameters: TrackerParameters) -> None:
+        self.parameters = parameters
+        self._inverse = np.linalg.inv(parameters.basis)
+        self._squared = parameters.basis**2
+        largest = np.abs(parameters.basis).max(axis=1)
+        used = np.abs(parameters.basis) > 1e-9 * largest[:, None]
+        self._coordinates = {name: used[values].any(axis=0) for name, values in _VALUES_OF.items()}
+        prior = np.array([parameters.slow, parameters.fast, parameters.object[NEW]])
+        self._filter = StateFilter(prior, np.array([parameters.slow_time_s, parameters.fast_time_s]))
+        self._kind = NEW
+        self._suspect = np.zeros(len(FINGERS), np.bool_)
+        self._first_log_factor = self._log_factor = np.log(parameters.factor)
+        self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
+        self._touches = self._readings = 0
+        self._newest_ns = self._object_ns = -1
+
+    def add_tare(self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None) -> tuple[str, ...]:
+        """Add a tare.
+
+        Args:
+            stamp_ns: When it was taken [ns].
+            offset: (50,) tare minus rest level of the model [counts].
+            now_ns: Wall clock [ns]; a stamp more than 60 s ahead of it is refused. None: not checked.
+
+        Returns:
+            Names from `FINGERS` that the innovation test restarted.
+
+        Raises:
+            TactileError: If the stamp or a value cannot be used; nothing is changed then.
+        """
+        _check_counts("tare", offset)
+        stamp = self._checked_stamp(stamp_ns, now_ns)
+        self._filter.advance(self._seconds_to(stamp))
+        mean, variance = self._filter.predicted(parts=2)
+        failed = self._failed(offset - self.parameters.basis @ mean, variance + self.parameters.tare_noise)
+        self._restart(failed)
+        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=2)
+        self._newest_ns, self._readings = stamp, self._readings + 1
+        return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
+
+    def add_touch(
+        self, stamp_ns: int, reading: Float64, expected: Float64, *, now_ns: int | None = None
+    ) -> tuple[str, ...]:
+        """Add the reading of a grasp on the current object.
+
+        Args:
+            stamp_ns: When it was taken [ns].
+            reading: (50,) [counts].
+            expected: (50,) prediction by sight of the same grasp [counts].
+            now_ns: As of `add_tare`.
+
+        Returns:
+            Names from `FINGERS` that the innovation test restarted.
+
+        Raises:
+            TactileError: If the stamp or a value cannot be used; nothing is changed then.
+        """
+        _check_counts("reading", reading, 0.0, FULL_SCALE)
+        _check_counts("expected", expected)
+        stamp = self._checked_stamp(stamp_ns, now_ns)
+        self._filter.advance(self._seconds_to(stamp))
+        self._newest_ns = stamp
+        counts, half = self.predict(stamp, expected[None])
+        self._adapt_factor(np.abs(reading - counts[0]) > half[0])
+        mean, variance = self._filter.predicted()
+        noise = self.parameters.noise[self._kind]
+        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise)
+        restarted = failed & self._suspect
+        self._restart(restarted)
+        self._suspect = failed & ~restarted
+        noise = np.where(self._coordinates_of(self._suspect), np.inf, noise)
+        self._filter.observe(self._inverse @ (reading - expected), noise)
+        self._expected = self._expected + expected
+        self._object_ns = stamp
+        self._readings, self._touches = self._readings + 1, self._touches + 1
+        return tuple(name for name, one in zip(FINGERS, restarted, strict=True) if one)
+
+    def start_object(self, *, known: bool = False) -> None:
+        """Another object: forget the object's part, keep the state.
+
+        Args:
+            known: Whether the object is in the distribution of the training data.
+        """
+        self._kind = KNOWN if known else NEW
+        self._filter.start_object(self.parameters.object[self._kind])
+        self._expected = np.zeros(TOUCH_SIZE)
+        self._touches, self._object_ns = 0, -1
+
+    def level(self, stamp_ns: int, *, same_object: bool = True, known: bool = False) -> Level:
+        """Offset of readings from predictions by sight at a time; a stamp before the newest reading counts as that.
+
+        Args:
+            stamp_ns: Time of the prediction [ns].
+            same_object: Whether it is for the current object, else for one that was not touched.
+            known: Of another object, as of `start_object`.
+        """
+        at = self._filter.copy()
+        seconds = self._seconds_to(stamp_ns)
+        at.advance(seconds)
+        if not same_object:
+            at.start_object(self.parameters.object[KNOWN if known else NEW])
+        mean, variance = at.predicted()
+        touches = self._touches if same_object else 0
+        return Level(
+            offset=np.asarray(self.parameters.basis @ mean, np.float64),
+            variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
+            touches_of_object=touches,
+            readings_of_history=self._readings,
+            object_age_s=max(0, int(stamp_ns) - self._object_ns) / 1e9 if touches else None,
+            history_age_s=seconds if self._readings else None,
+        )
+
+    def predict(
+        self, stamp_ns: int, expected: Float64, *, same_object: bool = True, known: bool = False
+    ) -> tuple[Float64, Float64]:
+        """Predictions adapted to all readings, and the half widths of their 90 % intervals.
+
+        After touches of the object, differences of the predictions by sight from their mean at the touches are multiplied by `worth`.
+
+        Args:
+            stamp_ns: Time of the prediction [ns].
+            expected: (K, 50) predictions by sight [counts].
+            same_object: As of `level`.
+            known: As of `level`.
+
+        Returns:
+            (K, 50) predictions and (K, 50) half widths [counts].
+        """
+        level = self.level(stamp_ns, same_object=same_object, known=known)
+        kind = self._kind if same_object else (KNOWN if known else NEW)
+        counts = expected + level.offset
+        if level.touches_of_object:
+            anchor = self._expected / level.touches_of_object
+            counts = anchor + self.parameters.worth[kind] * (expected - anchor) + level.offset
+        factor = np.exp(self._log_factor)[_MODALITY]
+        half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[kind])
+        return counts, np.broadcast_to(half, counts.shape)
+
+    def _adapt_factor(self, outside: npt.NDArray[np.bool_]) -> None:
+        """Widen or narrow the intervals by whether the last ones contained the reading."""
+        moved = self._log_factor + _ADAPTATION_RATE * (_MODALITY_MEANS @ outside - MISS_RATE)
+        self._log_factor = np.minimum(
+            np.maximum(moved, self._first_log_factor - _FACTOR_RANGE), self._first_log_factor + _FACTOR_RANGE
+        )
+
+    def _failed(self, innovation: Float64, variance: Float64) -> npt.NDArray[np.bool_]:
+        """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
+        statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
+        return np.asarray((statistics > self.parameters.alarm).any(axis=1), np.bool_)
+
+    def _coordinates_of(self, fingers: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """(50,) which coordinates the chosen fingers' values depend on."""
+        chosen = np.zeros(TOUCH_SIZE, np.bool_)
+        for name, one in zip(FINGERS, fingers, strict=True):
+            if one:
+                chosen |= self._coordinates[name]
+        return chosen
+
+    def _restart(self, fingers: npt.NDArray[np.bool_]) -> None:
+        if fingers.any():
+            self._filter.restart(self._coordinates_of(fingers))
+            self._suspect = self._suspect & ~fingers
+
+    def _seconds_to(self, stamp_ns: int) -> float:
+        return max(0, int(stamp_ns) - self._newest_ns) / 1e9 if self._newest_ns >= 0 else 0.0
+
+    def _checked_stamp(self, stamp_ns: int, now_ns: int | None) -> int:
+        """The stamp, not before the newest one.
+
+        Raises:
+            TactileError: If it is no stamp, far ahead, or too late.
+        """
+        if isinstance(stamp_ns, bool) or not isinstance(stamp_ns, int | np.integer) or not 0 <= stamp_ns < 2**63:
+            raise TactileError(f"stamp: {stamp_ns!r} is not nanoseconds from 0")
+        stamp = int(stamp_ns)
+        if now_ns is not None and stamp - now_ns > _AHEAD_NS:
+            raise TactileError(f"stamp: is {(stamp - now_ns) / 1e9:.1f} s ahead of the clock, 60 s are allowed")
+        if self._newest_ns < 0:
+            return stamp
+        if self._newest_ns - stamp > _LATE_NS:
+            late = (self._newest_ns - stamp) / 1e9
+            raise TactileError(f"stamp: is {late:.1f} s before that of the newest reading, 60 s are allowed")
+        if stamp - self._newest_ns > _LEAP_NS:
+            years = (stamp - self._newest_ns) / 1e9 / 86400 / 365
+            raise TactileError(f"stamp: is {years:.0f} years after that of the newest reading, 10 are allowed")
+        return max(stamp, self._newest_ns)
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """All that is known, for a file; a tracker made from it continues to the bit as this one."""
+        flags = [self._touches, self._readings, self._kind, *self._suspect]
+        return {
+            "mean": self._filter.mean.copy(),
+            "covariance": self._filter.covariance.copy(),
+            "expected": self._expected,
+            "log_factor": self._log_factor,
+            "counts": np.array(flags, np.int64),
+            "stamps_ns": np.array([self._newest_ns, self._object_ns], np.int64),
+            "parameters": _digest(self.parameters),
+        }
+
+    @classmethod
+    def from_tensors(cls, parameters: TrackerParameters, tensors: Mapping[str, npt.NDArray[Any]]) -> Self:
+        """From `to_tensors`.
+
+        Raises:
+            ModelError: Names the array that is missing, of another shape or type or not possible, or `parameters` if it is the state of
+                another model.
+        """
+        tracker = cls(parameters)
+        for name, own in tracker.to_tensors().items():
+            array = tensors.get(name)
+            if array is None:
+                raise ModelError(f"{name}: is missing")
+            if array.shape != own.shape or array.dtype != own.dtype:
+                raise ModelError(f"{name}: {array.dtype} {array.shape} is not {own.dtype} {own.shape}")
+            if not np.isfinite(array).all():
+                raise ModelError(f"{name}: holds a value that is not finite")
+        if (tensors["parameters"] != _digest(parameters)).any():
+            raise ModelError("parameters: are those of another model")
+        tracker._restore(tensors)
+        return tracker
+
+    def _restore(self, tensors: Mapping[str, npt.NDArray[Any]]) -> None:
+        touches, readings, kind, *suspect = (int(value) for value in tensors["counts"])
+        newest, last_of_object = (int(value) for value in tensors["stamps_ns"])
+        if not 0 <= touches <= readings or kind not in (NEW, KNOWN) or any(one not in (0, 1) for one in suspect):
+            raise ModelError(f"counts: {tensors['counts'].tolist()} cannot be")
+        if not -1 <= last_of_object <= newest or (newest < 0) != (readings == 0):
+            raise ModelError(f"stamps_ns: {[newest, last_of_object]} cannot be")
+        if (np.abs(tensors["log_factor"] - self._first_log_factor) > _FACTOR_RANGE + 1e-9).any():
+            raise ModelError("log_factor: leaves its limits")
+        if np.abs(tensors["expected"]).max() > _MOST_COUNTS * max(touches, 1) or np.abs(tensors["mean"]).max() > 1e6:
+            raise ModelError("mean, expected: hold values that readings cannot give")
+        self._kind = kind
+        self._filter.start_object(self.parameters.object[kind])
+        covariance = tensors["covariance"]
+        variances = np.einsum("iik->ik", covariance)
+        limit = self._filter.prior * (1.0 + 1e-6) + 1e-9
+        bound = np.sqrt(np.abs(variances[:, None] * variances)) * (1.0 + 1e-6) + 1e-9
+        if (variances < -1e-9).any() or (variances > limit).any() or (np.abs(covariance) > bound).any():
+            raise ModelError("covariance: is none that the parameters allow")
+        self._filter.mean[:], self._filter.covariance[:] = tensors["mean"], covariance
+        self._expected = tensors["expected"].astype(np.float64)
+        self._log_factor = tensors["log_factor"].astype(np.float64)
+        self._touches, self._readings, self._suspect = touches, readings, np.array(suspect, np.bool_)
+        self._newest_ns, self._object_ns = newest, last_of_object
+
+
+def innovation_statistics(standard: Float64) -> Float64:
+    """(2, 2) by finger: mean square and squared mean of the (50,) innovations in units of their deviations."""
+    return np.stack([_FINGER_MEANS @ standard**2, (_FINGER_MEANS @ standard) ** 2], axis=1)
+
+
+def _check_counts(name: str, values: Float64, low: float = -_MOST_COUNTS, high: float = _MOST_COUNTS) -> None:
+    if values.shape != (TOUCH_SIZE,):
+        raise TactileError(f"{name}: shape {values.shape} is not ({TOUCH_SIZE},)")
+    wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # NaN fails too
+    if wrong.size:
+        k = int(wrong[0])
+        raise TactileError(f"{name}: value {k}: {values[k]:g} is not within [{low:g}, {high:g}] counts")
+
+
+def _digest(parameters: TrackerParameters) -> npt.NDArray[np.uint8]:
+    return np.frombuffer(hashlib.sha256(packed(parameters.to_tensors())[0]).digest(), np.uint8)
