@@ -21,7 +21,7 @@ from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import ObjectResiduals
+from foretouch.models.touch_model import History, ObjectResiduals
 from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
 
@@ -180,13 +180,14 @@ class Pipeline:
         *,
         tare: Touch | None = None,
         residuals: ObjectResiduals | None = None,
+        history: History | None = None,
     ) -> list[TouchPrediction]:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
         if not grasps:
             return []
         limits, reach = self.config.limits, self.config.reach
         predictions = self.model.predict(
-            target.cloud, grasps, tare=tare, residuals=residuals, limits=limits, reach=reach
+            target.cloud, grasps, tare=tare, residuals=residuals, history=history, limits=limits, reach=reach
         )
         if not target.flags:
             return predictions

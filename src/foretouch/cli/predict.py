@@ -1,30 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch predict`: predict the tactile readings of each grasp on each object.
 
-`--tare` and `--touched` adapt the predictions to a reading without contact and to touches of the same object.
+`--tare`, `--touched` and `--history` adapt the predictions to a reading without contact, to touches of the same object, and to earlier
+readings of the same hand.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.checked_files import read_json
 from foretouch.cli import inputs
 from foretouch.cli.output import print_table
-from foretouch.errors import ConfigError, DatasetError, FileError, GraspError, TactileError
+from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, GraspError, TactileError
 
 if TYPE_CHECKING:
-    from foretouch.models.touch_model import ObjectResiduals, TouchModel
+    from foretouch.dataset.source import SourceItem
+    from foretouch.models.hand_history import HandHistory
+    from foretouch.models.touch_model import History, ObjectResiduals, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
-if TYPE_CHECKING:
-    from foretouch.dataset.source import SourceItem
-    from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.types import Grasp, TouchPrediction
 
 
 _OWN = "sample"
@@ -50,6 +51,14 @@ def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
         help="executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
         "adapt the predictions to all labelled ones, except the sample that is predicted",
     )
+    parser.add_argument(
+        "--history",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="executed grasps of any objects with their readings, earlier ones of the same hand (as --touched), or the file of a hand that "
+        "the touch_predictor keeps: adapt the predictions to the state of its sensors",
+    )
 
 
 class Adaptation:
@@ -60,20 +69,29 @@ class Adaptation:
         tare: For every prediction; None without.
         touched: Labelled samples of one object.
         own: Whether each sample's own tare is used instead.
+        history: Labelled samples of any object, and files of a hand.
 
     Attributes:
         object: Label of the touched object; "" if it has no name.
     """
 
     def __init__(
-        self, model: TouchModel, tare: Touch | None = None, touched: Sequence[GraspSample] = (), *, own: bool = False
+        self,
+        model: TouchModel,
+        tare: Touch | None = None,
+        touched: Sequence[GraspSample] = (),
+        *,
+        own: bool = False,
+        history: ReadHistory | None = None,
     ) -> None:
         self.touched = tuple(touched)
         self.object = next((sample.object for sample in touched if sample.object != _UNKNOWN), "")
         self._model = model
         self._tare = tare
         self._own = own
-        self._residuals = None if own or not touched else self._residuals_of(self.touched, tare)
+        self._history = history
+        self._tracked = model.calibration is not None and model.calibration.tracker is not None
+        self._residuals = None if own or not touched or self._tracked else self._residuals_of(self.touched, tare)
 
     def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
         """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
@@ -94,10 +112,28 @@ class Adaptation:
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
         tare = _own_tare(sample) if self._own else self._tare
         touched = self.touches_for(sample)
+        if self._history is not None or (touched and self._tracked):
+            history = self._history_of(touched, tare, sample)
+            return pipeline.predict(target, grasps, history=history)
         if not touched:
             return pipeline.predict(target, grasps, tare=tare)
         residuals = self._residuals if len(touched) == len(self.touched) else None
         return pipeline.predict(target, grasps, residuals=residuals or self._residuals_of(touched, tare))
+
+    def _history_of(self, touched: Sequence[GraspSample], tare: Touch | None, sample: GraspSample | None) -> History:
+        """The readings of the hand up to the time of a sample, or else until now."""
+        from foretouch.models.hand_history import HandHistory
+
+        read = self._history or ReadHistory(())
+        stamp_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
+        hand = read.hand.copy() if read.hand is not None else HandHistory(self._model)
+        before = [one for one in read.samples if sample is None or not _same(one, sample)]
+        _add_samples(hand, before, stamp_ns)
+        for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
+            _add_sample(hand, one, one.stamp_ns or stamp_ns, new_object=number == 0)
+        if tare is not None:
+            hand.add_tare(stamp_ns, tare)
+        return hand.at(stamp_ns, same_object=bool(touched), tare=tare is not None)
 
     def _residuals_of(self, touched: Sequence[GraspSample], tare: Touch | None) -> ObjectResiduals:
         """Residuals of some touches, with their readings shifted to this tare."""
@@ -112,6 +148,56 @@ class Adaptation:
                 touch = restore(offsets(touch, then), tare)
             residuals.add(sample.cloud, sample.grasp, touch)
         return residuals
+
+
+@dataclass(frozen=True, eq=False)
+class ReadHistory:
+    """Readings of a hand from --history."""
+
+    samples: tuple[GraspSample, ...]  # labelled, with stamps
+    hand: HandHistory | None = None  # from the file of a hand; None without
+
+
+def _add_samples(hand: HandHistory, samples: Sequence[GraspSample], until_ns: int) -> None:
+    """Add samples in order of time; those after `until_ns` are left out."""
+    last = None
+    for one in sorted(samples, key=lambda one: one.stamp_ns):
+        if one.stamp_ns <= until_ns:
+            _add_sample(hand, one, one.stamp_ns, new_object=one.object != last)
+            last = one.object
+
+
+def _add_sample(hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
+    assert sample.touch is not None  # noqa: S101  only labelled samples are passed
+    try:
+        if sample.tare is not None:
+            hand.add_tare(stamp_ns, sample.tare)
+        hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object)
+    except ForetouchError as err:
+        raise DatasetError(f"{sample.id}: {err}") from err
+
+
+def _read_history(paths: Sequence[str], model: TouchModel) -> ReadHistory | None:
+    """Samples of datasets, or the file of a hand.
+
+    Raises:
+        ConfigError: If there is more than one file of a hand.
+        DatasetError: If a sample has no stamp.
+        ModelError: If the model cannot use a history.
+    """
+    from foretouch.models.hand_history import read_history
+
+    if not paths:
+        return None
+    model.new_tracker()
+    files = [path for path in paths if path.endswith(".safetensors")]
+    if len(files) > 1:
+        raise ConfigError(f"--history: {', '.join(files)}: more than one file of a hand")
+    samples = _touched_samples([path for path in paths if path not in files])
+    for sample in samples:
+        if not sample.stamp_ns:
+            raise DatasetError(f"--history: {sample.id}: has no stamp, so its place in time is not known")
+    return ReadHistory(tuple(samples), read_history(Path(files[0]), model) if files else None)
 
 
 def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
@@ -130,7 +216,8 @@ def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptat
     labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
     if len(labels) > 1:
         raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
-    return Adaptation(model, read_tare(arguments.tare) if arguments.tare and not own else None, touched, own=own)
+    tare = read_tare(arguments.tare) if arguments.tare and not own else None
+    return Adaptation(model, tare, touched, own=own, history=_read_history(arguments.history, model))
 
 
 def read_tare(paths: Sequence[str]) -> Touch:
@@ -280,6 +367,7 @@ def prediction_record(prediction: TouchPrediction) -> inputs.Record:
         record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
     return record | {
         "reference": prediction.reference,
+        "evidence": dataclasses.asdict(prediction.evidence),
         "flags": list(prediction.flags),
         "status": prediction.status,
         "reason": prediction.reason,
@@ -308,14 +396,20 @@ def _show(record: dict[str, Any]) -> None:
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
             *(_text(one[name]) for name in _MODALITIES),
-            "\n".join(
-                [f"touches {record['touched']}" if (one["reference"] == "touches") else one["reference"], *one["flags"]]
-            ),
+            "\n".join([_reference_text(one, record["touched"]), *one["flags"]]),
         ]
         for one in record["predictions"]
     ]
     title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']} ({record['model']['name']})"
     print_table(title, ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows)
+
+
+def _reference_text(prediction: inputs.Record, touched: int) -> str:
+    if prediction["reference"] == "touches":
+        return f"touches {touched}"
+    if prediction["reference"] == "history":
+        return f"history {prediction['evidence']['readings']}"
+    return str(prediction["reference"])
 
 
 def _text(modality: inputs.Record) -> str:

@@ -10,10 +10,12 @@ read, the tracker's variance grows back to that of an unknown sensor.
 
 from __future__ import annotations
 
+import copy
 import fcntl
 import hashlib
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,14 +31,37 @@ from foretouch.models.files import packed, replace_files
 from foretouch.models.touch_model import History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import check_touch
-from foretouch.types import Cloud, Grasp, Touch
+from foretouch.types import Cloud, Float64, Grasp, Touch
 
 VERSION: Final = 1
 """Of the file's format."""
 
+_TRACKER: Final = "tracker/"
 _LARGEST: Final = 10_000_000  # bytes; a file has about 200 kB
 _TARE_EVERY_NS: Final = 60 * 10**9  # more often, the error that successive tares share would be counted as many
-_RECENT_TARE_NS: Final = 60 * 10**9  # a newer tare is named as the reference of a prediction
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Position and size of an object, by which it is recognised."""
+
+    frame_id: str  # frame of the cloud
+    numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
+
+    @classmethod
+    def of(cls, cloud: Cloud) -> Extent:
+        """Of the points of a cloud that are finite."""
+        points = cloud.xyz.reshape(-1, 3)
+        points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+        if not len(points):
+            return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
+        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]))
+
+    def is_near(self, other: Extent, distance_m: float) -> bool:
+        """Whether no mean and no deviation differs by more than a distance [m]."""
+        if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
+            return False
+        return bool((np.abs(self.numbers - other.numbers) <= distance_m).all())
 
 
 class HandHistory:
@@ -44,22 +69,22 @@ class HandHistory:
 
     Args:
         model: Its calibration has the parameters of a tracker.
-        tracker: What was read before; by default nothing.
 
     Raises:
         ModelError: If the model has no tracker.
 
     Attributes:
-        touches: Touches of the current object.
-        restarts: Fingers that were restarted, since readings showed another sensor or a jump: thumb and middle finger.
+        tracker: What the readings say about the sensors and the current object.
+        extent: Of the current object at its last touch; None before its first.
+        restarts: How often each finger was restarted, since its readings showed a jump or another sensor.
     """
 
-    def __init__(self, model: TouchModel, tracker: SensorTracker | None = None) -> None:
-        fresh = model.new_tracker()
+    def __init__(self, model: TouchModel) -> None:
         self.model = model
-        self.tracker = fresh if tracker is None else tracker
+        self.tracker = model.new_tracker()
+        self.extent: Extent | None = None
         self.restarts: dict[str, int] = {}
-        self._tare_ns: int | None = None
+        self._tare_ns = -1
 
     @property
     def touches(self) -> int:
@@ -80,7 +105,7 @@ class HandHistory:
         Raises:
             TactileError: If it is not a reading of working sensors, or the stamp cannot be used.
         """
-        if self._tare_ns is not None and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
+        if self._tare_ns >= 0 and 0 <= stamp_ns - self._tare_ns < _TARE_EVERY_NS:
             return ()
         restarted = self.tracker.add_tare(stamp_ns, self.model.tare_offset(tare), now_ns=now_ns)
         self._tare_ns = stamp_ns
@@ -122,18 +147,63 @@ class HandHistory:
         estimate = self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
-        return self._counted(
-            self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns)
-        )
+        restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns)
+        self.extent = Extent.of(cloud)
+        return self._counted(restarted)
+
+    def is_current(self, cloud: Cloud, same_object_m: float) -> bool:
+        """Whether the object of a cloud is, by place and size, the one that was touched last."""
+        return self.extent is not None and Extent.of(cloud).is_near(self.extent, same_object_m)
 
     def start_object(self) -> None:
         """Another object is at hand: forget the touches of the last one, keep the state of the sensors."""
         self.tracker.start_object()
+        self.extent = None
 
-    def at(self, stamp_ns: int, *, same_object: bool) -> History:
-        """The readings for predictions at a time [ns], of the current object or of one that was not touched."""
-        tared = self._tare_ns is not None and stamp_ns - self._tare_ns < _RECENT_TARE_NS
-        return History(self.tracker, stamp_ns, same_object=same_object, tare=tared)
+    def copy(self) -> HandHistory:
+        """An independent history of the same readings."""
+        twin = copy.copy(self)
+        twin.tracker, twin.restarts = self.tracker.copy(), dict(self.restarts)
+        return twin
+
+    def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
+        """All of it, for a file."""
+        extent = self.extent or Extent("", np.full(6, np.nan))
+        own = {
+            "extent": extent.numbers,
+            "frame": _text(extent.frame_id),
+            "tare_ns": np.array([self._tare_ns], np.int64),
+        }
+        return {**own, **{_TRACKER + name: value for name, value in self.tracker.to_tensors().items()}}
+
+    @classmethod
+    def from_tensors(cls, model: TouchModel, tensors: Mapping[str, npt.NDArray[Any]]) -> HandHistory:
+        """From `to_tensors`; goes on to the bit as the history that wrote it.
+
+        Raises:
+            ModelError: Names an array that is missing or cannot be, or if it is of another model.
+        """
+        history = cls(model)
+        for name, shape, dtype in (("extent", (6,), np.float64), ("tare_ns", (1,), np.int64)):
+            array = tensors.get(name)
+            if array is None or array.shape != shape or array.dtype != dtype:
+                raise ModelError(f"{name}: is missing, or of another shape or type")
+        part = {name.removeprefix(_TRACKER): array for name, array in tensors.items() if name.startswith(_TRACKER)}
+        history.tracker = SensorTracker.from_tensors(history.tracker.parameters, part)
+        if history.touches:
+            history.extent = Extent(_read_text(tensors, "frame"), tensors["extent"])
+        history._tare_ns = int(tensors["tare_ns"][0])
+        return history
+
+    def at(self, stamp_ns: int, *, same_object: bool, tare: bool = False) -> History:
+        """The readings so far, for predictions at a time; later readings do not change it.
+
+        Args:
+            stamp_ns: Time of the predictions [ns].
+            same_object: Whether they are for the current object, else for one that was not touched.
+            tare: Whether a tare was taken shortly before.
+        """
+        return History(self.tracker.copy(), stamp_ns, same_object=same_object, tare=tare)
 
     def _counted(self, restarted: tuple[str, ...]) -> tuple[str, ...]:
         for finger in restarted:
@@ -173,7 +243,7 @@ class HistoryFile:
             os.close(self._lock)
             self._lock = -1
 
-    def read(self, model: TouchModel) -> SensorTracker | None:
+    def read(self, model: TouchModel) -> HandHistory | None:
         """What was read before; None without a file.
 
         Raises:
@@ -181,13 +251,13 @@ class HistoryFile:
         """
         return read_history(self.path, model, self._hand) if self.path.exists() else None
 
-    def write(self, tracker: SensorTracker, model: TouchModel) -> None:
+    def write(self, history: HandHistory) -> None:
         """Replace the file.
 
         Raises:
             FileError: If it cannot be written; the one before is kept.
         """
-        replace_files({self.path: history_content(tracker, model, self._hand)})
+        replace_files({self.path: _content(history, self._hand)})
 
     def set_aside(self) -> Path:
         """Rename a file that cannot be used, so that it is not overwritten, and return its new path."""
@@ -196,16 +266,15 @@ class HistoryFile:
         return kept
 
 
-def history_content(tracker: SensorTracker, model: TouchModel, hand: str) -> bytes:
-    """The content of a hand's file."""
-    tensors = {f"tracker/{name}": value for name, value in tracker.to_tensors().items()}
-    tensors |= {"version": np.array([VERSION], np.int64), "hand": _text(hand), "model": _text(model.name)}
+def _content(history: HandHistory, hand: str) -> bytes:
+    tensors = history.to_tensors()
+    tensors |= {"version": np.array([VERSION], np.int64), "hand": _text(hand), "model": _text(history.model.name)}
     sha256 = hashlib.sha256(packed(tensors)[0]).digest()
     return packed({**tensors, "sha256": np.frombuffer(sha256, np.uint8)})[0]
 
 
-def read_history(path: Path, model: TouchModel, hand: str | None = None) -> SensorTracker:
-    """The tracker in a hand's file.
+def read_history(path: Path, model: TouchModel, hand: str | None = None) -> HandHistory:
+    """The history in a hand's file.
 
     Args:
         path: The file.
@@ -216,7 +285,7 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Sens
         FileError: If the file is absent or damaged, or of another version, hand or model.
         ModelError: If the model has no tracker.
     """
-    fresh = model.new_tracker()
+    model.new_tracker()  # a model without one is named before the file
     try:
         tensors = load(read_bytes(path, _LARGEST))
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as err:
@@ -228,11 +297,11 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Sens
     if version.shape != (1,) or int(version[0]) != VERSION:
         raise FileError(path, f"version: {version.tolist()} is not [{VERSION}]")
     for name, own in (("hand", hand), ("model", model.name)):
-        stored = bytes(tensors.get(name, _text(""))).decode("utf-8", "replace")
+        stored = _read_text(tensors, name)
         if own is not None and stored != own:
             raise FileError(path, f"{name}: is of {stored!r}, not of {own!r}")
     try:
-        return SensorTracker.from_tensors(fresh.parameters, _under("tracker/", tensors))
+        return HandHistory.from_tensors(model, tensors)
     except ModelError as err:
         raise FileError(path, str(err)) from err
 
@@ -241,5 +310,5 @@ def _text(text: str) -> npt.NDArray[np.uint8]:
     return np.frombuffer(text.encode(), np.uint8)
 
 
-def _under(prefix: str, tensors: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    return {name.removeprefix(prefix): array for name, array in tensors.items() if name.startswith(prefix)}
+def _read_text(tensors: Mapping[str, npt.NDArray[Any]], name: str) -> str:
+    return bytes(tensors.get(name, _text(""))).decode("utf-8", "replace")

@@ -66,9 +66,7 @@ class History:
             counts[rows], half[rows] = self.tracker.predict(
                 self.stamp_ns, estimate.counts[rows], same_object=same, known=bool(inside)
             )
-        evidence = Evidence(
-            level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s
-        )
+        evidence = Evidence(level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s)
         reference: Reference = (
             "touches" if same else "tare" if self.tare else "history" if level.readings_of_history else "none"
         )
@@ -284,13 +282,7 @@ class TouchModel:
             lower, upper = (None, None) if self.calibration is None else bounds
             predictions.append(
                 TouchPrediction(
-                    grasp,
-                    Touch.from_vector(counts),
-                    lower,
-                    upper,
-                    adapted.reference,
-                    flags,
-                    evidence=adapted.evidence,
+                    grasp, Touch.from_vector(counts), lower, upper, adapted.reference, flags, evidence=adapted.evidence
                 )
             )
         return predictions

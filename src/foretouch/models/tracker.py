@@ -18,6 +18,7 @@ is the median of many readings, restarts a finger at once.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
@@ -95,6 +96,23 @@ class SensorTracker:
         self._expected = np.zeros(TOUCH_SIZE)  # sum over the touches of the object
         self._touches = self._readings = 0
         self._newest_ns = self._object_ns = -1
+        self._revision = 0
+
+    @property
+    def revision(self) -> int:
+        """Changes whenever a reading is added or an object begins."""
+        return self._revision
+
+    def copy(self) -> SensorTracker:
+        """An independent tracker in the same state."""
+        twin = copy.copy(self)
+        twin._filter = self._filter.copy()  # noqa: SLF001  its own class
+        return twin
+
+    @property
+    def touches(self) -> int:
+        """Touches of the current object."""
+        return self._touches
 
     def add_tare(self, stamp_ns: int, offset: Float64, *, now_ns: int | None = None) -> tuple[str, ...]:
         """Add a tare.
@@ -118,6 +136,7 @@ class SensorTracker:
         self._restart(failed)
         self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=2)
         self._newest_ns, self._readings = stamp, self._readings + 1
+        self._revision += 1
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
 
     def add_touch(
@@ -155,6 +174,7 @@ class SensorTracker:
         self._expected = self._expected + expected
         self._object_ns = stamp
         self._readings, self._touches = self._readings + 1, self._touches + 1
+        self._revision += 1
         return tuple(name for name, one in zip(FINGERS, restarted, strict=True) if one)
 
     def start_object(self, *, known: bool = False) -> None:
@@ -167,6 +187,7 @@ class SensorTracker:
         self._filter.start_object(self.parameters.object[self._kind])
         self._expected = np.zeros(TOUCH_SIZE)
         self._touches, self._object_ns = 0, -1
+        self._revision += 1
 
     def level(self, stamp_ns: int, *, same_object: bool = True, known: bool = False) -> Level:
         """Offset of readings from predictions by sight at a time; a stamp before the newest reading counts as that.

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from foretouch.dataset.messages import decode_grasp
 from foretouch.errors import CloudError
 from foretouch.grasp import quaternion_xyzw
-from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
+from foretouch.types import ELECTRODES, TOUCH_SIZE, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Interval, Status
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
@@ -23,8 +23,10 @@ _REFERENCES: dict[Reference, int] = {
     "none": TouchPredictionMsg.NONE,
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
+    "history": TouchPredictionMsg.HISTORY,
 }
 
+_NO_AGE_S = -1.0
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
 _MAX_COEFFICIENT = 1e100  # of a plane
 
@@ -110,6 +112,7 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
         reference=_REFERENCES[prediction.reference],
         status=Status.OK,
         flags=list(prediction.flags),
+        **_evidence(prediction.evidence),
     )
 
 
@@ -133,7 +136,24 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
         flags=tuple(message.flags),
         status=refusal if refused else "ok",
         reason=message.reason,
+        evidence=Evidence(message.touches, _age(message.touch_age), message.readings, _age(message.reading_age)),
     )
+
+
+def _evidence(evidence: Evidence) -> dict[str, Any]:
+    ages = (evidence.touch_age_s, evidence.reading_age_s)
+    touch_age, reading_age = (duration_to_msg(_NO_AGE_S if age is None else age) for age in ages)
+    return {
+        "touches": evidence.touches,
+        "touch_age": touch_age,
+        "readings": evidence.readings,
+        "reading_age": reading_age,
+    }
+
+
+def _age(duration: Duration) -> float | None:
+    seconds = duration.sec + duration.nanosec / _SECOND_NS
+    return None if seconds < 0.0 else float(seconds)
 
 
 def interval_text(interval: Interval) -> str:
@@ -144,9 +164,18 @@ def interval_text(interval: Interval) -> str:
 
 
 def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
-    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`; the number is left out if it is 0."""
+    """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`, `history of 40 readings`.
+
+    Args:
+        message: The prediction.
+        touches: Number of touches to show if the message has none, as those of earlier versions; 0 leaves it out.
+    """
     name = {code: name for name, code in _REFERENCES.items()}[message.reference]
-    return {"none": "cloud only", "touches": f"{touches or ''} touches".strip()}.get(name, name)
+    count = message.touches or touches
+    touched = f"{count} touch{'' if count == 1 else 'es'}" if count else "touches"
+    return {"none": "cloud only", "touches": touched, "history": f"history of {message.readings} readings"}.get(
+        name, name
+    )
 
 
 def refusal_to_msg(grasp: GraspMsg, header: Header, status: int, reason: str) -> TouchPredictionMsg:

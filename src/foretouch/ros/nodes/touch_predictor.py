@@ -33,8 +33,10 @@ from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
+from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
+from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
@@ -69,6 +71,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         super().__init__("touch_predictor", TouchPredictorConfig, inputs, **options)
         self._predictor: Predictor | None = None
         self._adapter: OnlineAdapter | None = None
+        self._keeper: HistoryKeeper | None = None
         self._used_tare = self.config.use_tare
         self._threads: ThreadPool | None = None
         self._answering: list[Service[Any, Any]] = []
@@ -114,6 +117,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._action.destroy()
         if self._threads is not None:
             self._threads.close()
+        if self._keeper is not None:
+            self._keeper.close()
+            self._keeper = None
         self._action = self._threads = self._predictor = self._adapter = self._latest = None
         self._tables.clear()
 
@@ -127,7 +133,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         known = {"model": model.name, "model_sha256": model.sha256} if model else {}
         if model is not None and self._adapter is None:
             known["regime"] = "none: the model's card holds no calibration"
-        return {**super().notes(), **known, **(self._adapter.notes() if self._adapter else {})}
+        adapted = self._adapter.notes() if self._adapter else {}
+        return {**super().notes(), **known, **adapted, **(self._keeper.notes() if self._keeper else {})}
 
     def config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
@@ -198,13 +205,27 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(self.config.tactile.type)
         if predictor.model is None or predictor.model.calibration is None:
             return
+        memory: ObjectMemory | HandMemory = ObjectMemory(predictor.model)
+        if predictor.model.calibration.tracker is not None:
+            self._keeper = HistoryKeeper(
+                predictor.model,
+                self.config.hand,
+                self.config.history_folder,
+                say=self.get_logger().info,
+                warn=self._warn,
+            )
+            memory = HandMemory(self._keeper.history, self._now_ns)
         self._adapter = predictor.adapter = OnlineAdapter(
             predictor.model,
             reader,
+            memory,
             config=lambda: self.config,
-            now_ns=lambda: int(self.get_clock().now().nanoseconds),
+            now_ns=self._now_ns,
             warn=self._warn,
+            on_reading=lambda: self._keeper.changed() if self._keeper else None,
         )
+        if self._keeper is not None:
+            self._keeper.start(self._adapter.locked)
         self.subscribe(message, self.config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
 
@@ -212,6 +233,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Keep grasps of a request, which may be executed."""
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)

@@ -44,6 +44,15 @@ class TouchPredictorConfig(ProcessingConfig, ReachConfig):
         0.02, "How far an object may have moved, or changed in apparent size, since it was touched", unit="m",
         minimum=0.0, maximum=1.0,
     )  # fmt: skip
+    hand: str = setting(
+        "",
+        "Name of the hand, such as right: what its sensors read is kept in a file of this name across restarts; empty: until "
+        "the node ends",
+        read_only=True,
+    )
+    history_folder: str = setting(
+        "", "Folder of these files (default: foretouch in XDG_STATE_HOME, ~/.local/state)", read_only=True
+    )
     max_grasps: int = setting(1000, "Maximum number of grasps in a request", minimum=1, maximum=10_000)
     tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     tactile: TactileConfig = field(default_factory=TactileConfig)

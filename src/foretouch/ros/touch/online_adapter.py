@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -24,7 +25,7 @@ from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import TouchModel
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.tactile_state import LiveTare, ObjectMemory
+from foretouch.ros.touch.tactile_state import HandMemory, LiveTare, ObjectMemory
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
@@ -38,18 +39,22 @@ class OnlineAdapter:
     Args:
         model: The model.
         reader: Decodes tactile messages.
+        memory: Of the touches.
         config: Gives the current settings.
         now_ns: Gives the time of the node's clock [ns].
         warn: Called with a line for each touch that is refused.
+        on_reading: Called after tares or touches may have been added to the memory.
     """
 
     def __init__(
         self,
         model: TouchModel,
         reader: TactileReader,
+        memory: ObjectMemory | HandMemory,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
         warn: Callable[[str], None],
+        on_reading: Callable[[], None] = lambda: None,
     ) -> None:
         settings = config()
         self._model = model
@@ -65,7 +70,8 @@ class OnlineAdapter:
         self._unreadable = 0
         self._last_unreadable = ""
         self._memory_lock = threading.Lock()  # of the memory; taken before the other one
-        self._memory = ObjectMemory(model)
+        self._memory = memory
+        self._on_reading = on_reading
         self._touch_counts: Counter[str] = Counter()
         self._last_refusal = ""
         self._calibration_group = ""
@@ -129,13 +135,24 @@ class OnlineAdapter:
         """
         config = self._config()
         self.process_touches()
-        with self._memory_lock:
-            memory = self._memory.of(cloud, config.same_object_m) if config.use_touches else None
-            if memory is not None:
-                predictions = self._model.predict(cloud, grasps, residuals=memory, limits=limits, reach=reach)
-                return self._noted(predictions, memory.tare)
         tare = self._recent_tare(config)
-        return self._noted(self._model.predict(cloud, grasps, tare=tare, limits=limits, reach=reach), tare)
+        basis: dict[str, Any] = {"tare": tare}
+        if config.use_touches:
+            with self._memory_lock:
+                try:
+                    basis = self._memory.basis(cloud, tare, config.same_object_m)
+                except TactileError as err:  # such as after the clock was set back
+                    self._warn(f"tare: refused: {err}")
+                if "residuals" in basis:  # which the next touch changes
+                    residuals = basis["residuals"]
+                    predictions = self._model.predict(cloud, grasps, residuals=residuals, limits=limits, reach=reach)
+                    return self._noted(predictions, residuals.tare)
+            self._on_reading()
+        return self._noted(self._model.predict(cloud, grasps, **basis, limits=limits, reach=reach), tare)
+
+    def locked(self) -> AbstractContextManager[Any]:
+        """Within, no reading is added to the memory."""
+        return self._memory_lock
 
     def process_touches(self) -> None:
         """Add the touches that are complete by now to the memory, and forget touches that are too old."""
@@ -149,6 +166,8 @@ class OnlineAdapter:
                     self._refuse(result.grasp_id, result.reason, result.message)
                 else:
                     self._add_touch(result, config)
+        if results:
+            self._on_reading()
 
     def forget(self) -> int:
         """Forget all touches and all grasps so far, since the object was changed; gives the number of touches."""

@@ -15,15 +15,17 @@ the same position cannot be distinguished: after changing the object, call `forg
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
+from foretouch.models.hand_history import Extent, HandHistory
 from foretouch.models.touch_model import ObjectResiduals, TouchModel
 from foretouch.tactile import check_touch, offsets, restore
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
-from foretouch.types import Cloud, Float32, Float64, Grasp, Touch
+from foretouch.types import Cloud, Float32, Grasp, Touch
 
 _SECOND_NS = 1_000_000_000
 _MIN_READINGS = 5
@@ -114,27 +116,6 @@ class LiveTare:
             self._tare, self.fault, self._since_renewal = None, "", 0
 
 
-@dataclass(frozen=True, eq=False)
-class _Extent:
-    """Position and size of an object."""
-
-    frame_id: str  # frame of the cloud
-    numbers: Float64  # (6,) float64, mean and standard deviation of its points in x, y, z [m]
-
-    @classmethod
-    def of(cls, cloud: Cloud) -> _Extent:
-        points = cloud.xyz.reshape(-1, 3)
-        points = points[np.isfinite(points).all(axis=1)]
-        if not len(points):
-            return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
-        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]).astype(np.float64))
-
-    def is_near(self, other: _Extent, distance_m: float) -> bool:
-        if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
-            return False
-        return bool((np.abs(self.numbers - other.numbers) <= distance_m).all())
-
-
 class ObjectMemory:
     """The touches of one object. Not thread-safe.
 
@@ -145,7 +126,7 @@ class ObjectMemory:
     def __init__(self, model: TouchModel) -> None:
         self._model = model
         self._memory: ObjectResiduals | None = None
-        self._extent: _Extent | None = None
+        self._extent: Extent | None = None
         self._touched_s = 0.0
 
     @property
@@ -179,7 +160,7 @@ class ObjectMemory:
             CloudError: See `ObjectResiduals.add`.
             ModelError: See `ObjectResiduals.add`.
         """
-        extent, memory = _Extent.of(cloud), self._memory
+        extent, memory = Extent.of(cloud), self._memory
         if memory is None or self._extent is None or not extent.is_near(self._extent, same_object_m):
             memory = ObjectResiduals(self._model, tare)
         elif memory.tare is not None and tare is not None:
@@ -187,11 +168,16 @@ class ObjectMemory:
         memory.add(cloud, grasp, reading, limits)
         self._memory, self._extent, self._touched_s = memory, extent, now_s
 
+    def basis(self, cloud: Cloud, tare: Touch | None, same_object_m: float) -> dict[str, Any]:
+        """What predictions on a cloud adapt to, as arguments of `TouchModel.predict`."""
+        residuals = self.of(cloud, same_object_m)
+        return {"tare": tare} if residuals is None else {"residuals": residuals}
+
     def of(self, cloud: Cloud, same_object_m: float) -> ObjectResiduals | None:
         """The touches of the object in this cloud; None if it is another object or was not touched."""
         if self._memory is None or self._extent is None:
             return None
-        return self._memory if _Extent.of(cloud).is_near(self._extent, same_object_m) else None
+        return self._memory if Extent.of(cloud).is_near(self._extent, same_object_m) else None
 
     def expire(self, now_s: float, after_s: float) -> None:
         """Forget the touches if the last one is older than this [s]."""
@@ -201,3 +187,58 @@ class ObjectMemory:
     def forget(self) -> None:
         """Forget all touches."""
         self._memory = self._extent = None
+
+
+class HandMemory:
+    """All readings of a hand, and which object is at hand. Not thread-safe; as `ObjectMemory`, for a model with a tracker.
+
+    Args:
+        history: The readings so far.
+        now_ns: Gives the time of the node's clock, which stamps the readings [ns].
+    """
+
+    def __init__(self, history: HandHistory, now_ns: Callable[[], int]) -> None:
+        self.history = history
+        self._now_ns = now_ns
+
+    @property
+    def count(self) -> int:
+        """Number of touches of the current object."""
+        return self.history.touches
+
+    def add(
+        self,
+        cloud: Cloud,
+        grasp: Grasp,
+        reading: Touch,
+        tare: Touch | None,
+        now_s: float,
+        same_object_m: float,
+        limits: ObjectLimits = DEFAULT_LIMITS,
+    ) -> None:
+        """As `ObjectMemory.add`; what touches of another object before it say about the sensors is kept."""
+        del now_s
+        now_ns = self._now_ns()
+        if tare is not None:
+            self.history.add_tare(now_ns, tare)
+        new = not self.history.is_current(cloud, same_object_m)
+        self.history.add_touch(now_ns, cloud, grasp, reading, new_object=new, limits=limits)
+
+    def basis(self, cloud: Cloud, tare: Touch | None, same_object_m: float) -> dict[str, Any]:
+        """As `ObjectMemory.basis`; adds the tare to the history."""
+        now_ns = self._now_ns()
+        if tare is not None:
+            self.history.add_tare(now_ns, tare)
+        same = self.history.is_current(cloud, same_object_m)
+        return {"history": self.history.at(now_ns, same_object=same, tare=tare is not None)}
+
+    def expire(self, now_s: float, after_s: float) -> None:
+        """Forget the object if its last touch is older than this [s]."""
+        del now_s
+        age_s = self.history.tracker.level(self._now_ns()).object_age_s if self.history.touches else None
+        if age_s is not None and age_s > after_s:
+            self.forget()
+
+    def forget(self) -> None:
+        """Forget the object, and keep the state of the sensors."""
+        self.history.start_object()

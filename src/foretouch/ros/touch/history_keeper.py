@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps the readings of a named hand in its file: read at the start, written aside by a thread. No node."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Final
+
+from foretouch.errors import ConfigError, FileError
+from foretouch.models.hand_history import HandHistory, HistoryFile
+from foretouch.models.touch_model import TouchModel
+
+_PERIOD_S: Final = 0.5  # between two writes; a crash loses at most a second
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+
+
+def history_path(folder: str, hand: str) -> Path:
+    """The file of a hand.
+
+    Raises:
+        ConfigError: If the name of the hand cannot be that of a file.
+    """
+    if not _NAME.fullmatch(hand):
+        raise ConfigError(
+            f"hand: {hand!r} must be 1 to 64 letters, digits, '_', '-' or '.', and begin with a letter or digit"
+        )
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return (Path(folder).expanduser() if folder else state / "foretouch") / f"{hand}.safetensors"
+
+
+class HistoryKeeper:
+    """The history of a hand, with its file if the hand has a name.
+
+    A file that cannot be used does not stop the node: it is set aside, or not written, and `fault` says why.
+
+    Args:
+        model: Whose predictions readings are compared with.
+        hand: Name of the hand; "" keeps nothing.
+        folder: Of the files; "" for the default.
+        say: Called with a line on what was read.
+        warn: Called with a line on each fault.
+
+    Attributes:
+        history: What was read so far.
+        fault: Why the file is not written; "" if it is, or if the hand has no name.
+    """
+
+    def __init__(
+        self, model: TouchModel, hand: str, folder: str = "", *, say: Callable[[str], None], warn: Callable[[str], None]
+    ) -> None:
+        self._model = model
+        self._warn = warn
+        self._file: HistoryFile | None = None
+        self.fault = ""
+        history = None
+        if hand:
+            try:
+                self._file = HistoryFile(history_path(folder, hand), hand)
+                history = self._read(say)
+            except FileError as err:
+                self._fail(f"{err}; readings are not kept")
+        self.history = history or HandHistory(model)
+        self._changed = threading.Event()
+        self._closed = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        """The file; "" without."""
+        return str(self._file.path) if self._file is not None else ""
+
+    def start(self, locked: Callable[[], AbstractContextManager[Any]]) -> None:
+        """Begin to write; `locked` gives a context within which no reading is added."""
+        self._locked = locked
+        if self._file is not None:
+            self._thread = threading.Thread(target=self._run, name="history", daemon=True)
+            self._thread.start()
+
+    def changed(self) -> None:
+        """There may be new readings."""
+        self._changed.set()
+
+    def notes(self) -> dict[str, str]:
+        """Entries for /diagnostics."""
+        level = self.history.tracker.copy().level(time.time_ns())
+        age = "none" if level.history_age_s is None else f"{level.history_age_s:.1f}"
+        found = {"history.readings": str(level.readings_of_history), "history.age_s": age}
+        found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
+        named = {"history.file": self.path, "history.fault": self.fault}
+        return found | {name: text for name, text in named.items() if text}
+
+    def close(self) -> None:
+        """Write what is not written yet, and let other processes use the file."""
+        if self._thread is not None:
+            self._closed.set()
+            self._changed.set()
+            self._thread.join()
+            self._thread = None
+        if self._file is not None:
+            self._file.close()
+
+    def _read(self, say: Callable[[str], None]) -> HandHistory | None:
+        assert self._file is not None  # noqa: S101  opened by the caller
+        try:
+            history = self._file.read(self._model)
+        except FileError as err:
+            kept = self._file.set_aside()
+            self._warn(f"history: {err}; renamed to {kept.name}, the hand starts anew")
+            return None
+        if history is None:
+            say(f"history: {self._file.path}: does not exist yet")
+        else:
+            level = history.tracker.level(time.time_ns())
+            age = "none" if level.history_age_s is None else f"{level.history_age_s / 3600.0:.1f} h ago"
+            say(f"history: {self._file.path}: {level.readings_of_history} readings, the last one {age}")
+        return history
+
+    def _run(self) -> None:
+        written = -1
+        while not self._closed.is_set():
+            self._changed.wait()
+            self._changed.clear()
+            written = self._write(written)
+            self._closed.wait(_PERIOD_S)
+        self._write(written)
+
+    def _write(self, written: int) -> int:
+        """Write if there are other readings than the `written` ones; gives the number now."""
+        assert self._file is not None  # noqa: S101  the thread runs only with a file
+        with self._locked():
+            history = self.history.copy()
+        if history.tracker.revision == written:
+            return written
+        try:
+            self._file.write(history)
+        except FileError as err:
+            self._fail(str(err))
+            return written
+        self.fault = ""
+        return history.tracker.revision
+
+    def _fail(self, fault: str) -> None:
+        if fault != self.fault:
+            self._warn(f"history: {fault}")
+        self.fault = fault
