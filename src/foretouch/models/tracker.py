@@ -7,13 +7,15 @@
 
 Half widths are the predicted deviation times one factor per modality. Each touch adapts the factor by adaptive conformal inference [Gibbs and
 Candès 2021], as quantile tracking [Angelopoulos, Candès and Tibshirani 2023] of the logarithm: log factor += rate · (share of values outside -
-0.1). Over many touches the share outside tends to 10 %, whatever the sensors do, as long as the factor stays within its limits.
+0.1). Over many touches the share outside tends to 10 %, whatever the sensors do, as long as the factor stays within its limits. What was adapted
+is partly of the object: at another object, the logarithm goes half of the way back to its first value.
 
 Innovation test. For each finger, of the innovations of its 25 values in units of their predicted deviations, the mean square (a wrong pattern)
-and the squared mean (a common jump) are compared with limits that each is above in one of 200 recorded readings. A touch that fails is not
-used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was learned about it is forgotten. At
-independent readings, a sensor without fault is restarted once in 10,000 readings of a finger (two failures of at most 1 % each); a tare, which
-is the median of many readings, restarts a finger at once.
+and the squared mean (a common jump) are compared with limits: scaled chi-square variables for Gaussian noise; since recorded noise has heavier
+tails, each limit is above in one of 100 recorded touches. A touch that fails is not used. If the next one fails as well, the finger was exchanged
+or jumped: it is named, and all that was learned about it is forgotten. So a finger without fault is restarted at most once in 2500 touches, if these are
+independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an unusual object. A
+tare, which is the median of many readings, restarts a finger at once.
 """
 
 from __future__ import annotations
@@ -37,7 +39,11 @@ from foretouch.types import TOUCH_SIZE, Float64
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
 
-_ADAPTATION_RATE: Final = 0.05  # of the logarithm of the factor, a touch
+_ADAPTATION_RATE: Final = 0.2  # of the logarithm of the factor, a touch
+_KEPT_SHARE: Final = 0.5  # of what was adapted, at another object
+_FIRST_TOUCH: Final = (
+    4.0  # times the limits at the first touch of an object: few objects determine how much these differ
+)
 _FACTOR_RANGE: Final = math.log(8.0)  # the factor is at most 8 times its first value, and at least an eighth of it
 _LATE_NS: Final = 60 * 10**9  # readings of several topics arrive in this order at most
 _AHEAD_NS: Final = 60 * 10**9
@@ -165,7 +171,8 @@ class SensorTracker:
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted()
         noise = self.parameters.noise[self._kind]
-        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise)
+        tolerance = 1.0 if self._touches else _FIRST_TOUCH
+        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, tolerance)
         restarted = failed & self._suspect
         self._restart(restarted)
         self._suspect = failed & ~restarted
@@ -185,6 +192,7 @@ class SensorTracker:
         """
         self._kind = KNOWN if known else NEW
         self._filter.start_object(self.parameters.object[self._kind])
+        self._log_factor = self._other_log_factor()
         self._expected = np.zeros(TOUCH_SIZE)
         self._touches, self._object_ns = 0, -1
         self._revision += 1
@@ -235,7 +243,7 @@ class SensorTracker:
         if level.touches_of_object:
             anchor = self._expected / level.touches_of_object
             counts = anchor + self.parameters.worth[kind] * (expected - anchor) + level.offset
-        factor = np.exp(self._log_factor)[_MODALITY]
+        factor = np.exp(self._log_factor if same_object else self._other_log_factor())[_MODALITY]
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[kind])
         return counts, np.broadcast_to(half, counts.shape)
 
@@ -246,10 +254,14 @@ class SensorTracker:
             np.maximum(moved, self._first_log_factor - _FACTOR_RANGE), self._first_log_factor + _FACTOR_RANGE
         )
 
-    def _failed(self, innovation: Float64, variance: Float64) -> npt.NDArray[np.bool_]:
+    def _other_log_factor(self) -> Float64:
+        """(4,) logarithm of the factor for another object."""
+        return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
+
+    def _failed(self, innovation: Float64, variance: Float64, tolerance: float = 1.0) -> npt.NDArray[np.bool_]:
         """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
         statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
-        return np.asarray((statistics > self.parameters.alarm).any(axis=1), np.bool_)
+        return np.asarray((statistics > tolerance * self.parameters.alarm).any(axis=1), np.bool_)
 
     def _coordinates_of(self, fingers: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(50,) which coordinates the chosen fingers' values depend on."""

@@ -14,7 +14,7 @@ objects that level exceeds what their scores can show; it is capped at 0.95, and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +22,8 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError
 from foretouch.learning.data.folds import Fold, make_folds, object_folds
+from foretouch.learning.evaluation.prequential import Recording
+from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
@@ -106,6 +108,8 @@ def calibrate(
 ) -> tuple[Calibration, dict[str, Any]]:
     """A calibration from held-out predictions, without a tare and, where tares were recorded, with one.
 
+    Where all samples have a stamp and are of several objects, the parameters of the tracker of the sensors' state are fitted as well.
+
     Args:
         samples: Training samples.
         labels: (S, 50) [counts].
@@ -123,6 +127,10 @@ def calibrate(
         if recorded:
             found[f"{name}_tare"] = HeldOutPredictions(predicted, resting, objects, sessions)
     calibration, facts = make_calibration(rest, found)
+    if all(sample.stamp_ns > 0 for sample in samples) and "new" in held_out and len(np.unique(objects)) > 1:
+        recording = Recording.of_samples(samples, labels, held_out["new"][0], rest)
+        tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
+        calibration = replace(calibration, tracker=tracker)
     return calibration, {**facts, "rest": "recorded tares" if recorded else "guessed from the labels"}
 
 

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predict each real grasp from sight and all that was read before it, of whatever object, in order of time.
+
+This is what a robot at work sees. The predictor by sight of an object is fitted to the other objects, earlier and later ones; the parameters of the
+tracker are fitted without the object too, from predictions of the others by models that know neither them nor the object (a fit for each
+pair). `past_mean` predicts by sight the mean of all readings before the object was taken, so that nothing later enters but the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.prequential.results import draw_prequential, prequential_rows, summarise_prequential
+from foretouch.experiments.shared import real_grasps
+from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch.learning.data import Dataset, labels_of
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.learning.evaluation.prequential import Recording
+
+__all__ = ["EXPERIMENT", "PrequentialSettings"]
+
+_MEAN: Final = "training_mean"
+_SEED: Final = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrequentialSettings(Settings):
+    """Settings of `prequential`."""
+
+    predictors: tuple[str, ...] = setting(
+        ("contact", _MEAN), "Predictors by sight whose errors are tracked", choices=tuple(PREDICTORS)
+    )
+    effort: float = setting(1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0)
+    jump: float = setting(100.0, "Size of the injected jump of all values", minimum=0.0, maximum=1000.0, unit="counts")
+    jump_after: int = setting(25, "Touches of the object before the jump", minimum=0)
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+
+def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
+    """A fit without each object, and without each pair."""
+    objects = sorted({sample.object for sample in real_grasps.labelled(data)})
+    without = [(name,) for name in objects] + list(combinations(objects, 2))
+    return [
+        Cell(f"{predictor}+{'-'.join(names)}", {"predictor": predictor, "without": list(names)})
+        for predictor in settings.predictors
+        for names in without
+    ]
+
+
+def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
+    """Predictions of the objects that the fit is without, with stamps and readings where it is without one only."""
+    without = cell.values["without"]
+    samples = real_grasps.labelled(data)
+    train = [sample for sample in samples if sample.object not in without]
+    fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels_of(train), _SEED)
+    rows: list[Row] = []
+    for name in without:
+        own = [sample for sample in samples if sample.object == name]
+        row: Row = {"object": name, "expected": fitted.predict(own).tolist()}
+        if len(without) == 1:
+            row |= {"stamps_ns": [sample.stamp_ns for sample in own], "readings": labels_of(own).tolist()}
+        rows.append(row)
+    return rows
+
+
+def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
+    result: list[Row] = []
+    for predictor in dict.fromkeys(row["predictor"] for row in rows):
+        recordings = _recordings([row for row in rows if row["predictor"] == predictor])
+        if recordings is not None:
+            result += prequential_rows(predictor, recordings, settings, past=predictor == _MEAN)
+    return result
+
+
+def _recordings(rows: Sequence[Row]) -> dict[str, Recording] | None:
+    """For each object, all readings with predictions that know neither the object of the reading nor this one.
+
+    None if a cell is missing.
+    """
+    found = {(tuple(row["without"]), row["object"]): row for row in rows}
+    objects = sorted({row["object"] for row in rows})
+    recordings = {}
+    for target in objects:
+        parts: list[dict[str, Any]] = []
+        for name in objects:
+            whole = found.get(((name,), name))
+            row = whole if name == target else found.get((tuple(sorted((name, target))), name))
+            if whole is None or row is None:
+                return None
+            parts.append({"name": name, **whole, "expected": row["expected"]})
+        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts])
+        stamps, readings, expected = (
+            np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
+        )
+        recordings[target] = Recording.ordered(stamps, names, readings, expected)
+    return recordings
+
+
+EXPERIMENT = Experiment(
+    name="prequential",
+    question="How accurate are predictions of a robot at work, which remembers all that it has read?",
+    module=__name__,
+    order=5,
+    settings=PrequentialSettings,
+    presets={"full": {}, "quick": {"predictors": [_MEAN]}, "smoke": {"predictors": [_MEAN], "bootstrap.draws": 200}},
+    load=real_grasps.load,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=summarise_prequential,
+    figure=draw_prequential,
+    free=("predictors", "jump", "jump_after", "bootstrap"),
+    data_folder="vision2tactile",
+)

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replay of recorded readings in order of time: each grasp is predicted from sight and all earlier readings [Dawid 1984].
+
+This is what a robot at work sees. The tracker learns of another object wherever the name of the object changes, also where an object
+returns: what was learned about it before is forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import DatasetError
+from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.tracker import Level, SensorTracker
+from foretouch.types import TOUCH_SIZE, Float64, GraspSample
+
+BINS: Final[Mapping[str, tuple[int, int]]] = {
+    "0": (0, 0),
+    "1": (1, 1),
+    "2": (2, 2),
+    "0-2": (0, 2),
+    "3-9": (3, 9),
+    "10+": (10, 10**9),
+    "all": (0, 10**9),
+}
+"""Ranges of the number of touches of the object before a grasp, both ends included, by name."""
+
+CLOCK_S: Final = 86400.0
+"""Time constant of the weights of the baselines that know the time only [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Readings of one hand in order of time, and predictions by sight that do not know them."""
+
+    stamps_ns: npt.NDArray[np.int64]  # (S,) [ns], not decreasing
+    objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
+    readings: Float64  # (S, 50) [counts]
+    expected: Float64  # (S, 50) predictions by sight, at the rest level of training [counts]
+    tares: Float64 | None = (
+        None  # (S, 50) tare of each grasp minus the rest level, NaN without; None if there are none [counts]
+    )
+
+    @classmethod
+    def ordered(
+        cls,
+        stamps_ns: Sequence[int] | npt.NDArray[np.int64],
+        objects: Sequence[str] | npt.NDArray[np.str_],
+        readings: Float64,
+        expected: Float64,
+        tares: Float64 | None = None,
+    ) -> Self:
+        """From samples in any order; those of equal stamps keep theirs.
+
+        Raises:
+            DatasetError: If there is no sample, or one has no stamp.
+        """
+        stamps = np.asarray(stamps_ns, np.int64)
+        if not len(stamps) or stamps.min() <= 0:
+            raise DatasetError("prequential: there is no sample, or one has no stamp, so their order is not known")
+        recording = cls(stamps, np.asarray(objects, np.str_), readings, expected, tares)
+        return recording.take(np.argsort(stamps, kind="stable"))
+
+    @classmethod
+    def of_samples(cls, samples: Sequence[GraspSample], labels: Float64, expected: Float64, rest: Float64) -> Self:
+        """From samples with their (S, 50) labels, (S, 50) predictions by sight and the (50,) rest level of these [counts].
+
+        Raises as `ordered`.
+        """
+        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
+        objects = [sample.object for sample in samples]
+        stamps = [sample.stamp_ns for sample in samples]
+        return cls.ordered(stamps, objects, labels, expected, None if np.isnan(tares).all() else tares)
+
+    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Self:
+        """Some of the grasps, by indices or a mask."""
+        tares = None if self.tares is None else self.tares[index]
+        stamps, objects = self.stamps_ns[index], self.objects[index]
+        return replace(
+            self,
+            stamps_ns=stamps,
+            objects=objects,
+            readings=self.readings[index],
+            expected=self.expected[index],
+            tares=tares,
+        )
+
+    def begins(self) -> npt.NDArray[np.bool_]:
+        """(S,) whether another object than before is touched."""
+        return np.concatenate([[True], self.objects[1:] != self.objects[:-1]])
+
+    def runs(self) -> npt.NDArray[np.int_]:
+        """(S,) number of the run of grasps on one object that a grasp belongs to."""
+        return np.cumsum(self.begins()) - 1
+
+    def touches(self) -> npt.NDArray[np.int_]:
+        """(S,) touches of the object, since it was taken, before each grasp."""
+        first = np.flatnonzero(self.begins())
+        return np.arange(len(self.stamps_ns)) - first[self.runs()]
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """Predictions of each grasp from all that was read before it."""
+
+    counts: Float64  # (S, 50) [counts]
+    half: Float64  # (S, 50) half widths of the 90 % intervals [counts]
+    levels: list[Level]  # (S,) levels of the tracker
+    restarted: list[tuple[str, ...]]  # (S,) fingers that each reading restarted
+
+    def take(self, index: npt.NDArray[np.bool_]) -> Replayed:
+        """Some of the grasps, by a mask."""
+        chosen = np.flatnonzero(index)
+        levels, restarted = [self.levels[k] for k in chosen], [self.restarted[k] for k in chosen]
+        return Replayed(self.counts[index], self.half[index], levels, restarted)
+
+
+def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.bool_] | None = None) -> Replayed:
+    """Predict each grasp, then add its reading to the tracker.
+
+    Args:
+        tracker: With its history so far, which is continued.
+        recording: In order of time, and after that history.
+        known: (S,) whether each object is in the distribution of the training data; none by default.
+
+    Raises:
+        TactileError: If a reading or a stamp cannot be used.
+    """
+    counts, half = np.empty((2, len(recording.readings), TOUCH_SIZE))
+    levels, restarted = [], []
+    begins = recording.begins()
+    for k, (stamp, reading, expected) in enumerate(
+        zip(recording.stamps_ns.tolist(), recording.readings, recording.expected, strict=True)
+    ):
+        if begins[k]:
+            tracker.start_object(known=bool(known is not None and known[k]))
+        names: tuple[str, ...] = ()
+        if recording.tares is not None and np.isfinite(recording.tares[k]).all():
+            names = tracker.add_tare(stamp, recording.tares[k])
+        (counts[k],), (half[k],) = tracker.predict(stamp, expected[None])
+        levels.append(tracker.level(stamp))
+        restarted.append(tuple(dict.fromkeys((*names, *tracker.add_touch(stamp, reading, expected)))))
+    return Replayed(counts, half, levels, restarted)
+
+
+def replay_memory(group: CalibrationGroup, recording: Recording) -> tuple[Float64, Float64]:
+    """(S, 50) predictions and half widths by the memory of the calibration, which ends with the object [counts].
+
+    Tares shift readings and predictions, as `TouchModel.predict` does.
+    """
+    shift = np.zeros_like(recording.readings) if recording.tares is None else np.nan_to_num(recording.tares)
+    counts, half = np.empty((2, len(recording.readings), TOUCH_SIZE))
+    for k, touches in enumerate(recording.touches()):
+        expected = recording.expected[k : k + 1]
+        before = slice(k - touches, k)
+        read = (recording.readings - shift)[before].mean(axis=0) if touches else expected[0]
+        mean = recording.expected[before].mean(axis=0) if touches else expected[0]
+        counts[k] = group.counts_after(expected, mean, read, int(touches))[0] + shift[k]
+        half[k] = group.half_width_after(int(touches))
+    return counts, half
+
+
+def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
+    """(S, 50) predictions by name that know labels and times only [counts].
+
+    Args:
+        recording: Its predictions by sight are not used.
+        reference: (S, 50) prediction where nothing was read before [counts].
+
+    Returns:
+        `running mean` of all earlier readings; mean of the `last run` of another object; `object mean` of the earlier touches of the
+        object; `clock`: mean of all earlier readings, with weights that fall by e in a day; `clock both ways`: the same over all
+        readings of other runs, earlier and later.
+    """
+    readings, runs, touches = recording.readings, recording.runs(), recording.touches()
+    seconds = (recording.stamps_ns - recording.stamps_ns[0]) / 1e9
+    found = {name: reference.copy() for name in ("running mean", "last run", "object mean", "clock", "clock both ways")}
+    for k in range(len(readings)):
+        weights = np.exp(-np.abs(seconds - seconds[k]) / CLOCK_S) + 1e-12
+        others = runs != runs[k]
+        if others.any():
+            found["clock both ways"][k] = np.average(readings[others], axis=0, weights=weights[others])
+        if k:
+            found["running mean"][k] = readings[:k].mean(axis=0)
+            found["clock"][k] = np.average(readings[:k], axis=0, weights=weights[:k])
+        if runs[k]:
+            found["last run"][k] = readings[runs == runs[k] - 1].mean(axis=0)
+        if touches[k]:
+            found["object mean"][k] = readings[k - touches[k] : k].mean(axis=0)
+    return found
+
+
+def other_objects_mean(recording: Recording) -> Float64:
+    """(S, 50) mean of all readings of other objects, earlier and later: the reference of the skill [counts].
+
+    Raises:
+        DatasetError: If all readings are of one object.
+    """
+    names = np.unique(recording.objects)
+    if len(names) < 2:
+        raise DatasetError(f"prequential: all readings are of {names[0]}; skills require another object")
+    result = np.empty_like(recording.readings)
+    for name in names:
+        own = recording.objects == name
+        result[own] = recording.readings[~own].mean(axis=0)
+    return result

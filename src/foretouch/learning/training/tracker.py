@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit the parameters of the tracker of a sensor's state to recordings with stamps, by maximum likelihood.
+
+The readings are replayed in order of time, and the variances and time constants maximise the likelihood of the innovations
+[Schweppe 1965], for each modality on its own: multiples of the calibration's B as variance of the slow state, the fast state and the object, their
+time constants, and the noise of tares where tares were recorded. The 24 electrodes of a finger are correlated and count as 5 values. Since a lab
+records few objects on few days, weak priors keep values that the recordings cannot determine in a plausible range.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.learning.evaluation.prequential import Recording, replay
+from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.state_space import FAST_TIME_S, NEW, SLOW_TIME_S, TARE_NOISE, StateFilter, TrackerParameters
+from foretouch.models.tracker import MISS_RATE, SensorTracker, innovation_statistics
+from foretouch.tactile import MODALITIES, columns
+from foretouch.types import TOUCH_SIZE, Float64
+
+_DAY_S, _HOUR_S = 86400.0, 3600.0
+_EFFECTIVE_VALUES: Final = 5.0  # of the electrodes of a finger
+_ALARM_QUANTILE: Final = 0.99
+_LEAST_ALARM: Final = 0.25  # half a deviation: below, nothing jumped
+_STEP: Final = 1e-3  # of the finite differences
+_ITERATIONS: Final = 25
+_MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
+
+# Logarithms of the multiples, time constants and noise of tares: mean and deviation of the prior, and limits.
+_PRIOR: Final = np.log([[0.5, 0.2, 0.5, SLOW_TIME_S, FAST_TIME_S, TARE_NOISE], [8.0, 8.0, 8.0, 2.7, 2.7, 2.7]])
+_LIMITS: Final = np.log(
+    [[1e-3, 20.0], [1e-3, 20.0], [1e-3, 20.0], [_DAY_S, 100.0 * _DAY_S], [0.1 * _HOUR_S, 12.0 * _HOUR_S], [1e-3, 10.0]]
+)
+
+
+def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationGroup) -> TrackerParameters:
+    """Parameters of a tracker, from predictions of objects that were left out.
+
+    B is used within modalities only: across them, its correlations did not pay in any comparison (`docs/results/prequential`).
+
+    Args:
+        recording: Of at least one object.
+        new: Statistics of the same residuals.
+        known: Of objects in the training data.
+    """
+    modality = np.concatenate([np.full(len(columns([name])), k) for k, name in enumerate(MODALITIES)])
+    own = modality[:, None] == modality
+    parameters = TrackerParameters.from_memory(
+        (np.where(own, new.between, 0.0), np.where(own, known.between, 0.0)),
+        (new.within, known.within),
+        (new.worth, known.worth),
+        np.ones(len(MODALITIES)),
+    )
+    replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
+    slow, fast, lasting, slow_s, fast_s, tare = replayed.most_likely()[replayed.owner].T
+    objects = parameters.object.copy()
+    objects[NEW] = lasting * replayed.lasting
+    fitted = replace(
+        parameters,
+        slow=slow * replayed.lasting,
+        fast=fast * replayed.lasting,
+        object=objects,
+        slow_time_s=slow_s,
+        fast_time_s=fast_s,
+        tare_noise=tare,
+    )
+    return _with_intervals(fitted, recording)
+
+
+class _Replay:
+    """Likelihood of a recording in the coordinates of a basis, each of which belongs to one modality.
+
+    Attributes:
+        owner: (50,) modality of each coordinate.
+        lasting: (50,) variance of the lasting part that multiples are of.
+    """
+
+    def __init__(self, recording: Recording, parameters: TrackerParameters, modality: npt.NDArray[np.int_]) -> None:
+        inverse = np.linalg.inv(parameters.basis)
+        self.owner = modality[np.argmax(np.abs(parameters.basis), axis=0)]
+        self.lasting = np.maximum(parameters.object[NEW], 1e-9)
+        self._values = (recording.readings - recording.expected) @ inverse.T
+        self._tares = None if recording.tares is None else recording.tares @ inverse.T
+        self._gaps_s = np.diff(recording.stamps_ns, prepend=recording.stamps_ns[:1]) / 1e9
+        self._begins = recording.begins()
+        sizes = np.bincount(self.owner, minlength=len(MODALITIES))
+        self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
+
+    def most_likely(self) -> Float64:
+        """(4, 6) multiples of the lasting variance, time constants [s] and noise of tares, by modality."""
+        from scipy.optimize import minimize
+
+        start = np.tile(_PRIOR[0], (len(MODALITIES), 1))
+
+        def loss(flat: Float64) -> tuple[float, Float64]:
+            logs = flat.reshape(start.shape)
+            # The modalities are independent: one step in the same parameter of all gives four derivatives.
+            steps = _STEP * np.eye(start.shape[1])[:, None]
+            losses = self._losses(np.concatenate([logs[None], logs + steps]))
+            return float(losses[0].sum()), ((losses[1:] - losses[0]) / _STEP).T.reshape(-1)
+
+        bounds = np.tile(_LIMITS, (len(MODALITIES), 1))
+        found = minimize(
+            loss, start.reshape(-1), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
+        )
+        return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
+
+    def _losses(self, logs: Float64) -> Float64:
+        """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 6) candidates at once."""
+        count = len(logs)
+        columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
+        slow, fast, lasting, slow_s, fast_s, tare = np.ascontiguousarray(columns_of)
+        scale = np.tile(self.lasting, count)
+        filtered = StateFilter(np.array([slow, fast, lasting]) * scale, np.array([slow_s, fast_s]))
+        lasting = lasting * scale
+        total, noise = np.zeros((2, len(scale)))
+        noise += 1.0
+        for k, value in enumerate(self._values):
+            filtered.advance(float(self._gaps_s[k]))
+            if self._begins[k]:
+                filtered.start_object(lasting)
+            if self._tares is not None and np.isfinite(self._tares[k]).all():
+                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=2)
+            total += _surprise(filtered, np.tile(value, count), noise, parts=3)
+        prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
+        return np.asarray(total.reshape(count, -1) @ self._weights + prior, np.float64)
+
+
+def _surprise(filtered: StateFilter, value: Float64, noise: Float64, parts: int) -> Float64:
+    """(K,) negative log likelihood of an observation, which is then added."""
+    mean, variance = filtered.predicted(parts)
+    variance = variance + noise
+    filtered.observe(value, noise, parts)
+    return np.asarray(0.5 * ((value - mean) ** 2 / variance + np.log(variance)), np.float64)
+
+
+def _with_intervals(parameters: TrackerParameters, recording: Recording) -> TrackerParameters:
+    """The factor of the intervals and the limits of the innovation test, from the recording replayed once."""
+    patient = replace(parameters, alarm=np.full_like(parameters.alarm, 1e6))
+    played = replay(SensorTracker(patient), recording)
+    noise = parameters.basis**2 @ parameters.noise[NEW]
+    deviation = np.sqrt(np.array([level.variance for level in played.levels]) + noise)
+    innovations = recording.readings - recording.expected - [level.offset for level in played.levels]
+    scores = np.abs(recording.readings - played.counts) / deviation
+    statistics = [innovation_statistics(row) for row in innovations / deviation]
+    _, index, counts = np.unique(recording.objects, return_inverse=True, return_counts=True)
+    weights = np.repeat(1.0 / counts[index], TOUCH_SIZE).reshape(scores.shape)  # every object weighs the same
+    factor = [
+        np.quantile(scores[:, own], 1.0 - MISS_RATE, weights=weights[:, own], method="inverted_cdf")
+        for own in (columns([name]) for name in MODALITIES)
+    ]
+    alarm = np.maximum(np.quantile(statistics, _ALARM_QUANTILE, axis=0), _LEAST_ALARM)
+    return replace(parameters, factor=np.clip(factor, 0.1, 100.0), alarm=alarm)
