@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,16 @@ def make_calibration(seed: int = 0) -> Calibration:
     return Calibration(REST, groups)
 
 
-def save_calibrated_network(folder: Path) -> str:
+def make_tracked_calibration() -> Calibration:
+    """The same with the parameters of a tracker, whose sensors drift by as much as objects differ."""
+    calibration = make_calibration()
+    parameters = calibration.tracker_parameters()
+    lasting = parameters.object[0]
+    tracker = replace(parameters, slow=lasting, fast=0.2 * lasting, alarm=np.full((2, 2), 1e6))
+    return replace(calibration, tracker=tracker)
+
+
+def save_calibrated_network(folder: Path, calibration: Calibration | None = None) -> str:
     """A network with random weights and a calibration; path of its card."""
     import torch
 
@@ -50,7 +60,7 @@ def save_calibrated_network(folder: Path) -> str:
     net = TouchNet(config)
     net.set_scaling(torch.from_numpy(REST).float(), torch.linspace(20, 300, config.output_size))
     card = save_network(folder, "calibrated", net.eval(), {})
-    add_calibration(card, make_calibration(), FACTS)
+    add_calibration(card, calibration or make_calibration(), FACTS)
     return str(card)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from calibrated_models import save_calibrated_network
+from calibrated_models import make_tracked_calibration, save_calibrated_network
 from pair_builders import REST, level
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -29,6 +29,7 @@ from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.touch.tactile_state import ObjectMemory
 from foretouch.tactile import offsets, restore
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
@@ -380,8 +381,14 @@ START = 1_700_000_000_000 * MS
 def direct(card: str) -> DirectHand:
     hand: list[DirectHand] = []
     settings = TouchPredictorConfig()
+    model = load_model(card)
     adapter = OnlineAdapter(
-        load_model(card), make_reader(TactileConfig()), lambda: settings, lambda: hand[0].now if hand else START, print
+        model,
+        make_reader(TactileConfig()),
+        ObjectMemory(model),
+        lambda: settings,
+        lambda: hand[0].now if hand else START,
+        print,
     )
     hand.append(DirectHand(adapter))
     return hand[0]
@@ -418,3 +425,55 @@ def test_a_stamp_in_the_far_future_neither_freezes_the_tare_nor_fills_the_memory
     graph.until(lambda: hand.notes()["tactile.received"] == str(hand.sent["/rh/tactile"]))
     assert float(hand.notes()["tare_age_s"]) < 1.2
     assert len(hand.node._adapter._tare._recent) < 100
+
+
+# A model whose calibration has a tracker: readings outlive the object, and with a named hand the process.
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return save_calibrated_network(tmp_path_factory.mktemp("tracked"), make_tracked_calibration())
+
+
+def first(answer: TouchPredictionArray) -> TouchPredictionMsg:
+    assert answer.status == Status.OK, answer.reason
+    return answer.predictions[0]
+
+
+def test_touches_of_another_object_stay_in_the_history(graph: Any, tracked: str) -> None:
+    hand = start_awake(graph, tracked, use_tare=False)
+    unread = first(hand.ask())
+    assert (unread.reference, unread.touches, unread.readings) == (TouchPredictionMsg.NONE, 0, 0)
+    assert unread.reading_age.sec < 0
+    for number in range(2):
+        hand.touch(f"g-{number}", number)
+    touched = first(hand.ask())
+    assert (touched.reference, touched.touches, touched.readings) == (TouchPredictionMsg.TOUCHES, 2, 2)
+    assert 0 <= touched.touch_age.sec < 60
+    hand.shift = np.array([0.05, 0.0, 0.0], np.float32)  # another object
+    other = first(hand.ask())
+    assert (other.reference, other.touches, other.readings) == (TouchPredictionMsg.HISTORY, 0, 2)
+    assert width(touched) < width(other) < width(unread)
+    assert hand.notes()["history.readings"] == "2"
+
+
+def width(message: TouchPredictionMsg) -> float:
+    return float(message.pdc_th.upper - message.pdc_th.lower)
+
+
+def test_a_named_hand_remembers_across_a_restart(graph: Any, tracked: str, tmp_path: Any) -> None:
+    named = {"use_tare": False, "hand": "right", "history_folder": str(tmp_path)}
+    hand = start_awake(graph, tracked, **named)
+    hand.touch("g-0", 0)
+    before = first(hand.ask())
+    assert before.reference == TouchPredictionMsg.TOUCHES
+    node = hand.node
+    for transition in (node.trigger_deactivate, node.trigger_cleanup):
+        transition()
+    assert (tmp_path / "right.safetensors").exists()
+    for transition in (node.trigger_configure, node.trigger_activate):
+        transition()
+    after = first(hand.ask())
+    assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
+    assert after.pdc_th.value == pytest.approx(before.pdc_th.value, abs=1.0)
+    assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")

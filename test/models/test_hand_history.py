@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The history of a hand: which object it is of, what a prediction is adapted to, and the file that keeps it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrated_models import REST, make_calibration, make_tracked_calibration
+from contact_model_builders import small_estimator
+from experiment_samples import make_samples
+from numpy.testing import assert_allclose, assert_array_equal
+from safetensors.numpy import load, save
+
+from foretouch.errors import FileError, ModelError, TactileError
+from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.models.touch_model import TouchModel
+from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
+
+CARD = {"name": "small", "sha256": "0" * 64}
+SAMPLES = make_samples(3, 6)
+FIRST, SECOND = SAMPLES[:6], SAMPLES[6:12]
+S, DAY = 10**9, 86400 * 10**9
+
+
+@pytest.fixture(scope="module")
+def model() -> TouchModel:
+    return TouchModel(small_estimator(), CARD, make_tracked_calibration())
+
+
+def read(history: HandHistory, samples: list[GraspSample], *, tare: Touch | None = None) -> HandHistory:
+    for number, one in enumerate(samples):
+        if tare is not None:
+            history.add_tare(one.stamp_ns, tare)
+        history.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch, new_object=number == 0)
+    return history
+
+
+def predict(history: HandHistory, sample: GraspSample, stamp_ns: int = 0, *, same: bool = False) -> TouchPrediction:
+    at = history.at(stamp_ns or sample.stamp_ns, same_object=same)
+    (found,) = history.model.predict(sample.cloud, [sample.grasp], history=at)
+    return found
+
+
+def test_readings_of_another_object_move_predictions_and_narrow_them(model: TouchModel) -> None:
+    sample = SECOND[0]
+    (unread,) = model.predict(sample.cloud, [sample.grasp])
+    history = read(HandHistory(model), FIRST)
+    after = predict(history, sample)
+    assert (unread.reference, after.reference) == ("none", "history")
+    assert (after.evidence.touches, after.evidence.readings) == (0, 6)
+    assert after.evidence.reading_age_s == pytest.approx((sample.stamp_ns - FIRST[-1].stamp_ns) / S)
+    assert (half(after) < half(unread)).all()
+    assert not np.allclose(after.value.vector(), unread.value.vector())
+    own = predict(read(HandHistory(model), FIRST), FIRST[0], FIRST[-1].stamp_ns, same=True)
+    assert (own.reference, own.evidence.touches, own.evidence.touch_age_s) == ("touches", 6, 0.0)
+
+
+def half(prediction: TouchPrediction) -> np.ndarray:
+    return prediction.upper.vector() - prediction.lower.vector()
+
+
+def test_a_long_pause_makes_the_sensors_unknown_again(model: TouchModel) -> None:
+    sample, history = SECOND[0], read(HandHistory(model), FIRST)
+    (unread,) = model.predict(sample.cloud, [sample.grasp])
+    later = predict(history, sample, FIRST[-1].stamp_ns + 300 * DAY)
+    assert_allclose(half(later), half(unread), rtol=0.15)  # what was learned about the width of intervals stays
+    assert_allclose(later.value.vector(), unread.value.vector(), atol=1e-6)
+
+
+def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
+    sample, tare = SECOND[0], Touch.from_vector(REST + 40.0)
+    (unread,), (tared,) = (model.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))
+    assert tared.reference == "tare"
+    shift = tared.value.vector() - unread.value.vector()
+    assert (shift > 0.0).all() and shift.mean() < 40.0  # by how much of the drift a tare can show
+    history = HandHistory(model)
+    history.add_tare(sample.stamp_ns, tare)
+    history.add_tare(sample.stamp_ns + 30 * S, Touch.from_vector(REST - 40.0))  # within a minute of the last one
+    at = history.at(sample.stamp_ns, same_object=False, tare=True)
+    (found,) = model.predict(sample.cloud, [sample.grasp], history=at)
+    assert_array_equal(found.value.vector(), tared.value.vector())
+
+
+def test_later_readings_do_not_change_a_prediction_under_way(model: TouchModel) -> None:
+    history, sample = read(HandHistory(model), FIRST[:3]), SECOND[0]
+    at = history.at(sample.stamp_ns, same_object=False)
+    before = model.predict(sample.cloud, [sample.grasp], history=at)
+    read(history, FIRST[3:])
+    after = model.predict(sample.cloud, [sample.grasp], history=at)
+    assert_array_equal(before[0].value.vector(), after[0].value.vector())
+
+
+def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
+    history = read(HandHistory(model), FIRST)
+    cloud = FIRST[-1].cloud
+    assert history.is_current(cloud, 0.02)
+    assert not history.is_current(Cloud(cloud.xyz + np.float32(0.05)), 0.02)
+    assert not history.is_current(Cloud(cloud.xyz.copy(), None, "other"), 0.02)
+    assert not history.is_current(Cloud(np.full((4, 3), np.nan, np.float32)), 0.02)
+    history.start_object()
+    assert not history.is_current(cloud, 0.02)
+    assert history.touches == 0 and predict(history, FIRST[0], FIRST[-1].stamp_ns).reference == "history"
+
+
+def test_readings_are_given_in_one_form_and_to_a_model_that_tracks(model: TouchModel) -> None:
+    sample, history = SECOND[0], read(HandHistory(model), FIRST)
+    at = history.at(sample.stamp_ns, same_object=False)
+    with pytest.raises(ModelError, match="history: has tares and touches of its own"):
+        model.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(REST), history=at)
+    plain = TouchModel(small_estimator(), CARD, make_calibration())
+    with pytest.raises(ModelError, match="small: history: cannot be used: its calibration does not model"):
+        HandHistory(plain)
+    with pytest.raises(ModelError, match="small: history: cannot be used"):
+        plain.predict(sample.cloud, [sample.grasp], history=at)
+    other = TouchModel(small_estimator(), CARD, make_tracked_calibration())
+    with pytest.raises(ModelError, match="is of another model"):
+        other.predict(sample.cloud, [sample.grasp], history=at)
+
+
+def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
+    history = read(HandHistory(model), FIRST[:2])
+    before = history.to_tensors()
+    dead = Touch.from_vector(np.zeros(50))
+    one = FIRST[2]
+    with pytest.raises(TactileError):
+        history.add_touch(one.stamp_ns, one.cloud, one.grasp, dead)
+    with pytest.raises(TactileError, match="ahead of the clock"):
+        history.add_touch(one.stamp_ns + DAY, one.cloud, one.grasp, one.touch, now_ns=one.stamp_ns)
+    with pytest.raises(TactileError, match="tare"):
+        history.add_tare(one.stamp_ns, dead)
+    for name, value in history.to_tensors().items():
+        assert_array_equal(value, before[name], err_msg=name)
+
+
+def test_a_restart_in_the_middle_changes_no_bit(model: TouchModel, tmp_path: Path) -> None:
+    tare = Touch.from_vector(REST + 15.0)
+    whole = read(HandHistory(model), FIRST, tare=tare)
+    file = HistoryFile(tmp_path / "right.safetensors", "right")
+    assert file.read(model) is None
+    half_way = read(HandHistory(model), FIRST[:3], tare=tare)
+    file.write(half_way)
+    file.close()
+    again = HistoryFile(tmp_path / "right.safetensors", "right").read(model)
+    assert again.is_current(FIRST[3].cloud, 0.02)
+    for one in FIRST[3:]:
+        again.add_tare(one.stamp_ns, tare)
+        again.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+    for name, value in whole.to_tensors().items():
+        assert_array_equal(again.to_tensors()[name], value, err_msg=name)
+
+
+@pytest.fixture
+def path(model: TouchModel, tmp_path: Path) -> Path:
+    file = HistoryFile(tmp_path / "right.safetensors", "right")
+    file.write(read(HandHistory(model), FIRST))
+    file.close()
+    return file.path
+
+
+def test_a_file_of_another_hand_model_or_version_is_refused(model: TouchModel, path: Path) -> None:
+    assert read_history(path, model).touches == 6
+    with pytest.raises(FileError, match=r"right.safetensors: hand: is of 'right', not of 'left'"):
+        read_history(path, model, "left")
+    other = TouchModel(small_estimator(), {**CARD, "name": "other"}, make_tracked_calibration())
+    with pytest.raises(FileError, match="model: is of 'small', not of 'other'"):
+        read_history(path, other)
+    retrained = TouchModel(small_estimator(), CARD, make_tracked_calibration())
+    read_history(path, retrained)  # of equal parameters
+    with pytest.raises(FileError, match="No such file"):
+        read_history(path.with_name("none"), model)
+
+
+def test_every_damage_is_refused(model: TouchModel, path: Path) -> None:
+    content = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        with pytest.raises(FileError, match="right.safetensors"):
+            read_history(path, model, "right")
+    for size in (0, 7, 100, len(content) - 1):
+        path.write_bytes(content[:size])
+        with pytest.raises(FileError):
+            read_history(path, model, "right")
+
+
+def test_a_file_that_was_sealed_with_impossible_values_is_refused(model: TouchModel, path: Path) -> None:
+    import hashlib
+
+    tensors = load(path.read_bytes())
+    tensors.pop("sha256")
+    for name, value in (("tracker/mean", np.inf), ("version", 7), ("extent", None), ("tracker/counts", -1)):
+        changed = {key: array.copy() for key, array in tensors.items()}
+        if value is None:
+            changed[name] = changed[name][:3]
+        else:
+            changed[name].flat[0] = value
+        sha256 = np.frombuffer(hashlib.sha256(save(changed)).digest(), np.uint8)
+        path.write_bytes(save({**changed, "sha256": sha256}))
+        with pytest.raises(FileError, match=name.removeprefix("tracker/")):
+            read_history(path, model, "right")
+
+
+def test_one_process_at_a_time_uses_a_file(path: Path) -> None:
+    file = HistoryFile(path, "right")
+    code = f"from pathlib import Path; from foretouch.models.hand_history import HistoryFile as F; F(Path({str(path)!r}), 'right')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "right.safetensors: is used by another process" in done.stderr
+    file.close()
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match=r"file/right.safetensors: cannot be written: .*"):
+        HistoryFile(tmp_path / "file" / "right.safetensors", "right")
