@@ -24,7 +24,6 @@ from foretouch.dataset.samples import open_samples
 Array = npt.NDArray[np.float64]
 
 SLOW_DAYS, FAST_DAYS = 10.0, 0.05
-RESULTS = Path(__file__).parent / "results" / "drift.csv"
 _BLOCK = 3  # grasps
 _PAUSE_S = 3600.0  # begins another visit of the same object
 _DAY_S = 86400.0
@@ -138,8 +137,8 @@ def warm_up(data: Blocks, warming_s: float) -> Iterator[tuple[str, float, float]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", help="the public recordings, vision2tactile")
-    parser.add_argument("-o", "--out", type=Path, default=RESULTS)
+    parser.add_argument("data", help="dataset with stamps: the public recordings, or a simulated campaign")
+    parser.add_argument("-o", "--out", type=Path, help="CSV file of the fits; results/drift.csv is that of the recordings")
     arguments = parser.parse_args()
     data = blocks(arguments.data)
     rows: list[list[object]] = []
@@ -152,8 +151,9 @@ def main() -> None:
         sds, likelihood = fit(data, values, slow, fast)
         rows.append([name, slow, fast, *(f"{value:.1f}" for value in sds), f"{likelihood:.1f}"])
     header = ["what", "slow [days]", "fast [days]", "sd slow", "sd fast", "sd object", "sd grasp", "log likelihood"]
-    with arguments.out.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+    if arguments.out is not None:
+        with arguments.out.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([header, *rows])
     for row in [header, ["---"] * len(header), *rows]:
         print(f"| {' | '.join(map(str, row))} |")
     print("\nsettings of a drift term, slow and fast:")
