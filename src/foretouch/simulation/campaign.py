@@ -81,7 +81,7 @@ class Campaign:
         visit, grasp = divmod(slot, config.grasps)
         session, place = divmod(visit, config.objects)
         if session >= len(config.days):
-            raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "effect")
+            raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "calendar")
         powered_s = float(self._powered_s[session][place, grasp])
         return self._moment(session, powered_s, visit, grasp)
 
