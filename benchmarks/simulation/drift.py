@@ -138,7 +138,9 @@ def warm_up(data: Blocks, warming_s: float) -> Iterator[tuple[str, float, float]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", help="dataset with stamps: the public recordings, or a simulated campaign")
-    parser.add_argument("-o", "--out", type=Path, help="CSV file of the fits; results/drift.csv is that of the recordings")
+    parser.add_argument(
+        "-o", "--out", type=Path, help="CSV file of the fits; results/drift.csv is that of the recordings"
+    )
     arguments = parser.parse_args()
     data = blocks(arguments.data)
     rows: list[list[object]] = []

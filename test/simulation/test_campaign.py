@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: the calendar, and what becomes of the sensors, against the settings that state it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from sim_builders import CAN, SPONGE, run, scene
 
+from foretouch.cli.main import main
+from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.simulation.campaign import Campaign, object_index
@@ -293,6 +296,20 @@ def test_a_live_hand_passes_through_the_campaign_by_its_clock() -> None:
     np.testing.assert_array_equal(course.counts[0], hand.rest(1, elapsed_s=40.0)[0])
     again = SimulatedHand(config).execute(grasp, 0, elapsed_s=40.0)  # after a restart
     np.testing.assert_array_equal(again.counts, course.counts)
+
+
+def test_a_data_set_holds_stamps_sessions_and_tares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, path = tmp_path / "data", SCENES / "campaign_day.yaml"
+    few = ["--set", "campaign.grasps=1", "--set", "campaign.tares=session"]
+    assert main(["simulate", str(path), "-n", "6", "-o", str(out), "--workers", "1", "--no-sheet", "--json", *few]) == 0
+    ran = {effect["name"] for effect in json.loads(capsys.readouterr().out)["effects"] if effect["ran"]}
+    assert ran >= {"calendar", "level_drift", "warm_up", "level_shift", "tares"}
+    with open_samples(out) as stored:
+        samples = [record.sample for record in stored.records()]
+    assert (np.diff([sample.stamp_ns for sample in samples]) > 0).all()
+    assert [sample.extra["session"] for sample in samples] == [0, 0, 0, 1, 1, 1]
+    assert [sample.tare is not None for sample in samples] == [True, False, False] * 2
+    assert {sample.object for sample in samples[:3]} == {"can", "box", "ball"}
 
 
 def test_the_committed_campaign_is_as_promised() -> None:
