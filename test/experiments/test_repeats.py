@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sim_builders import SPONGE, scene
 
-from foretouch.errors import SimulationError
+from foretouch.errors import ConfigError, SimulationError
 from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
@@ -69,3 +69,8 @@ def test_a_new_object_is_touched_on_another_day() -> None:
     days = scene(SPONGE, **HIDDEN | {"fingers": {"sessions": {}}})
     assert np.ptp(Repeater(days, EVERYTHING).repeat(0, 0, 3).tares, axis=0).max() == 0.0
     assert np.ptp(Repeater(days, frozenset({NEW_OBJECT})).repeat(0, 0, 3).tares, axis=0).max() > 1.0
+
+
+def test_a_campaign_is_refused_since_no_moment_comes_twice() -> None:
+    with pytest.raises(ConfigError, match="scene: campaign: grasps are repeated at one moment"):
+        Repeater(scene(SPONGE, campaign={}), EVERYTHING)

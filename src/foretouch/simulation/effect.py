@@ -14,8 +14,10 @@ import numpy.typing as npt
 
 from foretouch.errors import SimulationError
 from foretouch.grasp import GraspPlan
+from foretouch.simulation.campaign import Campaign, Moment
 from foretouch.simulation.contact import ContactFrame, ContactSolution, HeldWeight, PadWindow
 from foretouch.simulation.finger_contact import FingerFrame
+from foretouch.simulation.fingertip import Finger
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.solids import Body, Hits
 from foretouch.simulation.world import SampleKey, World
@@ -53,14 +55,17 @@ class SampleState:
         touches: The tangent frames there, in the world.
         relief: (2, N, N) float64 [m], the object's surface behind each tangent plane, inf where there is none.
         contacts: How thumb and middle finger touch it.
+        moment: When in the campaign the grasp is executed.
+        sensors: The fingertips that are mounted, of thumb and middle finger.
         readings: (2, 2, 25) float64 [counts]: at rest and in contact, of thumb and middle finger, PDC then electrodes;
             of an ideal fingertip, not rounded.
         times: (T,) float64 [s] of the messages; without a timeline two, for tare and touch, at one time.
         load: (T,) float64, 0 without contact and 1 in full contact.
         hold_row: The message that is the touch; the tare is the median of those before the first load.
+        level: (T, 2, 25) float64 [counts], how far the readings have moved in the course of the campaign.
         series: (T, 2, 25) float64 [counts], what the sensor makes of it.
         touch: Readings in contact [counts].
-        tare: What it said before.
+        tare: What it said before; None where no tare is recorded.
     """
 
     bodies: list[Body] = _key()
@@ -83,13 +88,16 @@ class SampleState:
     pads: tuple[PadWindow, PadWindow] = _key()
     relief: Float64 = _key()
     contacts: tuple[ContactSolution, ContactSolution] = _key()
+    moment: Moment = _key()
+    sensors: tuple[Finger, Finger] = _key()
     readings: Float64 = _key()
     times: Float64 = _key()
     load: Float64 = _key()
     hold_row: int = _key()
+    level: Float64 = _key()
     series: Float64 = _key()
     touch: Touch = _key()
-    tare: Touch = _key()
+    tare: Touch | None = _key()
 
 
 Needed = Callable[[SceneConfig, ObjectConfig], str | None]
@@ -105,6 +113,7 @@ class Job:
     key: SampleKey  # which sample
     name: str  # of the effect, and of its random stream
     again: bool = False  # whether the effect draws anew when a grasp is repeated
+    campaign: Campaign | None = None  # of the scene
 
     def rng(self) -> np.random.Generator:
         """The effect's own stream; call it once, for each call starts it again."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
 from foretouch.errors import ForetouchError, SimulationError
+from foretouch.simulation.campaign import Campaign, object_index
 from foretouch.simulation.effect import Effect, Job, SampleState, guarded
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.simulation.world import SampleKey, World
@@ -103,15 +104,17 @@ class Engine:
     outputs: tuple[str, ...]
     timings: dict[str, EffectTiming] = field(init=False)
     _world: World = field(init=False)
+    _campaign: Campaign | None = field(init=False)
     _chains: list[list[Effect]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.timings = {effect.name: EffectTiming() for effect in self.effects}
         self._world = World.of(self.scene)
+        self._campaign = Campaign.of(self.scene, self._world)
         self._chains = [plan_chain(self.effects, self.scene, item, self.outputs) for item in self.scene.objects]
 
     def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:
-        """Make one sample. Objects take turns: slot k shows object k modulo their number.
+        """Make one sample.
 
         Args:
             key: Which one.
@@ -120,14 +123,15 @@ class Engine:
         Raises:
             SimulationError: If an effect refuses; `reason` names the kind.
         """
-        index = key.slot % len(self.scene.objects)
+        index = object_index(self.scene, key.slot)
         item = self.scene.objects[index] if item is None else item
         state = SampleState()
         for effect in self._chains[index]:
             timing = self.timings[effect.name]
             start = time.thread_time()
             try:
-                effect.run(Job(self.scene, item, self._world, key, effect.name, effect.again), guarded(state, effect))
+                job = Job(self.scene, item, self._world, key, effect.name, effect.again, self._campaign)
+                effect.run(job, guarded(state, effect))
             except SimulationError:
                 raise
             except ForetouchError as err:

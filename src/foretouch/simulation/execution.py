@@ -16,7 +16,7 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import SimulationError
 from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
-from foretouch.simulation.effects import contact, grasp, meeting, place, reading
+from foretouch.simulation.effects import campaign, contact, grasp, meeting, place, reading
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.finger_contact import FingerFrame
 from foretouch.simulation.fingertip import quantise, temperature_drift, warming
@@ -126,11 +126,14 @@ class SimulatedHand:
         self._grasp: Grasp | None = None
         self._idle_rows = 0
         self._elapsed_s = 0.0
-        today = [effect for effect in reading.EFFECTS if effect.name != "sessions"]  # one hand, one day
-        sensor = tuple(self._drift() if effect.name == "drift" else effect for effect in today)
+        own = {"drift": self._drift(), "calendar": self._clock()}
+        not_live = {"sessions", "tares"}  # one hand, one day; a tare is found in the rest
+        recorded = [effect for effect in (*campaign.EFFECTS, *reading.EFFECTS) if effect.name not in not_live]
+        sensor = tuple(own.get(effect.name, effect) for effect in recorded)
         closing = tuple(self._given() if effect.name == "grasp" else effect for effect in grasp.EFFECTS)
-        # What a resting fingertip does by itself: all that changes the series and asks for no contact.
-        alone = [effect for effect in sensor if effect.modifies == keys("series") and effect.name != "slip"]
+        # What a resting fingertip does by itself: all that changes its readings and asks for no contact.
+        by_itself = keys("series", "level", "sensors", "moment")
+        alone = [effect for effect in sensor if effect.modifies | effect.writes <= by_itself and effect.name != "slip"]
         self._executing = Engine(
             self.scene,
             (*place.EFFECTS, *closing, *meeting.EFFECTS, *contact.EFFECTS, *sensor),
@@ -227,12 +230,23 @@ class SimulatedHand:
     def _rest(self) -> Effect:
         """In place of contact: nothing."""
 
-        def run(job: Job, state: SampleState) -> None:
-            low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in job.world.fingers])
+        def run(_job: Job, state: SampleState) -> None:
+            low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
             state.series = np.repeat(low[None], self._idle_rows, axis=0)
             state.times = np.arange(self._idle_rows) / self.config.rate_hz
+            state.load = np.zeros(self._idle_rows)
 
-        return Effect("rest", run, always("the hand"), writes=keys("series", "times"))
+        return Effect("rest", run, always("the hand"), reads=keys("sensors"), writes=keys("series", "times", "load"))
+
+    def _clock(self) -> Effect:
+        """In place of the calendar: the campaign passes with the time since the hand was switched on."""
+
+        def run(job: Job, state: SampleState) -> None:
+            if job.campaign is not None:
+                state.moment = job.campaign.live(self._elapsed_s)
+
+        original = next(effect for effect in campaign.EFFECTS if effect.name == "calendar")
+        return replace(original, run=run)
 
     def _drift(self) -> Effect:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
+from foretouch.simulation.campaign import object_index
 from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene
 from foretouch.simulation.effects import place, view
 from foretouch.simulation.engine import Engine
@@ -73,7 +74,7 @@ class FrameMaker:
         millimetres = np.where(np.isfinite(state.depth), np.rint(state.depth * 1000.0), 0.0)
         depth_mm = np.where((millimetres > 0.0) & (millimetres < 65536.0), millimetres, 0.0).astype(np.uint16)
         colours = _GREY[np.minimum(state.labels, FIRST_OBJECT)]
-        item = self.scene.objects[slot % len(self.scene.objects)]
+        item = self.scene.objects[object_index(self.scene, slot)]
         if item.colour is not None:
             colours[state.labels == FIRST_OBJECT] = item.colour
         shade = np.where(state.labels > TABLE, 0.35 + 0.65 * np.abs(state.normals[..., 2]), 1.0)

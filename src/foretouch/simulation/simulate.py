@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a scene, in order, on one process or several.
 
-A data set has slots; slot k shows object k modulo their number. A slot whose try fails (GeoGrasp finds no grasp, a
+A data set has slots; slot k shows object k modulo their number, or what a campaign has on the table. A slot whose try fails (GeoGrasp finds no grasp, a
 finger closes beside the object...) is tried again with other random numbers, each failure counted by reason. What
 stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
 """
@@ -15,16 +15,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
-from foretouch.errors import SimulationError
+import numpy as np
+
+from foretouch.errors import ConfigError, SimulationError
+from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explain
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.world import SampleKey
-from foretouch.types import GraspSample
+from foretouch.types import ELECTRODES, GraspSample
 
 SAMPLE_KEYS = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
-"""The keys of the state that a sample is made of."""
+"""The keys of the state that every sample is made of."""
 
 _BLOCK = 16  # slots that a worker makes at a time
 _AHEAD = 3  # blocks a worker that may wait for the reader
@@ -81,8 +84,15 @@ class Simulation:
             workers: Processes; 1 makes all in this one.
 
         Raises:
+            ConfigError: If the scene is a campaign of fewer grasps.
             SimulationError: If a slot fails `scene.max_attempts` times.
         """
+        campaign = self.scene.campaign
+        if campaign is not None and count > campaign.size:
+            raise ConfigError(
+                f"campaign: {count} grasps exceed its {campaign.size} ({len(campaign.days)} sessions of {campaign.objects} "
+                f"objects, {campaign.grasps} grasps each)"
+            )
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
         if workers == 1:
             maker = _Maker(self.scene)
@@ -102,7 +112,7 @@ class Simulation:
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
     """Which effects will run and which will not, without running any."""
-    return explain(scene, EFFECTS, SAMPLE_KEYS)
+    return explain(scene, EFFECTS, _keys(scene))
 
 
 def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
@@ -111,7 +121,12 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
     Raises:
         SimulationError: As it did.
     """
-    return Engine(scene, EFFECTS, SAMPLE_KEYS).run(key)
+    return Engine(scene, EFFECTS, _keys(scene)).run(key)
+
+
+def _keys(scene: SceneConfig) -> tuple[str, ...]:
+    """Of the state that a sample of this scene is made of."""
+    return SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "moment")
 
 
 _Block = tuple[list[SimulatedSample], dict[str, EffectTiming], "list[Failure] | None"]
@@ -122,7 +137,7 @@ class _Maker:
 
     def __init__(self, scene: SceneConfig) -> None:
         self._scene = scene
-        self._engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
+        self._engine = Engine(scene, EFFECTS, _keys(scene))
 
     def block(self, slots: range) -> _Block:
         """The samples of some slots, the time they took and, where one is given up, its failures."""
@@ -157,13 +172,15 @@ class _Maker:
 
 
 def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSample:
-    item = scene.objects[key.slot % len(scene.objects)]
+    item = scene.objects[object_index(scene, key.slot)]
     extra = {"seed": float(key.seed), "slot": float(key.slot), "attempt": float(key.attempt)}
     for finger, target, contact in zip(("th", "mf"), state.targets, state.contacts, strict=True):
         extra[f"target_{finger}"] = float(target)
         extra[f"force_{finger}_n"] = contact.force_n
         extra[f"depth_{finger}_m"] = float(contact.depth_m)
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
+    if scene.campaign is not None:
+        extra |= _course(state)
     return GraspSample(
         id=f"{item.name}/{key.slot:06d}",
         object=item.name,
@@ -171,8 +188,20 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
         grasp=state.grasp,
         touch=state.touch,
         tare=state.tare,
+        stamp_ns=0 if scene.campaign is None else state.moment.stamp_ns,
         extra=extra,
     )
+
+
+def _course(state: SampleState) -> dict[str, float]:
+    """Where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
+    moment = state.moment
+    course = {"session": float(moment.session), "visit": float(moment.visit), "powered_s": moment.powered_s}
+    level = state.level[0] if hasattr(state, "level") else np.zeros((2, 1 + ELECTRODES))
+    for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
+        course[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
+        course[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
+    return course
 
 
 def _given_up(failures: list[Failure]) -> SimulationError:

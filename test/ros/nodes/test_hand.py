@@ -177,6 +177,16 @@ def test_the_object_is_the_one_on_the_table_when_the_cloud_was_taken(graph, scen
         np.testing.assert_array_equal(finger_counts(held[-1], "TH")[1:], touch.e_th)
 
 
+def test_a_hand_that_is_restarted_goes_on_with_the_campaign(graph, scene_file) -> None:
+    """The sensors were switched on 100 s ago, which are 30000 s of the campaign: 10 K warmer, and PDC rises 8 counts a kelvin."""
+    warm_up = {"body_kelvin": 10.0, "warming_s": 1000.0}
+    config = scene(campaign={"live_speed": 300.0, "warm_up": warm_up})
+    origin = time.time_ns() - 100 * SECOND
+    _, tactile, _ = start(graph, scene_file(config), scene__origin_ns=origin)
+    graph.until(lambda: tactile)
+    assert finger_counts(tactile[0], "TH")[0] == round(config.fingers.thumb.pdc_rest) + 80
+
+
 def test_on_request_only(graph, scene_file) -> None:
     config = scene()
     node, _, told = start(graph, scene_file(config), automatic=False)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from foretouch.errors import SimulationError
+from foretouch.errors import ConfigError, SimulationError
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
@@ -50,9 +50,14 @@ class Repeater:
     Args:
         scene: The scene.
         causes: Those of `CAUSES` and `NEW_OBJECT` that are redrawn; the others are those of the sample.
+
+    Raises:
+        ConfigError: If the scene has a campaign, in which no moment comes twice.
     """
 
     def __init__(self, scene: SceneConfig, causes: frozenset[str]) -> None:
+        if scene.campaign is not None:
+            raise ConfigError("scene: campaign: grasps are repeated at one moment; give a scene without a campaign")
         again = frozenset[str]().union(*(CAUSES[cause] for cause in causes - {NEW_OBJECT}))
         self._new_object = NEW_OBJECT in causes
         if self._new_object:
@@ -84,8 +89,9 @@ class Repeater:
                 if err.reason == "effect":
                     raise  # a defect of the program, not of the grasp
                 continue
-            touches.append(state.touch.vector())
-            tares.append(state.tare.vector())
+            if state.tare is not None:  # without a campaign each grasp has one
+                touches.append(state.touch.vector())
+                tares.append(state.tare.vector())
         if len(touches) < 2:
             raise SimulationError(f"slot {slot}: {len(touches)} of {_TRIES * count} repeats succeed", "repeats")
         return Repeats(np.array(touches), np.array(tares))

@@ -132,6 +132,8 @@ class HandNode(ForetouchNode[HandConfig]):
         self._faults = MessageFaults(self.config.faults)  # before the hand: the diagnostics timer runs already
         scene = self.config.scene.load()
         self._hand = SimulatedHand(scene, self.config.course)
+        if scene.campaign is not None and self.config.scene.origin_ns:  # sensors stay on while this node is restarted
+            self._began = time.monotonic() - (self.get_clock().now().nanoseconds - self.config.scene.origin_ns) * 1e-9
         at_rest = SimulatedHand(scene, self.config.course)  # not shared between threads
         self._idle_fingers = [name for name in self.config.biotacs if name not in _GRASPING]
         self._resting = [RestingFingers(at_rest, k) for k in range(1 + len(self._idle_fingers))]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The effects of a scene, in the order in which effects that change the same key are applied."""
 
-from foretouch.simulation.effects import contact, grasp, meeting, place, points, reading, view
+from foretouch.simulation.effects import campaign, contact, grasp, meeting, place, points, reading, view
 
 __all__ = ["EFFECTS"]
 
@@ -12,5 +12,6 @@ EFFECTS = (
     *grasp.EFFECTS,
     *meeting.EFFECTS,
     *contact.EFFECTS,
+    *campaign.EFFECTS,
     *reading.EFFECTS,
 )

@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
+from foretouch.simulation.campaign import object_index
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
 from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
 from foretouch.simulation.finger_contact import FingerFrame, pad_of, surface_behind
@@ -93,7 +94,7 @@ def _surface(job: Job, state: SampleState) -> None:
     if surface is None:
         return
     body = state.bodies[0]
-    rng = np.random.default_rng([job.scene.seed, job.key.slot % len(job.scene.objects), body.variant])
+    rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
     axes *= 2.0 * np.pi / surface.wavelength_m / np.linalg.norm(axes, axis=1, keepdims=True)
     phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)

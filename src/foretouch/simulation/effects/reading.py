@@ -32,8 +32,12 @@ from foretouch.types import ELECTRODES, Float64, Touch
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 
+def _mounted(job: Job, state: SampleState) -> None:
+    state.sensors = job.world.fingers
+
+
 def _ideal(job: Job, state: SampleState) -> None:
-    fingers = job.world.fingers
+    fingers = state.sensors
     at_rest = [np.append(finger.pdc_rest, finger.electrode_rest) for finger in fingers]
     touched = [_felt(job, *each) for each in zip(fingers, state.pads, state.contacts, strict=True)]
     state.readings = np.array([at_rest, touched])
@@ -98,7 +102,7 @@ def _felt_after(job: Job, state: SampleState, k: int, slid_m: float) -> Float64:
         )
     except ContactError as err:
         raise contact_failure(f"{job.item.name}: after a slip of {slid_m * 1e3:.1f} mm: {err}", err) from err
-    return _felt(job, job.world.fingers[k], window, contact)
+    return _felt(job, state.sensors[k], window, contact)
 
 
 def _level(scene: SceneConfig) -> Literal["hertz", "winkler", "layer"]:
@@ -188,7 +192,8 @@ _TIMED = keys("times", "load", "hold_row", "series")
 _SERIES = keys("series")
 
 EFFECTS = (
-    Effect("fingertip", _ideal, always("fingers"), reads=keys("pads", "contacts"), writes=keys("readings")),
+    Effect("sensors", _mounted, always("fingers"), writes=keys("sensors")),
+    Effect("fingertip", _ideal, always("fingers"), reads=keys("sensors", "pads", "contacts"), writes=keys("readings")),
     Effect(
         "moments",
         _moments,
@@ -210,7 +215,7 @@ EFFECTS = (
         _slip,
         called_for("fingers.slip"),
         off="no fingers.slip",
-        reads=keys("readings", "bodies", "touches", "pads", "targets", "load"),
+        reads=keys("sensors", "readings", "bodies", "touches", "pads", "targets", "load"),
         modifies=_SERIES,
         again=True,
     ),

@@ -2,6 +2,7 @@
 """Scenes: typed settings read from YAML; contradictions are refused with a reason."""
 
 from foretouch.simulation.scene.camera import CameraConfig
+from foretouch.simulation.scene.campaign import CampaignConfig, DriftTermConfig, ExchangeConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
 from foretouch.simulation.scene.objects import (
     ClutterConfig,
@@ -16,7 +17,10 @@ from foretouch.simulation.scene.scene import GravityConfig, SceneConfig, load_sc
 
 __all__ = [
     "CameraConfig",
+    "CampaignConfig",
     "ClutterConfig",
+    "DriftTermConfig",
+    "ExchangeConfig",
     "FamilyConfig",
     "FingersConfig",
     "GraspsConfig",

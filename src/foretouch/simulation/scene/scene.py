@@ -14,10 +14,11 @@ import numpy as np
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
 from foretouch.simulation.scene.camera import CameraConfig
+from foretouch.simulation.scene.campaign import CampaignConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
 from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
 
-_YOUNGER: Final = {"first_variant": 0, "sessions": None, "method": "original"}
+_YOUNGER: Final = {"first_variant": 0, "sessions": None, "method": "original", "campaign": None}
 """Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""
 
 FIDELITIES = ("auto", "hertz", "winkler", "layer")
@@ -45,6 +46,7 @@ class SceneConfig(Settings):
     grasps: GraspsConfig = GraspsConfig()
     fingers: FingersConfig = FingersConfig()
     gravity: GravityConfig | None = None
+    campaign: CampaignConfig | None = None
     fidelity: str = setting(
         "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=FIDELITIES
     )
@@ -63,6 +65,12 @@ class SceneConfig(Settings):
             _require_in_reach(self, item, f"objects[{k}] {item.name}")
             if self.gravity is not None and item.mass_kg is None:
                 raise ConfigError(f"objects[{k}] {item.name}.mass_kg: absent, but the scene has gravity")
+        for name, instead in (("drift", "campaign.warm_up"), ("sessions", "campaign.drift")):
+            if self.campaign is not None and getattr(self.fingers, name) is not None:
+                raise ConfigError(
+                    f"fingers.{name}: draws the time of each grasp or object, but the scene has a campaign; "
+                    f"give {instead} in its place"
+                )
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:

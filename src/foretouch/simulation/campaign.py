@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The course of a recording campaign: when each grasp is executed, which sensors are mounted, and how far their levels have drifted.
+
+All of it is a function of the scene, its seed and time alone: the paths are made once, over the whole campaign, and each grasp
+reads them at its own time. So neither the number of workers nor the order in which samples are made changes a value.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Final, Self
+
+import numpy as np
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.fingertip import Finger, draw_finger, temperature_drift, wander, warming
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.scene.campaign import DAY_S, CampaignConfig, DriftTermConfig, ExchangeConfig
+from foretouch.simulation.world import SampleKey, World
+from foretouch.tactile import FULL_SCALE
+from foretouch.types import ELECTRODES, Float64
+
+_FINGERS: Final = ("thumb", "middle")
+_CHANNELS: Final = 1 + ELECTRODES
+_KNOTS: Final = 50  # a memory; the path is linear in between, where its variance is at most 1 % lower
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When and at which point of the campaign a grasp is executed."""
+
+    stamp_ns: int  # since 1970 [ns]
+    time_s: float  # since the first power-on [s]
+    powered_s: float  # since the last power-on [s]
+    session: int  # from 0
+    visit: int = 0  # how many objects were grasped before, in the whole campaign
+    grasp: int = 0  # how many grasps of this object came before in succession
+    speed: float = 1.0  # how much of the campaign's time passes in one second of a message's time [s/s]
+
+
+def object_index(scene: SceneConfig, slot: int) -> int:
+    """Which object a slot shows: objects take turns, in a campaign after all grasps of a visit and in an order that changes."""
+    count = len(scene.objects)
+    if scene.campaign is None:
+        return slot % count
+    turn, place = divmod(slot // scene.campaign.grasps, count)
+    return _order(scene.seed, turn, count)[place]
+
+
+@lru_cache(maxsize=64)
+def _order(seed: int, turn: int, count: int) -> list[int]:
+    order: list[int] = SampleKey(seed, turn).stream("order of the objects").permutation(count).tolist()
+    return order
+
+
+class Campaign:
+    """One campaign.
+
+    Args:
+        config: Its settings.
+        scene: The scene.
+        world: Of the scene, with the fingertips that are mounted at first.
+    """
+
+    def __init__(self, config: CampaignConfig, scene: SceneConfig, world: World) -> None:
+        self._config = config
+        self._scene = scene
+        self._world = world
+
+    @classmethod
+    def of(cls, scene: SceneConfig, world: World) -> Self | None:
+        """That of a scene; None where it has none."""
+        return None if scene.campaign is None else cls(scene.campaign, scene, world)
+
+    def moment(self, slot: int) -> Moment:
+        """When the grasp of a slot is executed.
+
+        Raises:
+            SimulationError: If the slot is beyond the last session.
+        """
+        config = self._config
+        visit, grasp = divmod(slot, config.grasps)
+        session, place = divmod(visit, config.objects)
+        if session >= len(config.days):
+            raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "calendar")
+        powered_s = float(self._powered_s[session][place, grasp])
+        return self._moment(session, powered_s, visit, grasp)
+
+    def live(self, elapsed_s: float) -> Moment:
+        """The moment of a live hand that was switched on some time ago [s], and stays on until the next session."""
+        time_s = self._config.live_speed * max(0.0, elapsed_s)
+        starts = np.asarray(self._config.days) * DAY_S
+        session = max(0, int(np.searchsorted(starts, time_s, side="right")) - 1)
+        return replace(self._moment(session, time_s - float(starts[session])), speed=self._config.live_speed)
+
+    def fingers(self, session: int) -> tuple[Finger, Finger]:
+        """Thumb and middle finger as they are mounted in a session."""
+        thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
+        return thumb, middle
+
+    def drift(self, moment: Moment, times_s: Float64, load: Float64) -> Float64:
+        """(T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.
+
+        Args:
+            moment: Of the grasp.
+            times_s: (T,) float64, of the messages after that moment [s].
+            load: (T,) float64, 0 without contact and 1 in full contact.
+        """
+        at_s = moment.time_s + moment.speed * times_s
+        total = np.zeros((len(at_s), 2, _CHANNELS))
+        for (hand, sensors), term in zip(self._paths, self._config.drift, strict=True):
+            share = load if term.in_contact else np.ones(len(load))
+            total[..., 1:] += (share[:, None] * term.hand_counts * _interpolated(hand, term, at_s))[:, None]
+            for k in range(2):
+                pdc, shared, *alone = _interpolated(sensors[k][self._exchanges_before(k, moment.session)], term, at_s).T
+                total[:, k, 0] += share * term.pdc_counts * pdc
+                electrodes = term.finger_counts * shared + term.electrode_counts * np.array(alone)
+                total[:, k, 1:] += (share * electrodes).T
+        return total
+
+    def warm_up(self, moment: Moment, times_s: Float64) -> Float64:
+        """(T, 2, 25) float64 [counts]: how far the sensors have warmed up since power-on; arguments as of `drift`."""
+        config = self._config.warm_up
+        total = np.zeros((len(times_s), 2, _CHANNELS))
+        if config is not None:
+            kelvin = warming(config, moment.powered_s + moment.speed * times_s)
+            pdc, electrodes = temperature_drift(config, kelvin)
+            total[..., 0] += pdc[:, None]
+            total[..., 1:] += electrodes[:, None, None]
+        return total
+
+    def _moment(self, session: int, powered_s: float, visit: int = 0, grasp: int = 0) -> Moment:
+        time_s = self._config.days[session] * DAY_S + powered_s
+        stamp_ns = self._config.start_s * 1_000_000_000 + round(time_s * 1e9)
+        return Moment(stamp_ns, time_s, powered_s, session, visit, grasp)
+
+    def _exchanges(self, finger: int) -> list[ExchangeConfig]:
+        """Of one finger, in order of time."""
+        mine = [each for each in self._config.exchanges if each.finger == _FINGERS[finger]]
+        return sorted(mine, key=lambda each: each.session)
+
+    def _exchanges_before(self, finger: int, session: int) -> int:
+        return sum(each.session <= session for each in self._exchanges(finger))
+
+    @cached_property
+    def _powered_s(self) -> list[Float64]:
+        """Of each session (objects, grasps) float64: when each grasp is executed, since power-on [s]."""
+        config, sessions = self._config, []
+        for session in range(len(config.days)):
+            rng = SampleKey(self._scene.seed, session).stream("times of a session")
+            pauses = rng.uniform(config.grasp_s[0], config.grasp_s[1], (config.objects, config.grasps))
+            pauses[:, 0] += rng.uniform(config.change_s[0], config.change_s[1], config.objects)
+            pauses[0, 0] = config.power_on_s
+            sessions.append(np.cumsum(pauses).reshape(pauses.shape))
+        return sessions
+
+    @cached_property
+    def _sensors(self) -> tuple[list[Finger], list[Finger]]:
+        """Of both fingers the fingertips that are mounted one after the other."""
+        first, fingers = self._world.fingers, self._scene.fingers
+        thumbs, middles = [first[0]], [first[1]]
+        for finger, (mounted, kind) in enumerate(((thumbs, fingers.thumb), (middles, fingers.middle))):
+            for exchange in self._exchanges(finger):
+                stream = SampleKey(self._scene.seed, exchange.session).stream(f"new sensor of the {exchange.finger}")
+                old = mounted[-1]
+                new = draw_finger(kind, stream)
+                electrodes = new.electrode_rest - new.electrode_rest.mean() + old.electrode_rest.mean()
+                mounted.append(
+                    replace(
+                        new,
+                        pdc_rest=old.pdc_rest + exchange.pdc_counts,
+                        electrode_rest=np.clip(electrodes + exchange.electrode_counts, 1.0, FULL_SCALE - 1.0),
+                    )
+                )
+        return thumbs, middles
+
+    @cached_property
+    def _paths(self) -> list[tuple[Float64, list[list[Float64]]]]:
+        """Of each term the path of the hand, and those of each finger's sensors, at unit variance and at equal distances."""
+        config, seed = self._config, self._scene.seed
+        end_s = config.days[-1] * DAY_S + config.longest_session_s
+        paths = []
+        for number, term in enumerate(config.drift):
+            knots = int(np.ceil(end_s / _distance_s(term))) + 1
+
+            def path(name: str, channels: int, sensor: int = 0) -> Float64:
+                rng = SampleKey(seed, number, sensor).stream(name)  # noqa: B023  # is called within this turn
+                return wander(knots, channels, 1.0, 1.0, _KNOTS, rng)  # noqa: B023
+
+            sensors = [
+                [path(f"drift of the {name}", _CHANNELS + 1, k) for k in range(1 + len(self._exchanges(finger)))]
+                for finger, name in enumerate(_FINGERS)
+            ]
+            paths.append((path("drift of the hand", 1), sensors))
+        return paths
+
+
+def _distance_s(term: DriftTermConfig) -> float:
+    return term.memory_days * DAY_S / _KNOTS
+
+
+def _interpolated(path: Float64, term: DriftTermConfig, at_s: Float64) -> Float64:
+    """(T, C) of a path (K, C); the first and the last value beyond its ends."""
+    place = np.clip(at_s / _distance_s(term), 0.0, len(path) - 1)
+    low = np.minimum(place.astype(np.int64), len(path) - 2)
+    share = (place - low)[:, None]
+    return np.asarray((1.0 - share) * path[low] + share * path[low + 1])

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording campaign: sessions over days and weeks, and how the level of the sensors changes meanwhile."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
+from foretouch.simulation import fingertip as sensor
+from foretouch.simulation.scene.ranges import require_range
+
+DAY_S: Final = 86400.0
+TARES = ("grasp", "object", "session", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftTermConfig(Settings):
+    """One stationary Ornstein-Uhlenbeck process of the readings: correlation exp(-Δt / memory) at a distance of Δt.
+
+    The defaults are the slow term of 400 public grasps, by `benchmarks/simulation/drift.py`: maximum likelihood of a slow and a
+    fast term, the object and the grasp. Between 5 and 40 days of memory the likelihood hardly differs.
+    """
+
+    memory_days: float = setting(
+        10.0, "Time in which the correlation falls to 1/e", unit="days", minimum=0.05, maximum=1000.0
+    )
+    hand_counts: float = setting(
+        55.0, "Standard deviation of what all electrodes of both fingers share", unit="counts", minimum=0.0
+    )
+    finger_counts: float = setting(
+        7.0, "The same of what the electrodes of one finger share", unit="counts", minimum=0.0
+    )
+    electrode_counts: float = setting(3.0, "The same of each electrode alone", unit="counts", minimum=0.0)
+    pdc_counts: float = setting(7.0, "The same of PDC of one finger", unit="counts", minimum=0.0)
+    in_contact: bool = setting(
+        False, "Whether readings move in contact only, and tares do not: how hand and object lie, not the sensor"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExchangeConfig(Settings):
+    """A fingertip is replaced before a session: another sensor with other electrodes and another drift."""
+
+    session: int = setting(1, "The first session with the new sensor, counted from 0", minimum=1)
+    finger: str = setting("thumb", "Which finger", choices=("thumb", "middle"))
+    electrode_counts: float = setting(
+        100.0, "How much higher its electrodes rest on average", unit="counts", minimum=-2000.0, maximum=2000.0
+    )
+    pdc_counts: float = setting(50.0, "The same of PDC", unit="counts", minimum=-2000.0, maximum=2000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignConfig(Settings):
+    """When grasps are executed, and what the sensors do in the course of the campaign.
+
+    In each session some objects are grasped one after the other, each several times. All objects of the scene have their turn before
+    the first comes again, in another order.
+
+    Raises:
+        ConfigError: If sessions overlap, or an exchange is not within the campaign.
+    """
+
+    start_s: int = setting(
+        1_767_603_600, "When the sensors are switched on for the first time", unit="s since 1970", minimum=0
+    )
+    days: tuple[float, ...] = setting(
+        (0.0,), "When each session starts, after the first", unit="days", minimum=0.0, maximum=365.0
+    )
+    objects: int = setting(6, "Objects in a session", minimum=1, maximum=1000)
+    grasps: int = setting(10, "Grasps of an object in succession", minimum=1, maximum=1000)
+    power_on_s: float = setting(120.0, "From power-on to the first grasp", unit="s", minimum=0.0, maximum=DAY_S)
+    grasp_s: tuple[float, ...] = setting(
+        (50.0, 110.0), "From one grasp to the next, low and high", unit="s", minimum=0.1, maximum=DAY_S
+    )
+    change_s: tuple[float, ...] = setting(
+        (60.0, 300.0), "The same in addition where the object is changed", unit="s", minimum=0.0, maximum=DAY_S
+    )
+    tares: str = setting(
+        "grasp", "Which grasps have a tare: each, the first of an object or of a session, none", choices=TARES
+    )
+    live_speed: float = setting(
+        1.0,
+        "Time of the campaign that passes in a second of a live simulated hand",
+        unit="s/s",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    warm_up: sensor.TemperatureConfig | None = None
+    drift: tuple[DriftTermConfig, ...] = field(default=())
+    exchanges: tuple[ExchangeConfig, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range(self, "grasp_s")
+        require_range(self, "change_s")
+        if not self.days or self.days[0] != 0.0:
+            raise ConfigError(f"CampaignConfig.days: {list(self.days)} does not begin with 0, the first session")
+        longest = self.longest_session_s / DAY_S
+        for k, (day, after) in enumerate(zip(self.days, self.days[1:], strict=False)):
+            if after - day < longest:
+                raise ConfigError(
+                    f"CampaignConfig.days: session {k + 1} starts {after - day:g} days after session {k}, "
+                    f"which may take {longest:.3g} days"
+                )
+        mounted = [(each.session, each.finger) for each in self.exchanges]
+        for k, (session, finger) in enumerate(mounted):
+            if session >= len(self.days):
+                raise ConfigError(
+                    f"CampaignConfig.exchanges[{k}].session: {session}, but the last session is {len(self.days) - 1}"
+                )
+            if mounted.index((session, finger)) < k:
+                raise ConfigError(
+                    f"CampaignConfig.exchanges[{k}]: the {finger} is exchanged twice at session {session}"
+                )
+
+    @property
+    def longest_session_s(self) -> float:
+        """Upper bound of the duration of a session [s]."""
+        return self.power_on_s + self.objects * (self.grasps * self.grasp_s[1] + self.change_s[1])
+
+    @property
+    def size(self) -> int:
+        """Number of grasps in the campaign."""
+        return len(self.days) * self.objects * self.grasps

@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns: the calendar, and what becomes of the sensors, against the settings that state it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sim_builders import CAN, SPONGE, run, scene
+
+from foretouch.cli.main import main
+from foretouch.dataset.samples import open_samples
+from foretouch.dataset.store import sample_digest
+from foretouch.errors import ConfigError, SimulationError
+from foretouch.simulation.campaign import Campaign, object_index
+from foretouch.simulation.execution import SimulatedHand
+from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.simulation.simulate import SimulatedSample, Simulation, explain_scene, replay
+from foretouch.simulation.world import SampleKey, World
+
+SCENES = Path(__file__).parents[2] / "config" / "scenes"
+HELD = {"grasps": {"insertion_m": 0.01}}
+BOX = {"name": "box", "shape": "box", "size_m": [0.06, 0.09, 0.07]}
+EFFECTS = ("calendar", "exchange", "level", "level_drift", "warm_up", "level_shift", "tares")
+QUIET = {"hand_counts": 0.0, "finger_counts": 0.0, "electrode_counts": 0.0, "pdc_counts": 0.0}
+NOW = np.zeros(1)
+
+
+def campaign(seed: int = 0, **settings: Any) -> Campaign:
+    config = scene(CAN, BOX, SPONGE, seed=seed, campaign=settings)
+    found = Campaign.of(config, World.of(config))
+    assert found is not None
+    return found
+
+
+def made(config: SceneConfig, count: int, workers: int = 1) -> list[SimulatedSample]:
+    return list(Simulation(config).samples(count, workers))
+
+
+def drift_at(course: Campaign, *slots: int, load: float = 0.0) -> np.ndarray:
+    """(slots, 2, 25) counts."""
+    rows = [course.drift(course.moment(slot), np.zeros(1), np.array([load]))[0] for slot in slots]
+    return np.stack(rows)
+
+
+# Off.
+
+
+def test_without_a_campaign_none_of_its_effects_runs() -> None:
+    simulation = Simulation(scene(CAN, **HELD))
+    one = next(iter(simulation.samples(1))).sample
+    assert [simulation.timings[name].calls for name in EFFECTS] == [0] * len(EFFECTS)
+    assert one.stamp_ns == 0
+    assert "session" not in one.extra
+    assert scene(CAN, **HELD).sha256() != scene(CAN, campaign={}, **HELD).sha256()
+
+
+def test_a_campaign_without_effects_changes_no_reading() -> None:
+    plain, dated = made(scene(CAN, **HELD), 2), made(scene(CAN, campaign={}, **HELD), 2)
+    for first, second in zip(plain, dated, strict=True):
+        one, other = first.sample, second.sample
+        assert one.touch is not None and other.touch is not None  # noqa: PT018
+        assert one.tare is not None and other.tare is not None  # noqa: PT018
+        np.testing.assert_array_equal(one.cloud.xyz, other.cloud.xyz)
+        np.testing.assert_array_equal(one.touch.vector(), other.touch.vector())
+        np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())
+        assert other.stamp_ns > 0
+
+
+# The calendar.
+
+
+def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
+    config = {"days": [0, 1.5, 7], "objects": 2, "grasps": 3, "start_s": 1000, "power_on_s": 30, "change_s": [200, 200]}
+    course = campaign(**config, grasp_s=[50, 110])
+    moments = [course.moment(slot) for slot in range(18)]
+    seconds = np.array([moment.stamp_ns for moment in moments]) * 1e-9
+    np.testing.assert_allclose(seconds[::6] - 1000, np.array([0, 1.5, 7]) * 86400 + 30)
+    pauses = np.diff(seconds.reshape(3, 2, 3), axis=2)
+    assert ((pauses >= 50) & (pauses <= 110)).all()
+    assert ((seconds[3::6] - seconds[2::6] >= 250) & (seconds[3::6] - seconds[2::6] <= 310)).all()
+    assert [moment.session for moment in moments] == [0] * 6 + [1] * 6 + [2] * 6
+    assert [moment.visit for moment in moments] == np.repeat(range(6), 3).tolist()
+    with pytest.raises(SimulationError, match="slot 18: the campaign has 18 grasps"):
+        course.moment(18)
+
+
+def test_objects_take_turns_by_visits_and_each_has_its_turn() -> None:
+    config = scene(CAN, BOX, SPONGE, campaign={"days": [0, 1, 2, 3], "objects": 3, "grasps": 5})
+    shown = [object_index(config, slot) for slot in range(60)]
+    visits = np.array(shown).reshape(12, 5)
+    assert (visits == visits[:, :1]).all()
+    turns = visits[:, 0].reshape(4, 3)
+    assert (np.sort(turns, axis=1) == [0, 1, 2]).all()
+    assert len({tuple(turn) for turn in turns.tolist()}) > 1  # in another order
+    assert [object_index(scene(CAN, BOX), slot) for slot in range(4)] == [0, 1, 0, 1]
+
+
+def test_an_object_keeps_its_surface_over_all_visits() -> None:
+    """Nothing else is drawn here, so the same object in another slot shows the same relief."""
+    still = {"pose": {"x_m": [0, 0], "y_m": [0, 0], "yaw_deg": [0, 0]}, "surface": {}}
+    config = scene(CAN | still, BOX | still, campaign={"days": [0, 1, 2, 3], "objects": 2, "grasps": 1}, **HELD)
+    slots = [slot for slot in range(8) if object_index(config, slot) == 1]
+    assert {slot % 2 for slot in slots} == {0, 1}
+    first, *others = [replay(config, SampleKey(0, slot)).relief for slot in slots]
+    for other in others:
+        np.testing.assert_array_equal(other, first)
+
+
+def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
+    config = scene(CAN, BOX, campaign={"days": [0, 1], "objects": 2, "grasps": 2}, **HELD)
+    samples = [each.sample for each in made(config, 8)]
+    assert (np.diff([sample.stamp_ns for sample in samples]) > 40_000_000_000).all()
+    assert [sample.extra["session"] for sample in samples] == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert [sample.extra["visit"] for sample in samples] == [0, 0, 1, 1, 2, 2, 3, 3]
+    objects = [config.objects[object_index(config, slot)].name for slot in range(8)]
+    assert [sample.object for sample in samples] == objects
+    assert [sample.id for sample in samples] == [f"{name}/{slot:06d}" for slot, name in enumerate(objects)]
+    with pytest.raises(
+        ConfigError, match=r"campaign: 9 grasps exceed its 8 \(2 sessions of 2 objects, 2 grasps each\)"
+    ):
+        made(config, 9)
+
+
+# Drift.
+
+LONG = {"days": [0, 5, 10, 20, 40], "objects": 1, "grasps": 1}
+
+
+def test_drift_has_the_stated_variance_and_memory() -> None:
+    """48 electrodes of 40 seeds are 1920 independent paths: the standard error of a correlation is below .03."""
+    term = QUIET | {"memory_days": 10, "electrode_counts": 30.0}
+    found = np.stack([drift_at(campaign(seed, **LONG, drift=[term]), *range(5))[..., 1:] for seed in range(40)])
+    paths = np.moveaxis(found, 1, -1).reshape(-1, 5)
+    np.testing.assert_allclose(paths.std(axis=0), 30.0, rtol=0.06)
+    np.testing.assert_allclose(paths.mean(axis=0), 0.0, atol=4 * 30.0 / np.sqrt(len(paths)))
+    expected = np.exp(-np.abs(np.subtract.outer(LONG["days"], LONG["days"])) / 10.0)
+    np.testing.assert_allclose(np.corrcoef(paths.T), expected, atol=0.09)
+
+
+def test_fingers_and_electrodes_share_what_is_stated() -> None:
+    """Variances 16, 9 and 4: within a finger 25 of 29 is shared, across 16 of 29; PDC is on its own."""
+    term = {"memory_days": 0.5, "hand_counts": 4.0, "finger_counts": 3.0, "electrode_counts": 2.0, "pdc_counts": 5.0}
+    weeks = {"days": list(range(0, 100, 2)), "objects": 1, "grasps": 1}  # sessions that have forgotten each other
+    found = np.concatenate([drift_at(campaign(seed, **weeks, drift=[term]), *range(50)) for seed in range(10)])
+    correlation = np.corrcoef(found.reshape(-1, 50).T)
+    thumb, middle = slice(1, 25), slice(26, 50)
+    within = correlation[thumb, thumb][np.triu_indices(24, 1)]
+    assert np.mean(within) == pytest.approx(25 / 29, abs=0.02)
+    assert np.mean(correlation[thumb, middle]) == pytest.approx(16 / 29, abs=0.06)
+    assert abs(correlation[0, 25]) < 0.12  # three standard errors
+    assert np.abs(correlation[0, thumb]).mean() < 0.12
+    np.testing.assert_allclose(found[:, :, 0].std(), 5.0, rtol=0.08)
+    np.testing.assert_allclose(found[:, :, 1:].std(), np.sqrt(29.0), rtol=0.08)
+
+
+def test_drift_is_a_function_of_time_and_seed_whatever_else_is_asked() -> None:
+    settings: dict[str, Any] = {"objects": 2, "grasps": 5, "drift": [{}, {"memory_days": 0.05}]}
+    forward, backward = campaign(**settings, days=[0, 3]), campaign(**settings, days=[0, 3])
+    longer = campaign(**settings, days=[0, 3, 30])
+    first = drift_at(forward, *range(20))
+    np.testing.assert_array_equal(first, drift_at(backward, *range(19, -1, -1))[::-1])
+    np.testing.assert_array_equal(first, drift_at(longer, *range(20)))
+    assert not np.array_equal(first, drift_at(campaign(1, **settings, days=[0, 3]), *range(20)))
+    assert np.abs(np.diff(first, axis=0)).max() > 0.1
+
+
+def test_terms_add_up_and_one_in_contact_leaves_the_rest_alone() -> None:
+    slow, fast = {"memory_days": 10}, {"memory_days": 0.05, "in_contact": True}
+    both = campaign(**LONG, drift=[slow, fast])
+    alone = campaign(**LONG, drift=[slow])
+    np.testing.assert_array_equal(drift_at(both, 0, 3), drift_at(alone, 0, 3))
+    assert np.abs(drift_at(both, 3, load=1.0) - drift_at(alone, 3)).max() > 1.0
+
+
+# Warm-up, exchanges and tares.
+
+
+def test_warm_up_decays_after_each_power_on() -> None:
+    course = campaign(days=[0, 1], objects=2, grasps=20, warm_up={"warming_s": 500, "body_kelvin": 2})
+    moments = [course.moment(slot) for slot in range(80)]
+    rise = np.stack([course.warm_up(moment, NOW)[0, :, 1:] for moment in moments])
+    powered = np.array([moment.powered_s for moment in moments])
+    np.testing.assert_allclose(24.0 - rise, np.broadcast_to(24.0 * np.exp(-powered / 500)[:, None, None], rise.shape))
+    assert rise[39].min() > 23.0
+    assert rise[40].max() < 6.0  # cold again
+
+
+def test_an_exchange_jumps_once_and_on_one_finger() -> None:
+    exchange = {"session": 2, "finger": "thumb", "electrode_counts": -150, "pdc_counts": 40}
+    course = campaign(days=[0, 1, 2, 3, 4], objects=1, grasps=1, exchanges=[exchange])
+    mounted = [course.fingers(session) for session in range(5)]
+    levels = np.array([[finger.electrode_rest.mean() for finger in pair] for pair in mounted])
+    np.testing.assert_allclose(np.diff(levels, axis=0), [[0, 0], [-150, 0], [0, 0], [0, 0]], atol=1e-9)
+    np.testing.assert_allclose(np.diff([pair[0].pdc_rest for pair in mounted]), [0, 40, 0, 0])
+    assert np.ptp(mounted[2][0].electrode_rest - mounted[1][0].electrode_rest) > 50  # another sensor, not an offset
+    assert mounted[1] == mounted[0]
+
+
+def test_a_new_sensor_has_a_drift_of_its_own_and_the_other_finger_goes_on() -> None:
+    settings: dict[str, Any] = {"days": [0, 1, 2], "objects": 1, "grasps": 1, "drift": [{"hand_counts": 0.0}]}
+    kept = drift_at(campaign(**settings), 0, 1, 2)
+    new = drift_at(campaign(**settings, exchanges=[{"session": 1, "finger": "middle"}]), 0, 1, 2)
+    np.testing.assert_array_equal(new[:, 0], kept[:, 0])
+    np.testing.assert_array_equal(new[0], kept[0])
+    assert (new[1:, 1] != kept[1:, 1]).all()
+
+
+def test_tare_and_touch_follow_the_state() -> None:
+    settings = {"days": [0, 1], "objects": 1, "grasps": 2, "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}]}
+    config = scene(CAN, campaign=settings, **HELD)
+    for slot in range(4):
+        state = run(config, "series", "readings", "level", "tare", "touch", slot=slot)
+        np.testing.assert_allclose(state.series - state.readings, state.level)
+        np.testing.assert_array_equal(state.level[0], state.level[1])
+        assert state.tare is not None
+        expected = np.clip(np.rint(state.series[0]), 0, 4095)
+        np.testing.assert_array_equal([state.tare.e_th, state.tare.e_mf], expected[:, 1:])
+        assert np.abs(state.level).min() > 0.0
+
+
+def test_the_stated_rest_levels_are_those_of_the_tare() -> None:
+    settings = {"days": [0, 1], "objects": 1, "grasps": 3, "warm_up": {}, "exchanges": [{"session": 1}]}
+    settings["drift"] = [{}, {"memory_days": 0.05, "in_contact": True}]
+    for one in made(scene(CAN, campaign=settings, **HELD), 6):
+        sample = one.sample
+        assert sample.tare is not None
+        assert sample.extra["rest_pdc_th"] == pytest.approx(sample.tare.pdc_th, abs=0.5)
+        assert sample.extra["rest_e_th"] == pytest.approx(sample.tare.e_th.mean(), abs=0.5)
+        assert sample.extra["rest_e_mf"] == pytest.approx(sample.tare.e_mf.mean(), abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("tares", "kept"), [("grasp", range(8)), ("object", (0, 2, 4, 6)), ("session", (0, 4)), ("none", ())]
+)
+def test_tares_are_recorded_where_it_is_stated(tares: str, kept: Any) -> None:
+    settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
+    samples = made(scene(CAN, campaign=settings, **HELD), 8)
+    assert [k for k, one in enumerate(samples) if one.sample.tare is not None] == list(kept)
+
+
+# Runs.
+
+FULL: dict[str, Any] = {
+    "days": [0, 1],
+    "objects": 2,
+    "grasps": 5,
+    "tares": "object",
+    "warm_up": {},
+    "drift": [{}, {"memory_days": 0.05, "in_contact": True}],
+    "exchanges": [{"session": 1}],
+}
+
+
+def test_values_depend_neither_on_workers_nor_on_order() -> None:
+    config = scene(CAN, BOX, campaign=FULL, fingers={"noise": {}}, **HELD)
+    alone, spread = made(config, 20), made(config, 20, workers=2)
+    assert [sample_digest(one.sample) for one in alone] == [sample_digest(one.sample) for one in spread]
+    for one in (alone[17], alone[2]):
+        again = replay(config, one.key)
+        np.testing.assert_array_equal(again.touch.vector(), one.sample.touch.vector())  # type: ignore[union-attr]
+        assert again.moment.stamp_ns == one.sample.stamp_ns
+    other = made(config.replace(seed=1), 3)
+    assert sample_digest(other[0].sample) != sample_digest(alone[0].sample)
+
+
+def test_effects_are_named_with_what_calls_for_them() -> None:
+    reasons = {plan.name: plan.reason for plan in explain_scene(scene(CAN, campaign=FULL)) if plan.runs}
+    assert reasons["calendar"] == "campaign: 20 grasps in 2 sessions over 1 days, 2 objects each, 5 grasps of each"
+    assert reasons["exchange"] == "campaign.exchanges: thumb at session 1"
+    assert reasons["level_drift"] == "campaign.drift: memory 10, 0.05 days"
+    assert reasons["warm_up"] == "campaign.warm_up: 600 s after each power-on"
+    assert reasons["tares"] == "campaign.tares: object"
+    off = {plan.name: plan.reason for plan in explain_scene(scene(CAN, campaign={})) if not plan.runs}
+    assert off["level_drift"] == "no campaign.drift"
+
+
+def test_a_live_hand_passes_through_the_campaign_by_its_clock() -> None:
+    """86.4 s are a day: on the second one the thumb is another, and sensors that stayed on are warm."""
+    settings = FULL | {"live_speed": 1000.0}
+    config = scene(CAN, BOX, campaign=settings, **HELD)
+    found = Campaign.of(config, World.of(config))
+    assert found is not None
+    hand = SimulatedHand(config)
+    for elapsed in (0.0, 40.0, 90.0):
+        moment = found.live(elapsed)
+        assert moment.time_s == pytest.approx(1000.0 * elapsed)
+        assert moment.session == int(elapsed > 86.4)
+        level = found.drift(moment, np.zeros(1), np.zeros(1)) + found.warm_up(moment, np.zeros(1))
+        rest = np.array([np.append(f.pdc_rest, f.electrode_rest) for f in found.fingers(moment.session)])
+        np.testing.assert_allclose(hand.rest(1, elapsed_s=elapsed)[0], rest + level[0], atol=0.51)
+    grasp = run(config, "grasp", slot=0).grasp
+    course = hand.execute(grasp, 0, elapsed_s=40.0)
+    assert course.success
+    np.testing.assert_array_equal(course.counts[0], hand.rest(1, elapsed_s=40.0)[0])
+    again = SimulatedHand(config).execute(grasp, 0, elapsed_s=40.0)  # after a restart
+    np.testing.assert_array_equal(again.counts, course.counts)
+
+
+def test_a_data_set_holds_stamps_sessions_and_tares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, path = tmp_path / "data", SCENES / "campaign_day.yaml"
+    few = ["--set", "campaign.grasps=1", "--set", "campaign.tares=session"]
+    assert main(["simulate", str(path), "-n", "6", "-o", str(out), "--workers", "1", "--no-sheet", "--json", *few]) == 0
+    ran = {effect["name"] for effect in json.loads(capsys.readouterr().out)["effects"] if effect["ran"]}
+    assert ran >= {"calendar", "level_drift", "warm_up", "level_shift", "tares"}
+    with open_samples(out) as stored:
+        samples = [record.sample for record in stored.records()]
+    assert (np.diff([sample.stamp_ns for sample in samples]) > 0).all()
+    assert [sample.extra["session"] for sample in samples] == [0, 0, 0, 1, 1, 1]
+    assert [sample.tare is not None for sample in samples] == [True, False, False] * 2
+    assert {sample.object for sample in samples[:3]} == {"can", "box", "ball"}
+
+
+def test_the_committed_campaign_is_as_promised() -> None:
+    config = load_scene(SCENES / "campaign.yaml")
+    course = config.campaign
+    assert course is not None
+    assert len(config.objects) >= 30
+    assert len(course.days) == 12
+    assert course.days[-1] >= 20
+    assert len(course.exchanges) == 1
+    unseen = load_scene(SCENES / "unseen_objects.yaml")
+    assert not {item.name for item in config.objects} & {item.name for item in unseen.objects}
+    assert not {item.size_m for item in config.objects} & {item.size_m for item in unseen.objects}
+    key = SampleKey(config.seed, course.size - 1)
+    assert {object_index(config, slot) for slot in range(key.slot)} == set(range(len(config.objects)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"days": [1, 2]}, r"CampaignConfig.days: \[1.0, 2.0\] does not begin with 0"),
+        ({"days": [0, 2, 1]}, r"session 2 starts -1 days after session 1, which may take"),
+        ({"days": [0, 0.01]}, r"session 1 starts 0.01 days after session 0, which may take 0.0986 days"),
+        ({"exchanges": [{"session": 3}]}, r"exchanges\[0\].session: 3, but the last session is 0"),
+        ({"days": [0, 1], "exchanges": [{}, {}]}, r"exchanges\[1\]: the thumb is exchanged twice at session 1"),
+        ({"exchanges": [{"finger": "ring"}]}, r"finger: 'ring' is none of thumb, middle"),
+        ({"grasp_s": [60, 50]}, r"grasp_s: \[60.0, 50.0\] is not \[low, high\]"),
+        ({"drift": [{"memory_days": 0}]}, r"memory_days: 0.0 is below 0.05 days"),
+        ({"drift": [{"counts": 1}]}, r"campaign.drift\[0\].counts: unknown setting"),
+        ({"tares": "often"}, r"tares: 'often' is none of grasp, object, session, none"),
+    ],
+)
+def test_contradictions_are_named(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        scene(CAN, campaign=settings)
+
+
+@pytest.mark.parametrize(("name", "instead"), [("drift", "warm_up"), ("sessions", "drift")])
+def test_effects_with_times_of_their_own_are_refused(name: str, instead: str) -> None:
+    with pytest.raises(ConfigError, match=rf"fingers.{name}: draws .* give campaign.{instead} in its place"):
+        scene(CAN, campaign={}, fingers={name: {}})
