@@ -239,10 +239,13 @@ class Trainer(ABC):
                     )
 
 
-def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """Whole batches of shuffled samples; the remainder is left out of this epoch."""
+def shuffled_batches(
+    index: Indices, size: int, rng: np.random.Generator, *, partial: bool = False
+) -> Iterator[Indices]:
+    """Whole batches of shuffled samples; the remainder is left out of this epoch, or with `partial` is a last batch."""
     shuffled = rng.permutation(index)
-    for start in range(0, len(shuffled) - size + 1, size):
+    end = len(shuffled) if partial else len(shuffled) - size + 1
+    for start in range(0, end, size):
         yield shuffled[start : start + size]
 
 
