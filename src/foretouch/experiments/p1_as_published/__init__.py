@@ -77,7 +77,7 @@ def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, l
 def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
     return [
         Cell(
-            "+".join((table, fold.name, modality)).replace(" ", "_"),
+            f"{table}+{fold.name}+{modality}".replace(" ", "_"),
             {"table": table, "part": fold.name, "modality": modality},
         )
         for table, folds in _tables(settings, real_grasps.labelled(data)).items()
