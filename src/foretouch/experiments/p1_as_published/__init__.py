@@ -131,10 +131,12 @@ def _tested(
     net.train(way == "batch")
     for start in range(0, len(order), size):
         batch = order[start : start + size]
+        if len(batch) == 1:  # batch norm of a single cloud has no statistics
+            return
         points = inputs.points(batch, rng)
         if way == "mean":
             yield batch, np.tile(mean, (len(batch), 1))
-        elif way == "running" or len(batch) > 1:  # batch norm of a single cloud has no statistics
+        else:
             with torch.no_grad():
                 yield batch, net.counts(torch.from_numpy(points)).numpy().astype(np.float64)
 

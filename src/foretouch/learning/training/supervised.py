@@ -131,7 +131,7 @@ class SupervisedTrainer(training.Trainer):
     def batch_count(self) -> int:
         """Steps per epoch."""
         whole, rest = divmod(len(self._index), self.config.batch_size)
-        return whole + (1 if rest and self.config.partial_batches else 0)
+        return whole + (1 if rest > 1 and self.config.partial_batches else 0)
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
         """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
