@@ -86,6 +86,7 @@ def test_list_names_all(call) -> None:
         "cross_validation",
         "time_blocked",
         "cross_type",
+        "p1_as_published",
         "unseen_object",
         "noise_ceiling",
         "lookalikes",

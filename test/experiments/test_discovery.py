@@ -2,6 +2,7 @@
 """A new experiment is one folder: in this package, or in a user's own."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from foretouch.errors import ConfigError
 from foretouch.experiments import find_experiment, list_experiments, run_sweep
 from foretouch.experiments.framework import sweep
 from foretouch.experiments.framework.executors import run_cell
+from foretouch.experiments.framework.manifest import open_folder
 
 RESULTS = Path(__file__).parents[2] / "docs/results"
 
@@ -122,10 +124,15 @@ def test_matplotlib_is_only_imported_to_draw() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*/manifest.json")), ids=lambda path: path.parent.name)
-def test_sweeps_of_earlier_versions_can_be_resumed(path: Path) -> None:
-    """Their manifests hold the name and settings of an experiment, and no name of a module."""
+def test_sweeps_of_earlier_versions_can_be_resumed(path: Path, tmp_path: Path) -> None:
+    """Their manifests hold the name and settings of an experiment, and no name of a module; settings may be missing."""
     manifest = json.loads(path.read_text())
+    assert "module" not in manifest
     experiment = find_experiment(manifest["experiment"])
     settings = experiment.settings.from_mapping(manifest["settings"], experiment.name).to_mapping()
-    assert json.loads(json.dumps(settings)) == manifest["settings"]
-    assert "module" not in manifest
+    shutil.copy(path, tmp_path)
+    fixed = {name: manifest[name] for name in ("experiment", "data")} | {"settings": settings}
+    assert open_folder(tmp_path, fixed, experiment.settings, resume=True)["settings"] == settings
+    other = {**fixed, "data": {"sha256": "other"}}
+    with pytest.raises(ConfigError, match="data"):
+        open_folder(tmp_path, other, experiment.settings, resume=True)

@@ -11,7 +11,7 @@ from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments import Cell, find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch.experiments.label_ratio.data import RatioDataSettings, load_frozen, split_at
-from foretouch.experiments.label_ratio.training import MODELS, TRIALS
+from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.learning.data.splits import RATIOS
 
@@ -25,6 +25,8 @@ TINY: dict[str, Any] = {
     "stock": 64,
     "training.batch_size": 4,
 }
+
+PRINTED = {"pointnet": "P2", "srgan": "P2, as_printed"}
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +78,44 @@ def test_both_models_take_as_many_updates_in_every_cell(data: SimulatedGrasps) -
         references = [[one["reference"] for one in row["objects"].values()] for row in rows]
         assert references[0] == references[1]  # the same samples, in the same order
         assert rows[0]["objects"] != rows[1]["objects"]
+
+
+@pytest.mark.parametrize("reading", ["", "_contrast", "_srgan"])
+def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps, reading: str) -> None:
+    experiment = find_experiment("label_ratio")
+    settings = experiment.resolve(f"p2_as_printed{reading}", {})
+    cells = [cell for cell in experiment.cells(settings, data) if cell.values["model"] in MODELS]
+    assert len(cells) == 5 * 5 * 4 * 2
+    assert (settings.model.n_points, settings.model.feature_size, settings.model.head_size) == (750, 1024, 1039)
+    found = {}
+    for cell in cells:
+        config = configured(settings.training, cell.values["model"], cell.values["trial"], 320, settings.updates, 0)
+        found[cell.values["model"]] = config
+        assert (config.optimiser, config.learning_rate, config.schedule) == ("adam", 0.01, "constant")
+        assert (config.weight_decay, config.target_scaling) == (0.0, "ranges")
+    assert (found["pointnet"].batch_size, found["pointnet"].epochs) == (32, 50)
+    assert (found["srgan"].batch_size, found["srgan"].epochs) == (10, 30)
+    loss = found["srgan"].loss
+    assert loss.reading == (reading.removeprefix("_") or "as_printed")
+    assert (loss.weight_labeled, loss.weight_unlabeled, loss.weight_fake, loss.gradient_penalty) == (
+        1.0,
+        10.0,
+        0.1,
+        0.0,
+    )
+
+
+def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:
+    experiment = find_experiment("label_ratio")
+    tiny = {"model.n_points": 32, "model.trunk_widths": [8, 16], "model.tnet": False, "model.head_widths": [8]}
+    small = {"stock": 64, "modalities": ["PDC_TH"], "updates": 4, "ratios": [50], "seeds": [0], "training.points": 32}
+    small |= {f"{model}.{kind}": [trial] for model, trial in PRINTED.items() for kind in ("pressure", "electrodes")}
+    generator = {"training.generator": {"noise_length": 4, "widths": [4], "stride": 3}}
+    settings = experiment.resolve("p2_as_printed", {**tiny, **small, **generator})
+    for cell in experiment.cells(settings, data):
+        if cell.values["model"] in MODELS:
+            (row,) = experiment.run(cell, settings, data)
+            assert row["updates"] in (4, 3) and row["labelled"] == 32
 
 
 def test_a_sweep_that_was_cut_gives_the_same_table(store: Path, tmp_path: Path) -> None:

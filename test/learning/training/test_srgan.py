@@ -66,6 +66,19 @@ def test_an_epoch_changes_every_weight_of_both_networks(data, reading: str, batc
         assert torch.equal(value, before[name]) == kept, name
 
 
+def test_an_epoch_is_a_pass_over_either_kind(data) -> None:
+    for kind, count in (("labelled", 4), ("unlabelled", 8)):
+        trainer = make(data, QUICK.replace(epoch_over=kind))
+        assert trainer.batch_count == count
+        seen = []
+        trainer._regressor_step = lambda number, labelled, unlabelled, real: seen.append((labelled, unlabelled)) or {}
+        trainer._generator_step = lambda number, unlabelled, real: {}
+        list(trainer._epoch())
+        assert len(seen) == count
+        passed = np.concatenate([pair[kind == "unlabelled"] for pair in seen])
+        assert sorted(passed) == sorted(LABELLED if kind == "labelled" else UNLABELLED)
+
+
 def test_each_step_moves_its_own_network_alone(data) -> None:
     trainer = make(data)
     freeze(trainer.net)

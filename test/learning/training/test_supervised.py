@@ -112,6 +112,16 @@ def test_the_papers_recipe_runs(samples, small) -> None:
     assert np.isfinite(predict_set(net, data, np.arange(3))).all()
 
 
+def test_the_last_smaller_batch_is_used_if_asked_for(samples, small) -> None:
+    data = TrainingSet.build(samples, small)
+    for partial, sizes in ((False, [16, 16, 16]), (True, [16, 16, 16, 2])):
+        config = TrainConfig(epochs=1, batch_size=16, partial_batches=partial, root_epsilon=1e-6, loss="rmse")
+        trainer = SupervisedTrainer(data, np.arange(50), config)
+        assert [len(batch) for batch, *_ in trainer.batches()] == sizes
+        assert trainer.batch_count == len(sizes)
+        assert np.isfinite(trainer.run_epoch()["loss"])
+
+
 def test_every_modality_counts_alike() -> None:
     scaled = torch.zeros(4, 50)
     for column in (0, slice(2, 26)):
@@ -119,6 +129,9 @@ def test_every_modality_counts_alike() -> None:
         target[:, column] = 2.0
         assert float(labeled_loss(scaled, target, SIZES, "mse")) == pytest.approx(1.0)  # 2² over four modalities
         assert float(labeled_loss(scaled, target, SIZES, "rmse")) == pytest.approx(0.5, abs=1e-5)
+        # One modality at sqrt(4 + 5), three at sqrt(5).
+        rooted = (3.0 + 3.0 * 5.0**0.5) / 4.0
+        assert float(labeled_loss(scaled, target, SIZES, "rmse", epsilon=5.0)) == pytest.approx(rooted, abs=1e-5)
 
 
 def test_the_root_has_a_finite_slope_at_zero() -> None:

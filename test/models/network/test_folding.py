@@ -17,6 +17,7 @@ from foretouch.models.network.folding import BLOCK, fold
         {"channels": "xyz+normals", "metric_inputs": True, "head_norm": True},
         {"outputs": ("PDC_MF",), "head_widths": ()},
         {"trunk_widths": (16,), "head_dropout": 0.5},
+        {"trunk_relu": False},
     ],
     ids=str,
 )

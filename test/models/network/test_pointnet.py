@@ -43,6 +43,18 @@ def test_values_and_gradients_are_those_of_the_plain_way(norm: bool) -> None:
         torch.testing.assert_close(one, two, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("training", [True, False])
+def test_features_without_relu_are_negative_where_all_points_are(training: bool) -> None:
+    torch.manual_seed(0)
+    config = ModelConfig(n_points=8, tnet=False, trunk_widths=(8, 32))
+    with_relu, without = PointNetFeatures(config), PointNetFeatures(config.replace(trunk_relu=False))
+    without.load_state_dict(with_relu.state_dict())
+    points = torch.randn(2, 8, 3)
+    features = without.train(training)(points)
+    assert training or bool((features < 0.0).any())  # batch norm of 16 points makes some of them positive
+    torch.testing.assert_close(torch.relu(features), with_relu.train(training)(points))
+
+
 def test_batch_norm_in_training_still_sees_every_point() -> None:
     net = layers().train()
     points = torch.randn(4, 30, 3, dtype=F64)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Row, Table
@@ -53,12 +54,15 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
     }
 
 
-def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequence[str] = ()) -> dict[str, Any]:
+def open_folder(
+    out: Path, fixed: Mapping[str, Any], kind: type[Settings], *, resume: bool, free: Sequence[str] = ()
+) -> dict[str, Any]:
     """Create the folder of a sweep, or check that it contains this sweep.
 
     Args:
         out: The folder.
         fixed: Experiment, settings and data, which must not change.
+        kind: Class of the settings. One that the sweep's version did not have yet counts as its default.
         resume: Continue the sweep in the folder, if there is one.
         free: Settings that may change nevertheless.
 
@@ -78,8 +82,9 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequ
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_json(file)
+    before = {**manifest, "settings": _completed(manifest.get("settings"), kind)}
     for name in _FIXED:
-        _require_same(_without(manifest.get(name), free), _without(fixed[name], free), name, file)
+        _require_same(_without(before.get(name), free), _without(fixed[name], free), name, file)
     (out / _CELLS).mkdir(exist_ok=True)  # published results come without them
     return {**manifest, **fixed}
 
@@ -203,6 +208,14 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise FileError(file, "contains no mapping")
     return record
+
+
+def _completed(settings: Any, kind: type[Settings]) -> Any:
+    """Settings of an earlier version with the defaults of newer ones; unchanged if they are not valid any more."""
+    try:
+        return json.loads(json.dumps(kind.from_mapping(settings).to_mapping()))
+    except (ConfigError, TypeError, AttributeError):
+        return settings
 
 
 def _without(value: Any, names: Sequence[str]) -> Any:

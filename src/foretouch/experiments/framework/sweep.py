@@ -66,7 +66,7 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = manifests.open_folder(out, fixed, resume=resume, free=experiment.free)
+        manifest = manifests.open_folder(out, fixed, experiment.settings, resume=resume, free=experiment.free)
         done = manifests.read_cells(out, cells)
         manifest["preset"] = preset
         manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})

@@ -17,7 +17,14 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.label_ratio.data import RatioDataSettings, load_frozen, prepared, split_at
 from foretouch.experiments.label_ratio.results import TREES, compare_models, draw_label_ratio_figure, summarise
-from foretouch.experiments.label_ratio.training import MODELS, configured, error_row, kind_of, train_and_predict
+from foretouch.experiments.label_ratio.training import (
+    AS_PRINTED,
+    MODELS,
+    configured,
+    error_row,
+    kind_of,
+    train_and_predict,
+)
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, prepare_simulated
 from foretouch.learning.data import labels_of
 from foretouch.learning.data.splits import RATIOS
@@ -115,7 +122,8 @@ def run_network(
     split = split_at(data.collection, values["ratio"], held_out, held_out_seed)
     inputs = prepared(data, settings.model.replace(outputs=(modality,)), settings.stock)
     config = configured(settings.training, model, values["trial"], len(split.train), settings.updates, seed)
-    predicted, updates = train_and_predict(inputs, split, model, config)
+    as_printed = values["trial"] in AS_PRINTED[model]
+    predicted, updates = train_and_predict(inputs, split, model, config, as_printed=as_printed)
     objects = [data.collection.samples[k].object for k in split.test]
     return [{"updates": updates, **error_row(inputs, split, predicted, objects)}]
 
@@ -182,6 +190,14 @@ def _chosen(ratios: Sequence[int]) -> dict[str, dict[str, list[str]]]:
     }
 
 
+def _as_printed(reading: str) -> dict[str, dict[str, list[str]]]:
+    """P2's recipe at every ratio, in one reading of its losses."""
+    trials = {"pointnet": "P2", "srgan": f"P2, {reading}"}
+    return {
+        model: {kind: [trial] * len(RATIOS) for kind in ("pressure", "electrodes")} for model, trial in trials.items()
+    }
+
+
 EXPERIMENT = Experiment(
     name="label_ratio",
     question="Does an SR-GAN need fewer labels than a PointNet of the same size that is trained alike?",
@@ -190,6 +206,9 @@ EXPERIMENT = Experiment(
     settings=LabelRatioSettings,
     presets={
         "paper": _chosen(RATIOS),
+        "p2_as_printed": _as_printed("as_printed"),
+        "p2_as_printed_contrast": _as_printed("contrast"),
+        "p2_as_printed_srgan": _as_printed("srgan"),
         "quick": {**QUICK, **_chosen(RATIOS), "seeds": [0, 1, 2]},
         "smoke": {**SMOKE, **_chosen((50, 90)), "samples": 200, "ratios": [50, 90], "seeds": [0, 1], "draws": 500},
     },

@@ -27,6 +27,7 @@ from foretouch.learning.data import TrainingSet
 from foretouch.learning.data.training_set import predict_set
 from foretouch.learning.training.losses import labeled_loss
 from foretouch.learning.training.srgan import SrganConfig, SrganTrainer
+from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
 from foretouch.learning.training.trainer import shuffled_batches
 from foretouch.models.network.batch_norm import freeze
 from foretouch.tactile import columns, modality_size
@@ -66,6 +67,17 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
 0.003 unless the name contains another one."""
 
 
+AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
+    POINTNET: {"P2": {"batch_size": 32, "epochs": 50}},
+    SRGAN: {
+        f"P2, {reading}": {"batch_norm": "per_source", "loss": {"reading": reading}}
+        for reading in ("as_printed", "contrast", "srgan")
+    },
+}
+"""P2's recipe, which is the defaults of `SrganConfig`, in the three readings of its losses. Its PointNet is trained by
+`SupervisedTrainer` with batch norm as usual. Not among the trials: nothing is selected."""
+
+
 def kind_of(modality: str) -> str:
     """`pressure` or `electrodes`; modalities of a kind share their trial."""
     return "pressure" if modality_size(modality) == 1 else "electrodes"
@@ -85,9 +97,10 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
     Raises:
         ConfigError: If there is no such model or trial.
     """
-    if trial not in TRIALS.get(model, {}):
-        raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(TRIALS.get(model, MODELS))}")
-    config = base.updated(TRIALS[model][trial], trial)
+    known = {**TRIALS.get(model, {}), **AS_PRINTED.get(model, {})}
+    if trial not in known:
+        raise ConfigError(f"label_ratio: {model} {trial!r} is none of {', '.join(known or MODELS)}")
+    config = base.updated(known[trial], trial)
     if model == POINTNET:
         config = config.updated({"loss": _SUPERVISED})
     epochs = config.epochs
@@ -114,8 +127,10 @@ class PointnetTrainer(SrganTrainer):
             yield {"labeled": float(loss.detach())}
 
 
-def train_and_predict(data: TrainingSet, split: LabelSplit, model: str, config: SrganConfig) -> tuple[Float64, int]:
-    """Train a network and predict the test samples.
+def train_and_predict(
+    data: TrainingSet, split: LabelSplit, model: str, config: SrganConfig, *, as_printed: bool = False
+) -> tuple[Float64, int]:
+    """Train a network and predict the test samples; with `as_printed` the PointNet as P2 describes it.
 
     Returns:
         (J, M) predictions [counts], and the number of updates.
@@ -123,12 +138,21 @@ def train_and_predict(data: TrainingSet, split: LabelSplit, model: str, config: 
     Raises:
         DatasetError: If there are fewer samples than a batch takes, or a loss is not finite.
     """
-    kind = PointnetTrainer if model == POINTNET else SrganTrainer
-    trainer = kind(data, split.train, split.unlabelled, config)
+    trainer: SupervisedTrainer | SrganTrainer
+    if model == POINTNET and as_printed:
+        trainer = SupervisedTrainer(data, split.train, _supervised(config))
+    else:
+        kind = PointnetTrainer if model == POINTNET else SrganTrainer
+        trainer = kind(data, split.train, split.unlabelled, config)
     while trainer.epoch < trainer.epochs:
         trainer.run_epoch()
-    updates = trainer.epochs * (len(split.train) // config.batch_size)
-    return predict_set(trainer.net.eval(), data, split.test), updates
+    return predict_set(trainer.net.eval(), data, split.test), trainer.epochs * trainer.batch_count
+
+
+def _supervised(config: SrganConfig) -> TrainConfig:
+    """The settings that a supervised training has in common with an SR-GAN's, with P2's RMSE."""
+    names = ("epochs", "batch_size", "optimiser", "learning_rate", "weight_decay", "schedule", "target_scaling", "seed")
+    return TrainConfig(loss="rmse", **{name: getattr(config, name) for name in names})
 
 
 def error_row(data: TrainingSet, split: LabelSplit, predicted: Float64, objects: Sequence[str]) -> Row:

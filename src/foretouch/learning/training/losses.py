@@ -109,6 +109,7 @@ def labeled_loss(
     sizes: Sequence[int],
     kind: str = "rmse",
     context: DistributedContext = SINGLE_PROCESS,
+    epsilon: float = 0.0,
 ) -> Tensor:
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
@@ -119,13 +120,16 @@ def labeled_loss(
         kind: `rmse`, or `mse` without the root.
         context: The processes that share the batch. Squares and their number are summed over all of them before the root:
             the mean of each process's own root is a different loss.
+        epsilon: Added to the mean square under the root, as in P1's public code; 0 for `safe_root`.
     """
     means = []
     for part in torch.split(scaled - target, list(sizes), dim=1):
         count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
         means.append(context.shared_sum(part.square().sum()) / count)
     stacked = torch.stack(means)
-    return stacked.mean() if kind == "mse" else safe_root(stacked).mean()
+    if kind == "mse":
+        return stacked.mean()
+    return (torch.sqrt(stacked + epsilon) if epsilon > 0.0 else safe_root(stacked)).mean()
 
 
 def discriminator_loss(

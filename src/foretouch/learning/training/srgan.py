@@ -15,7 +15,8 @@ Departures from P2, which specifies neither:
   are a function of the cloud alone, in training as in prediction. `per_source`: each source is normalised
   by its own batch, and prediction by running statistics of the labelled clouds; kept to show the difference.
 - An epoch is one pass over the labelled samples, so that a supervised network with the same batches takes as many
-  steps. Unlabelled samples are shuffled again in each epoch, and repeated where they are fewer.
+  steps; or over the unlabelled ones (`epoch_over`). The others are shuffled again in each epoch, and repeated where they are
+  fewer.
 
 Shapes: B samples, N points, C channels, F features.
 """
@@ -52,7 +53,12 @@ class SrganConfig(DeviceConfig):
         ConfigError: If a setting is out of its bounds, or a gradient penalty is set without frozen batch norm.
     """
 
-    epochs: int = setting(30, "Passes over the labelled samples", minimum=1, maximum=100_000)
+    epochs: int = setting(30, "Passes over the samples of `epoch_over`", minimum=1, maximum=100_000)
+    epoch_over: str = setting(
+        "labelled",
+        "Samples of which an epoch is one pass, which P2 does not specify; the others are repeated or cut to as many batches",
+        choices=("labelled", "unlabelled"),
+    )
     batch_size: int = setting(10, "Samples of each source per step", minimum=2, maximum=4096)
     optimiser: str = setting("adam", "Optimiser", choices=trainer.OPTIMISERS)
     learning_rate: float = setting(0.01, "Largest learning rate of the regressor", minimum=1e-7, maximum=10.0)
@@ -104,7 +110,7 @@ class SrganTrainer(trainer.Trainer):
         self._labelled, self._unlabelled = labelled, unlabelled
         outputs = columns(data.config.outputs)
         set_target_scaling(self.net, data.labels[np.ix_(labelled, outputs)], config.target_scaling)
-        steps = config.epochs * (len(labelled) // config.batch_size)
+        steps = config.epochs * self.batch_count
         rate = config.learning_rate if config.generator_learning_rate is None else config.generator_learning_rate
         for name, module, largest in (("net", self.net, config.learning_rate), ("generator", self.generator, rate)):
             rule = trainer.OptimiserRule(config.optimiser, largest, config.weight_decay, config.schedule)
@@ -125,13 +131,21 @@ class SrganTrainer(trainer.Trainer):
             freeze(self.net)
         else:
             self.net.train()
-        size = self.config.batch_size
-        repeated = _repeated_batches(self._unlabelled, size, len(self._labelled) // size, self.rng)
-        pairs = zip(trainer.shuffled_batches(self._labelled, size, self.rng), repeated, strict=True)
-        for number, (labelled, unlabelled) in enumerate(pairs):
+        # Generators: the labelled samples are drawn first, as in runs of earlier versions, which can be resumed.
+        sources = [
+            _repeated_batches(index, self.config.batch_size, self.batch_count, self.rng)
+            for index in (self._labelled, self._unlabelled)
+        ]
+        for number, (labelled, unlabelled) in enumerate(zip(*sources, strict=True)):
             real = self._points(unlabelled)
             losses = self._regressor_step(number, labelled, unlabelled, real)
             yield losses | self._generator_step(number, unlabelled, real)
+
+    @property
+    def batch_count(self) -> int:
+        """Steps per epoch."""
+        counted = self._labelled if self.config.epoch_over == "labelled" else self._unlabelled
+        return len(counted) // self.config.batch_size
 
     def _regressor_step(self, number: int, labelled: Indices, unlabelled: Indices, real: Tensor) -> dict[str, float]:
         context = self.training_device.context

@@ -68,11 +68,17 @@ class TrainConfig(DeviceConfig):
 
     epochs: int = setting(100, "Passes over the training samples", minimum=1, maximum=100_000)
     batch_size: int = setting(32, "Samples per step", minimum=2, maximum=4096)
+    partial_batches: bool = setting(
+        False, "Train on the last, smaller batch of an epoch as well, as in P1's public code; else it is left out"
+    )
     optimiser: str = setting("adamw", "Optimiser", choices=training.OPTIMISERS)
     learning_rate: float = setting(1e-3, "Largest learning rate", minimum=1e-7, maximum=10.0)
     weight_decay: float = setting(1e-2, "Weight decay", minimum=0.0, maximum=10.0)
     schedule: str = setting("cosine", "Schedule of the learning rate", choices=training.SCHEDULES)
     loss: str = setting("mse", "Mean squared error, or its root as in the papers", choices=("mse", "rmse"))
+    root_epsilon: float = setting(
+        0.0, "Added under the root of `rmse`; 1e-6 in P1's public code", minimum=0.0, maximum=1.0
+    )
     target_scaling: str = setting(
         "standardised",
         "Scaling of the labels by their mean and deviation, or by the ranges as in the papers",
@@ -114,7 +120,9 @@ class SupervisedTrainer(training.Trainer):
         self.net.train()
         for number, (batch, points, grasps, target) in enumerate(self.batches()):
             scaled = self.net(points, grasps if self.data.config.use_grasp else None)
-            loss = labeled_loss(scaled, target, self.sizes, self.config.loss, self.training_device.context)
+            loss = labeled_loss(
+                scaled, target, self.sizes, self.config.loss, self.training_device.context, self.config.root_epsilon
+            )
             self.require_finite({"loss": loss}, number, self.training_device.context.shard(batch), scaled - target)
             self.optimisers["net"].step(loss)
             yield {"loss": float(loss.detach())}
@@ -122,11 +130,13 @@ class SupervisedTrainer(training.Trainer):
     @property
     def batch_count(self) -> int:
         """Steps per epoch."""
-        return len(self._index) // self.config.batch_size
+        whole, rest = divmod(len(self._index), self.config.batch_size)
+        return whole + (1 if rest > 1 and self.config.partial_batches else 0)
 
     def batches(self) -> Iterator[tuple[Indices, Tensor, Tensor, Tensor]]:
         """One epoch of samples with this process's points (B, N, C), grasps (B, G) and scaled labels (B, M)."""
-        for batch in training.shuffled_batches(self._index, self.config.batch_size, self.rng):
+        partial = self.config.partial_batches
+        for batch in training.shuffled_batches(self._index, self.config.batch_size, self.rng, partial=partial):
             points, grasps = self._inputs(batch)
             yield batch, points, grasps, self.net.to_scaled(self.training_device.shard(self._labels[batch]))
 

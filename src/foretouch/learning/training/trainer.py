@@ -239,11 +239,18 @@ class Trainer(ABC):
                     )
 
 
-def shuffled_batches(index: Indices, size: int, rng: np.random.Generator) -> Iterator[Indices]:
-    """Whole batches of shuffled samples; the remainder is left out of this epoch."""
+def shuffled_batches(
+    index: Indices, size: int, rng: np.random.Generator, *, partial: bool = False
+) -> Iterator[Indices]:
+    """Batches of shuffled samples. The remainder is left out of this epoch, or with `partial` is a last batch.
+
+    A remainder of a single sample is always left out, since batch norm has no statistics of it.
+    """
     shuffled = rng.permutation(index)
-    for start in range(0, len(shuffled) - size + 1, size):
-        yield shuffled[start : start + size]
+    for start in range(0, len(shuffled), size):
+        batch = shuffled[start : start + size]
+        if len(batch) == size or (partial and len(batch) > 1):
+            yield batch
 
 
 def _require_shapes(name: str, wanted: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:

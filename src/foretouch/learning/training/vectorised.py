@@ -66,7 +66,8 @@ class _Stack:
                 layer.moments = False
         first = runs[0]
         config = first.config
-        self._kind, self._sizes, self._grasp = config.loss, first.sizes, first.data.config.use_grasp
+        self._kind, self._epsilon, self._sizes = config.loss, config.root_epsilon, first.sizes
+        self._grasp = first.data.config.use_grasp
         rule = OptimiserRule(config.optimiser, config.learning_rate, config.weight_decay, config.schedule)
         steps = config.epochs * first.batch_count
         # The optimisers work value by value, so a step of the stack is a step of each of its networks.
@@ -95,7 +96,7 @@ class _Stack:
     ) -> Tensor:
         inputs = (points, grasp) if self._grasp else (points,)
         scaled: Tensor = functional_call(self._shape, (weights, buffers), inputs)
-        return labeled_loss(scaled, target, self._sizes, self._kind)
+        return labeled_loss(scaled, target, self._sizes, self._kind, epsilon=self._epsilon)
 
 
 def _require_one_shape(runs: Sequence[SupervisedTrainer]) -> None:

@@ -41,6 +41,9 @@ class ModelConfig(Settings):
     )
     tnet: bool = setting(True, "Transform the points by a learned 3 x 3 matrix first (the T-Net of PointNet)")
     trunk_widths: tuple[int, ...] = setting((64, 128, 1024), "Shared layers over the points", minimum=1, maximum=8192)
+    trunk_relu: bool = setting(
+        True, "Apply ReLU to the features before the maximum over the points; P1's public code does not"
+    )
     tnet_widths: tuple[int, ...] = setting(
         (64, 128, 1024, 512, 256), "Layers of the T-Net: three over the points, then two", minimum=1, maximum=8192
     )

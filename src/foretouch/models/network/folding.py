@@ -47,6 +47,7 @@ class FoldedNetwork:
     Attributes:
         transform: Shared layers, cloud layers and matrix of the T-Net, or None.
         trunk: Shared layers over the points.
+        trunk_relu: Whether the last of them ends in a ReLU.
         first: First map of the head, columns of the features.
         first_grasp: (width, G), its columns of the grasp; G may be 0.
         head: The remaining maps; all but the last are followed by a ReLU.
@@ -54,6 +55,7 @@ class FoldedNetwork:
 
     transform: tuple[tuple[Affine, ...], tuple[Affine, ...]] | None
     trunk: tuple[Affine, ...]
+    trunk_relu: bool
     first: Affine
     first_grasp: Tensor
     head: tuple[Affine, ...]
@@ -63,9 +65,9 @@ class FoldedNetwork:
         """(N, C) float32 points of one cloud to its (F,) features."""
         if self.transform is not None:
             shared, rest = self.transform
-            matrix = _chain(rest, _pooled(shared, points)[None]).view(3, 3)
+            matrix = _chain(rest, _pooled(shared, points, relu=True)[None]).view(3, 3)
             points = torch.cat([points[:, :3] @ matrix, points[:, 3:]], dim=1)
-        return _pooled(self.trunk, points)
+        return _pooled(self.trunk, points, relu=self.trunk_relu)
 
     @torch.inference_mode()
     def regress(self, features: Tensor, grasps: Tensor) -> Tensor:
@@ -100,18 +102,20 @@ def fold(net: TouchNet) -> FoldedNetwork:
     return FoldedNetwork(
         transform=None if transform is None else _fold_transform(transform),
         trunk=tuple(_fold_layers(net.features.layers)),
+        trunk_relu=config.trunk_relu,
         first=Affine(first.weight[:, : config.feature_size].contiguous(), first.bias),
         first_grasp=first.weight[:, config.feature_size :].contiguous(),
         head=tuple(rest),
     )
 
 
-def _pooled(layers: tuple[Affine, ...], points: Tensor) -> Tensor:
+def _pooled(layers: tuple[Affine, ...], points: Tensor, *, relu: bool) -> Tensor:
     x = points
     for layer in layers[:-1]:
         x = torch.relu_(layer(x))
     last = layers[-1]
-    return torch.relu_((x @ last.weight.T).amax(dim=0) + last.bias)
+    pooled = (x @ last.weight.T).amax(dim=0) + last.bias
+    return torch.relu_(pooled) if relu else pooled
 
 
 def _chain(layers: tuple[Affine, ...], x: Tensor) -> Tensor:

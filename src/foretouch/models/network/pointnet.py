@@ -34,8 +34,10 @@ _ENTRIES: Final = {"cpu": 2**20, "cuda": 2**27}
 """Values computed at a time: as many as a CPU's cache holds, or as a GPU's memory allows."""
 
 
-def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtype = torch.float32) -> Tensor:
-    """(B, F): max over the points of relu(x Wᵀ + b).
+def pooled_affine(
+    x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtype = torch.float32, *, relu: bool = True
+) -> Tensor:
+    """(B, F): max over the points of relu(x Wᵀ + b), or of x Wᵀ + b without `relu`.
 
     Args:
         x: (B, N, K) floating.
@@ -43,12 +45,14 @@ def pooled_affine(x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtyp
         bias: (F,).
         precision: Of the search, if lower than that of `x`. A point that wins by less than the rounding may then lose to
             a near equal one; values and gradients are those of the selected point, in the dtype of `x`.
+        relu: Whether the layer ends in a ReLU.
     """
     winner = winners(x, weight, precision)
     clouds, size = x.shape[:2]
     rows = (winner + size * torch.arange(clouds, device=x.device)[:, None]).flatten()
     chosen = x.flatten(0, 1).index_select(0, rows).view(clouds, -1, x.shape[2])
-    return torch.relu((chosen * weight).sum(dim=-1) + bias)  # ReLU is monotonic, so it may follow the maximum
+    pooled = (chosen * weight).sum(dim=-1) + bias
+    return torch.relu(pooled) if relu else pooled  # ReLU is monotonic, so it may follow the maximum
 
 
 @torch.no_grad()
@@ -87,7 +91,7 @@ _ENOUGH_ROWS: Final = 32
 
 
 class Layer(nn.Module):
-    """Linear map, batch norm over all leading axes (or none), ReLU.
+    """Linear map, batch norm over all leading axes (or none), ReLU (or none).
 
     Shapes: (..., in_width) to (..., out_width).
 
@@ -100,8 +104,9 @@ class Layer(nn.Module):
     total: Total | None = None
     moments: bool = True
 
-    def __init__(self, in_width: int, out_width: int, *, norm: bool = True) -> None:
+    def __init__(self, in_width: int, out_width: int, *, norm: bool = True, relu: bool = True) -> None:
         super().__init__()
+        self.relu = relu
         self.linear = nn.Linear(in_width, out_width)
         self.norm = nn.BatchNorm1d(out_width) if norm else None
 
@@ -136,14 +141,17 @@ class Layer(nn.Module):
         """Apply the layer."""
         found = self.map_of(x)
         if found is not None:  # saves two passes over the points, and their gradients
-            return torch.relu(functional.linear(x, *found))
+            return self._activated(functional.linear(x, *found))
         y: Tensor = self.linear(x)
         if self.norm is None:
-            return torch.relu(y)
+            return self._activated(y)
         rows = y.flatten(0, -2)
         if self.norm.training and self.total is not None:
-            return torch.relu(synced_norm(rows, self.norm, self.total).view_as(y))
-        return torch.relu(self.norm(rows).view_as(y))
+            return self._activated(synced_norm(rows, self.norm, self.total).view_as(y))
+        return self._activated(self.norm(rows).view_as(y))
+
+    def _activated(self, y: Tensor) -> Tensor:
+        return torch.relu(y) if self.relu else y
 
 
 def _worth_moments(rows: int, linear: nn.Linear) -> bool:
@@ -170,10 +178,10 @@ def pool(layers: nn.Sequential, points: Tensor, precision: torch.dtype = torch.f
     last = layers[-1]
     hidden: Tensor = layers[:-1](points)
     found = last.map_of(hidden) if isinstance(last, Layer) else None
-    if found is None:
+    if found is None or not isinstance(last, Layer):
         features: Tensor = last(hidden).amax(dim=1)
         return features
-    return pooled_affine(hidden, *found, precision)
+    return pooled_affine(hidden, *found, precision, relu=last.relu)
 
 
 class InputTransform(nn.Module):
@@ -219,7 +227,8 @@ class PointNetFeatures(nn.Module):
         super().__init__()
         channels = config.channel_count
         self.transform = InputTransform(channels, config.tnet_widths) if config.tnet else None
-        self.layers = make_layers([channels, *config.trunk_widths])
+        *inner, width = [channels, *config.trunk_widths]
+        self.layers = make_layers(inner).append(Layer(inner[-1], width, relu=config.trunk_relu))
 
     def forward(self, points: Tensor) -> Tensor:
         """Features of each cloud."""

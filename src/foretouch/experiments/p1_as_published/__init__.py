@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""P1's network, trained and tested as its public code does it; with and without `eval()`, by its scoring and by ours.
+
+The public code (https://github.com/yayaneath/vision2tactile) never calls `eval()`: in testing, batch norm standardises each
+batch of five test clouds by their own statistics. It also has no ReLU before the maximum over the points, trains on the
+partial batch at the end of an epoch, adds 1e-6 under the root of the loss, and draws new points of a test cloud
+each time. Its "5-fold cross-validation" is `ShuffleSplit`: five independent random splits whose test share is n / 500 of n
+samples. A score is the mean over the batches of their RMSE, then over the splits.
+
+What still departs from that code: clouds are mapped to the unit sphere before their points are drawn and not after, all 24
+electrodes of the thumb are learned and not 23, and the sugar box is not in the public data, so `boxes` are all boxes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import DatasetError
+from foretouch.experiments.cross_type import ACROSS, PUBLISHED, ObjectTypes
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch.experiments.shared import real_grasps
+from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
+from foretouch.report.panels import Rows, new_figure, save
+from foretouch.tactile import MODALITIES, P1_RANGES, columns
+from foretouch.types import GraspSample
+
+if TYPE_CHECKING:
+    from foretouch.models.network.networks import TouchNet
+
+_RECIPE: Final = "p1_as_published"
+_SPLITS: Final = 5
+_SAMPLES_PER_SHARE: Final = 500  # test_size = samples / (folds * 100) in the public code
+_PUBLISHED: Final = "P1, published"
+_WAYS: Final = {
+    "batch": "network, no eval(), as in the public code",
+    "running": "network, eval()",
+    "mean": "mean of the training labels",
+}
+"""Predictors by name; the network by the statistics of its batch norm in testing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class P1Settings(Settings):
+    """Settings of `p1_as_published`."""
+
+    modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
+    epochs: int | None = setting(None, "Epochs; by default those of the recipe, 50", minimum=1, maximum=100_000)
+    types: ObjectTypes = ObjectTypes()
+
+
+def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, list[Fold]]:
+    """Train and test samples by table: five random splits within each type, and one type against the other."""
+    from sklearn.model_selection import ShuffleSplit
+
+    cylinders, boxes = (
+        np.array([k for k, one in enumerate(samples) if one.object in names], np.intp)
+        for names in (settings.types.p1_cylinders, settings.types.boxes)
+    )
+    for name, index in (("p1_cylinders", cylinders), ("boxes", boxes)):
+        if len(index) < _SPLITS:
+            raise DatasetError(f"p1_as_published: types.{name}: {len(index)} samples are fewer than {_SPLITS}")
+    tables = {}
+    for name, index in (("within p1_cylinders", cylinders), ("within boxes", boxes)):
+        splitter = ShuffleSplit(_SPLITS, test_size=min(len(index) / _SAMPLES_PER_SHARE, 0.8), random_state=0)
+        splits = enumerate(splitter.split(index))
+        tables[name] = [Fold(index[train], index[test], f"split {k}") for k, (train, test) in splits]
+    both = [Fold(cylinders, boxes, "cylinders to boxes"), Fold(boxes, cylinders, "boxes to cylinders")]
+    return {**tables, ACROSS: both}
+
+
+def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
+    return [
+        Cell(
+            f"{table}+{fold.name}+{modality}".replace(" ", "_"),
+            {"table": table, "part": fold.name, "modality": modality},
+        )
+        for table, folds in _tables(settings, real_grasps.labelled(data)).items()
+        for fold in folds
+        for modality in settings.modalities
+    ]
+
+
+def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
+    """Train one network and test it in both modes, beside the mean of the training labels."""
+    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.supervised import train_network
+
+    samples = real_grasps.labelled(data)
+    (fold,) = (one for one in _tables(settings, samples)[cell.values["table"]] if one.name == cell.values["part"])
+    modality: str = cell.values["modality"]
+    recipe: Any = load_run_config(_RECIPE, [f"model.outputs=[{modality}]"])
+    how = recipe.train if settings.epochs is None else recipe.train.replace(epochs=settings.epochs)
+    used = np.concatenate([fold.train, fold.test])
+    inputs = TrainingSet.build([samples[k] for k in used], recipe.model)
+    train, test = np.arange(len(fold.train)), np.arange(len(fold.train), len(used))
+    net = train_network(inputs, train, how)
+    mean = inputs.labels[np.ix_(train, columns([modality]))].mean(axis=0)
+    rows = []
+    for way in _WAYS:
+        errors = [
+            predicted - inputs.labels[np.ix_(batch, columns([modality]))]
+            for batch, predicted in _tested(net, inputs, test, how.batch_size, way, mean)
+        ]
+        every = np.concatenate(errors)
+        rows.append(
+            {
+                "predictor": way,
+                "batch_rmse": float(np.mean([_rmse(one, modality, how.root_epsilon) for one in errors])),
+                "squared": float((every**2).sum()),
+                "values": every.size,
+                "samples": len(test),
+            }
+        )
+    return rows
+
+
+def _tested(
+    net: TouchNet, inputs: TrainingSet, test: Indices, size: int, way: str, mean: np.ndarray[Any, np.dtype[np.float64]]
+) -> Iterator[tuple[Indices, Any]]:
+    """Shuffled batches of test samples and their predictions [counts]; all ways see the same batches and points."""
+    import torch
+
+    rng = np.random.default_rng(0)
+    order = rng.permutation(test)
+    net.train(way == "batch")
+    for start in range(0, len(order), size):
+        batch = order[start : start + size]
+        if len(batch) == 1:  # batch norm of a single cloud has no statistics
+            return
+        points = inputs.points(batch, rng)
+        if way == "mean":
+            yield batch, np.tile(mean, (len(batch), 1))
+        else:
+            with torch.no_grad():
+                yield batch, net.counts(torch.from_numpy(points)).numpy().astype(np.float64)
+
+
+def _rmse(error: Any, modality: str, epsilon: float) -> float:
+    """RMSE of one batch over P1's divisor, with the ε of its code."""
+    scale = P1_RANGES.of(modality)[1]
+    return float(np.sqrt(((error / scale) ** 2).mean() + epsilon))
+
+
+def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
+    """By table, predictor and modality: both scores, over all parts of the table that are finished."""
+    found: list[Row] = []
+    for table in dict.fromkeys(row["table"] for row in rows):
+        for modality in settings.modalities:
+            own = [row for row in rows if (row["table"], row["modality"]) == (table, modality)]
+            if not own:
+                continue
+            scale = P1_RANGES.of(modality)[1]
+            published = PUBLISHED[table][modality]
+            head: Row = {"table": table, "modality": modality, "parts": len({row["part"] for row in own})}
+            for way in _WAYS:
+                mine = [row for row in own if row["predictor"] == way]
+                batch = [row["batch_rmse"] for row in mine]
+                pooled = np.sqrt(sum(row["squared"] for row in mine) / sum(row["values"] for row in mine))
+                scores = {
+                    "as_published": round(float(np.mean(batch)), 4),
+                    "as_published_sd": round(float(np.std(batch)), 4),
+                    "as_published_counts": round(float(np.mean(batch)) * scale, 1),
+                    "rmse_counts": round(float(pooled), 1),
+                }
+                found.append({**head, "predictor": _WAYS[way], **scores})
+            empty = {"as_published": published[1], "as_published_sd": None, "as_published_counts": published[0]}
+            found.append({**head, "predictor": _PUBLISHED, **empty, "rmse_counts": None})
+    return found
+
+
+def _summarise(rows: Sequence[Row]) -> list[Table]:
+    scored = "P1's scoring: mean of the batches' RMSE over its divisor; (in counts)"
+    tables = []
+    for table in dict.fromkeys(row["table"] for row in rows):
+        for title, text in ((scored, _published_text), ("our scoring: RMSE of all test samples in counts", _own_text)):
+            body = []
+            for name in dict.fromkeys(row["predictor"] for row in rows):
+                cells = [text(rows, table, name, modality) for modality in MODALITIES]
+                if any(cells):
+                    body.append([name, *cells])
+            tables.append(Table(f"{table}: {title}", ["rmse", *MODALITIES], body))
+    return tables
+
+
+def _find(rows: Sequence[Row], table: str, name: str, modality: str) -> Row | None:
+    key = (table, name, modality)
+    return next((row for row in rows if (row["table"], row["predictor"], row["modality"]) == key), None)
+
+
+def _published_text(rows: Sequence[Row], table: str, name: str, modality: str) -> str:
+    row = _find(rows, table, name, modality)
+    if row is None:
+        return ""
+    scaled = "" if row["as_published"] is None else f"{row['as_published']:.3f} "
+    return f"{scaled}({row['as_published_counts']:.0f})"
+
+
+def _own_text(rows: Sequence[Row], table: str, name: str, modality: str) -> str:
+    row = _find(rows, table, name, modality)
+    return "" if row is None or row["rmse_counts"] is None else f"{row['rmse_counts']:.0f}"
+
+
+def _draw(rows: Rows, folder: Path) -> list[Path]:
+    """Draw `rmse.png`: P1's score by table and predictor, a panel for each modality."""
+    tables, names = (list(dict.fromkeys(row[key] for row in rows)) for key in ("table", "predictor"))
+    figure = new_figure(12.0, 3.4)
+    for axes, modality in zip(figure.subplots(1, len(MODALITIES)), MODALITIES, strict=True):
+        for number, name in enumerate(names):
+            own = [row for row in rows if (row["predictor"], row["modality"]) == (name, modality)]
+            x = [tables.index(row["table"]) + 0.12 * (number - 1.5) for row in own]
+            style = {"color": "black", "marker": "*"} if name == _PUBLISHED else {"color": f"C{number}", "marker": "o"}
+            axes.plot(x, [row["as_published_counts"] for row in own], linestyle="", label=name, **style)
+        axes.set_title(modality)
+        axes.set_xticks(range(len(tables)), [name.replace(" ", "\n") for name in tables], fontsize=8)
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.15)
+        axes.grid(visible=True, axis="y", alpha=0.3)
+    figure.axes[0].set_ylabel("P1's score [counts]")
+    handles = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=len(names), fontsize=8)
+    return [save(figure, folder / "rmse.png")]
+
+
+EXPERIMENT = Experiment(
+    name="p1_as_published",
+    question="What does P1's network reach when it is trained, split, tested and scored as its public code does it?",
+    module=__name__,
+    order=35,
+    settings=P1Settings,
+    presets={"full": {}, "smoke": {"epochs": 1}},
+    load=real_grasps.load,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    summarise=_summarise,
+    figure=_draw,
+    free=("modalities",),
+    data_folder="vision2tactile",
+)
