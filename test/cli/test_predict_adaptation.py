@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibrated_models import REST, save_calibrated_contact, save_calibrated_network
+from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.predict import read_tare
@@ -21,8 +21,9 @@ from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.models import load_model
+from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.types import Touch, TouchPrediction
+from foretouch.types import GraspSample, Touch, TouchPrediction
 
 Call = Callable[..., Any]
 
@@ -185,3 +186,73 @@ def test_a_tactile_file_is_a_tare_and_real_touches_are_used(call: Call, model: s
     (result,) = call(*words).records
     assert result["predictions"][0]["reference"] == "touches"
     assert result["touched"] == 1
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A model whose calibration has a tracker."""
+    return save_calibrated_network(tmp_path_factory.mktemp("tracked"), make_tracked_calibration())
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three grasps of another object before those of the session."""
+    path = tmp_path_factory.mktemp("earlier") / "box"
+    with RecordingWriter(path, IDENTITY, QUICK) as writer:
+        for number in range(3):
+            one = record(number, points=300)
+            touch = Touch.from_vector(REST - 80.0 + number)
+            stamp = one.sample.stamp_ns - 3600 * 10**9
+            writer.append(
+                replace(one, sample=replace(one.sample, object="box", touch=touch, tare=None, stamp_ns=stamp))
+            )
+    return path
+
+
+def test_a_history_is_read_in_order_of_time(call: Call, tracked: str, session: Path, earlier: Path) -> None:
+    words = ("predict", session, "--model", tracked, "--history", earlier, "--json")
+    one = load_model(tracked)
+    hand = HandHistory(one)
+    for number, sample in enumerate(samples_of(earlier)):
+        hand.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+    for result, sample in zip(call(*words).records, samples_of(session), strict=True):
+        (found,) = result["predictions"]
+        (wanted,) = one.predict(sample.cloud, [sample.grasp], history=hand.at(sample.stamp_ns, same_object=False))
+        assert_reported(found, wanted)
+        assert (found["reference"], found["evidence"]["readings"]) == ("history", 3)
+        assert found["evidence"]["reading_age_s"] > 3000.0
+
+
+def samples_of(path: Path) -> list[GraspSample]:
+    with open_samples(path) as found:
+        return [record.sample for record in found.records()]
+
+
+def test_no_reading_of_the_future_is_used_and_never_its_own(call: Call, tracked: str, session: Path) -> None:
+    words = ("predict", session, "--model", tracked, "--json")
+    alone, adapted = (call(*words, *more).records for more in ((), ("--history", session)))
+    readings = [result["predictions"][0]["evidence"]["readings"] for result in adapted]
+    assert readings == [2 * k for k in range(5)] or readings == [k + 1 if k else 0 for k in range(5)]
+    assert flat(alone[0]["predictions"][0], "value") == flat(adapted[0]["predictions"][0], "value")
+
+
+def test_the_file_of_a_hand_is_a_history(
+    call: Call, tracked: str, session: Path, earlier: Path, tmp_path: Path
+) -> None:
+    hand = HandHistory(load_model(tracked))
+    for number, sample in enumerate(samples_of(earlier)):
+        hand.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=number == 0)
+    file = HistoryFile(tmp_path / "right.safetensors", "right")
+    file.write(hand)
+    file.close()
+    words = ("predict", session, "--model", tracked, "--json", "--history")
+    by_file, by_data = (call(*words, path).records for path in (file.path, earlier))
+    assert [one["predictions"] for one in by_file] == [one["predictions"] for one in by_data]
+    file.path.write_bytes(file.path.read_bytes()[:-1])
+    assert "right.safetensors: damaged" in call(*words, file.path).err
+
+
+def test_a_model_without_a_tracker_takes_no_history(call: Call, model: str, session: Path, earlier: Path) -> None:
+    error = call("predict", session, "--model", model, "--history", earlier).err
+    assert error.startswith("foretouch predict: ") or "history: cannot be used" in error
+    assert len(error.splitlines()) == 1

@@ -76,7 +76,8 @@ def test_a_tare_observes_the_sensors_and_is_named(model: TouchModel) -> None:
     (unread,), (tared,) = (model.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))
     assert tared.reference == "tare"
     shift = tared.value.vector() - unread.value.vector()
-    assert (shift > 0.0).all() and shift.mean() < 40.0  # by how much of the drift a tare can show
+    assert (shift > 0.0).all()
+    assert shift.mean() < 40.0
     history = HandHistory(model)
     history.add_tare(sample.stamp_ns, tare)
     history.add_tare(sample.stamp_ns + 30 * S, Touch.from_vector(REST - 40.0))  # within a minute of the last one
@@ -103,7 +104,8 @@ def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
     assert not history.is_current(Cloud(np.full((4, 3), np.nan, np.float32)), 0.02)
     history.start_object()
     assert not history.is_current(cloud, 0.02)
-    assert history.touches == 0 and predict(history, FIRST[0], FIRST[-1].stamp_ns).reference == "history"
+    assert history.touches == 0
+    assert predict(history, FIRST[0], FIRST[-1].stamp_ns).reference == "history"
 
 
 def test_readings_are_given_in_one_form_and_to_a_model_that_tracks(model: TouchModel) -> None:
@@ -181,7 +183,7 @@ def test_every_damage_is_refused(model: TouchModel, path: Path) -> None:
         damaged = bytearray(content)
         damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
-        with pytest.raises(FileError, match="right.safetensors"):
+        with pytest.raises(FileError, match=r"right\.safetensors"):
             read_history(path, model, "right")
     for size in (0, 7, 100, len(content) - 1):
         path.write_bytes(content[:size])

@@ -70,8 +70,8 @@ def test_an_epoch_is_a_pass_over_either_kind(data) -> None:
     for kind, count in (("labelled", 4), ("unlabelled", 8)):
         trainer = make(data, QUICK.replace(epoch_over=kind))
         assert trainer.batch_count == count
-        seen = []
-        trainer._regressor_step = lambda number, labelled, unlabelled, real: seen.append((labelled, unlabelled)) or {}
+        seen: list = []
+        trainer._regressor_step = lambda _, *batch, seen=seen: seen.append(batch[:2]) or {}
         trainer._generator_step = lambda number, unlabelled, real: {}
         list(trainer._epoch())
         assert len(seen) == count
