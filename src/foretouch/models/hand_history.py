@@ -85,6 +85,7 @@ class HandHistory:
         self.extent: Extent | None = None
         self.restarts: dict[str, int] = {}
         self._tare_ns = -1
+        self._forgotten = 0
 
     @property
     def touches(self) -> int:
@@ -159,6 +160,19 @@ class HandHistory:
         """Another object is at hand: forget the touches of the last one, keep the state of the sensors."""
         self.tracker.start_object()
         self.extent = None
+
+    def forget(self) -> int:
+        """Forget everything, such as after the sensors were exchanged; gives the number of readings."""
+        count = self.tracker.level(0).readings_of_history
+        self.tracker = self.model.new_tracker()
+        self.extent, self._tare_ns = None, -1
+        self._forgotten += 1
+        return count
+
+    @property
+    def revision(self) -> tuple[int, int]:
+        """Changes with every reading, object and `forget`."""
+        return self._forgotten, self.tracker.revision
 
     def copy(self) -> HandHistory:
         """An independent history of the same readings."""

@@ -455,6 +455,10 @@ def test_touches_of_another_object_stay_in_the_history(graph: Any, tracked: str)
     assert (other.reference, other.touches, other.readings) == (TouchPredictionMsg.HISTORY, 0, 2)
     assert width(touched) < width(other) < width(unread)
     assert hand.notes()["history.readings"] == "2"
+    answer = graph.call(Trigger, "forget_history", Trigger.Request())
+    assert (answer.success, answer.message) == (True, "2 readings forgotten")
+    forgotten = first(hand.ask())
+    assert (forgotten.reference, forgotten.readings) == (TouchPredictionMsg.NONE, 0)
 
 
 def width(message: TouchPredictionMsg) -> float:

@@ -2,7 +2,8 @@
 """`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
-tare, and to touches of the current object. Call `forget_touches` after changing the object. Without tactile messages,
+tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the object, and
+`forget_history` after changing a fingertip. Without tactile messages,
 predictions use vision alone.
 
 Service and action run in threads of their own (see `ThreadPool`), beside the worker that answers the topics: the
@@ -96,6 +97,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._answering = [
             self.create_service(PredictTouch, "predict_touch", self._predict_touch, callback_group=group),
             self.create_service(Trigger, "forget_touches", self._forget_touches, callback_group=group),
+            self.create_service(Trigger, "forget_history", self._forget_history, callback_group=group),
         ]
         self._action = ActionServer(
             self,
@@ -243,6 +245,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _forget_touches(self, _request: Any, response: Any) -> Any:
         count = self._adapter.forget() if self._adapter else 0
         response.success, response.message = True, f"{count} touches forgotten"
+        return response
+
+    def _forget_history(self, _request: Any, response: Any) -> Any:
+        count = self._adapter.forget_history() if self._adapter else 0
+        response.success, response.message = True, f"{count} readings forgotten"
         return response
 
     # The services.

@@ -122,7 +122,7 @@ class HistoryKeeper:
         return history
 
     def _run(self) -> None:
-        written = -1
+        written = (-1, -1)
         while not self._closed.is_set():
             self._changed.wait()
             self._changed.clear()
@@ -130,12 +130,12 @@ class HistoryKeeper:
             self._closed.wait(_PERIOD_S)
         self._write(written)
 
-    def _write(self, written: int) -> int:
-        """Write if there are other readings than the `written` ones; gives the number now."""
+    def _write(self, written: tuple[int, int]) -> tuple[int, int]:
+        """Write if the history is another one than the `written` revision; gives the revision that is written now."""
         assert self._file is not None  # noqa: S101  the thread runs only with a file
         with self._locked():
             history = self.history.copy()
-        if history.tracker.revision == written:
+        if history.revision == written:
             return written
         try:
             self._file.write(history)
@@ -143,7 +143,7 @@ class HistoryKeeper:
             self._fail(str(err))
             return written
         self.fault = ""
-        return history.tracker.revision
+        return history.revision
 
     def _fail(self, fault: str) -> None:
         if fault != self.fault:

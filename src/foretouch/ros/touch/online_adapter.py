@@ -177,6 +177,14 @@ class OnlineAdapter:
             self._assembler.reset_grasps()
             return count
 
+    def forget_history(self) -> int:
+        """Forget all readings of the hand, such as after a sensor was exchanged; gives their number."""
+        with self._memory_lock, self._input_lock:
+            count = self._memory.forget_history()
+            self._assembler.reset_grasps()
+        self._on_reading()
+        return count
+
     def touches(self) -> int:
         """Number of touches in memory."""
         return self._memory.count

@@ -188,6 +188,12 @@ class ObjectMemory:
         """Forget all touches."""
         self._memory = self._extent = None
 
+    def forget_history(self) -> int:
+        """Forget all touches; gives their number."""
+        count = self.count
+        self.forget()
+        return count
+
 
 class HandMemory:
     """All readings of a hand, and which object is at hand. Not thread-safe; as `ObjectMemory`, for a model with a tracker.
@@ -242,3 +248,7 @@ class HandMemory:
     def forget(self) -> None:
         """Forget the object, and keep the state of the sensors."""
         self.history.start_object()
+
+    def forget_history(self) -> int:
+        """Forget all readings; gives their number."""
+        return self.history.forget()
