@@ -183,7 +183,7 @@ class HandHistory:
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """All of it, for a file."""
         extent = self.extent or Extent("", np.full(6, np.nan))
-        own = {
+        own: dict[str, npt.NDArray[Any]] = {
             "extent": extent.numbers,
             "frame": _text(extent.frame_id),
             "tare_ns": np.array([self._tare_ns], np.int64),

@@ -213,7 +213,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 predictor.model,
                 self.config.hand,
                 self.config.history_folder,
-                say=self.get_logger().info,
+                say=self._say,
                 warn=self._warn,
             )
             memory = HandMemory(self._keeper.history, self._now_ns)
@@ -238,6 +238,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
+
+    def _say(self, text: str) -> None:
+        self.get_logger().info(text)
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
