@@ -6,16 +6,15 @@ finger closes beside the object...) is tried again with other random numbers, ea
 stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
 """
 
-import os
 from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
 from foretouch.errors import SimulationError
+from foretouch.processes import one_thread_each
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import EffectPlan, EffectTiming, Engine, explain
@@ -200,7 +199,7 @@ def _work(slots: range) -> _Block:
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Blocks in order from several processes, a few made ahead of the reader."""
-    with _one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
+    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:
@@ -213,19 +212,3 @@ def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterat
             raise SimulationError("a worker process died; with --workers 1 the cause can be seen", "worker") from err
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Workers inherit the environment: their BLAS must not take the cores from each other."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

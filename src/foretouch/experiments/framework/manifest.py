@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.checked_files import read_json
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Row, Table
@@ -77,7 +78,7 @@ def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, free: Sequ
         return {**fixed, "sessions": []}
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
-    manifest = _read_json(file)
+    manifest = _read_mapping(file)
     for name in _FIXED:
         _require_same(_without(manifest.get(name), free), _without(fixed[name], free), name, file)
     (out / _CELLS).mkdir(exist_ok=True)  # published results come without them
@@ -92,7 +93,7 @@ def require_experiment(out: Path, name: str) -> None:
         FileError: If the manifest is damaged.
     """
     file = out / MANIFEST_FILE
-    if file.exists() and (found := _read_json(file).get("experiment")) != name:
+    if file.exists() and (found := _read_mapping(file).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
 
 
@@ -119,7 +120,7 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
         file = _cell_file(out, cell)
         if not file.exists():
             continue
-        record = _read_json(file)
+        record = _read_mapping(file)
         if record.get("values") != json.loads(json.dumps(cell.values)) or "rows" not in record:
             raise FileError(file, "was run with other values than the experiment has now; start a new sweep")
         found[cell.key] = [{**record["values"], **row} for row in record["rows"]]
@@ -195,11 +196,8 @@ def _cell_file(out: Path, cell: Cell) -> Path:
     return out / _CELLS / f"{cell.key}.json"
 
 
-def _read_json(file: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as err:
-        raise FileError(file, f"is unreadable: {' '.join(str(err).split())}") from err
+def _read_mapping(file: Path) -> dict[str, Any]:
+    record = read_json(file)
     if not isinstance(record, dict):
         raise FileError(file, "contains no mapping")
     return record
