@@ -44,6 +44,9 @@ from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
 
+_MOST_COUNTS: Final = 1e12  # a reading has at most 4095
+
+
 @dataclass(frozen=True)
 class Score:
     """Errors of one modality."""
@@ -70,7 +73,7 @@ def score(
         modalities: Modalities to score; the other columns must be finite, too.
 
     Raises:
-        DatasetError: If a shape is wrong, there is no sample, a value is not finite, or the training
+        DatasetError: If a shape is wrong, there is no sample, a value is not finite or beyond 1e12, or the training
             mean is exact, which leaves the skill undefined.
     """
     _check(predicted, actual, reference)
@@ -99,6 +102,8 @@ def _check(predicted: Float64, actual: Float64, reference: Float64) -> None:
             raise DatasetError(f"{name}: shape {values.shape} is not (S, {TOUCH_SIZE}) with S of at least 1")
         if not np.isfinite(values).all():
             raise DatasetError(f"{name}: holds a value that is not finite")
+        if np.abs(values).max() > _MOST_COUNTS:
+            raise DatasetError(f"{name}: {np.abs(values).max():g} exceeds {_MOST_COUNTS:g} counts")
 
 
 LEAST_OBJECTS: Final = 6

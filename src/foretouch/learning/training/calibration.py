@@ -30,6 +30,8 @@ COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
+_LEAST_DEVIATION: Final = 1e-3  # [counts] of errors and half widths: no sensor resolves less
+_MOST_COUNTS: Final = 1e6  # of a residual, whose square a calibration file may hold; a reading has at most 4095
 _PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 Names = npt.NDArray[np.str_]
@@ -135,16 +137,29 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     intervals.
 
     With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects only.
+
+    Raises:
+        DatasetError: If there is no sample, or a residual is not finite or beyond 1e6 counts.
     """
-    shrinkage = _shrinkage(held_out.objects)
+    if len(held_out.labels) == 0:
+        raise DatasetError("calibration: there is no sample")
     residuals = held_out.labels - held_out.predicted
+    if not np.isfinite(residuals).all():
+        raise DatasetError("calibration: a residual is not finite")
+    if np.abs(residuals).max() > _MOST_COUNTS:
+        raise DatasetError(f"calibration: a residual of {np.abs(residuals).max():g} counts exceeds {_MOST_COUNTS:g}")
+    shrinkage = _shrinkage(held_out.objects)
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
     worth = _slopes(differences, actual) * (shrinkage if new else 1.0)
-    spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
+    spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
     freedom = len(residuals) - len(owners)
-    within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6) if freedom else spread
+    within = (
+        np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
+        if freedom
+        else spread
+    )
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
@@ -207,7 +222,7 @@ def _half_widths(residuals: Float64, names: Names, deviation: Float64) -> Float6
     for modality in MODALITIES:
         column = columns([modality])
         half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
-    return half
+    return np.maximum(half, _LEAST_DEVIATION)  # where almost all residuals are zero, so is the quantile
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:

@@ -91,7 +91,7 @@ class ObjectConfig(Settings):
 class TableConfig(Settings):
     """The table top about the world's origin."""
 
-    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m")
+    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m", maximum=100.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -104,8 +104,10 @@ class ClutterConfig(Settings):
     """Other objects around the one that is grasped; they hide it in part but are not touched."""
 
     count: int = setting(4, "How many", minimum=1, maximum=20)
-    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m")
-    distance_m: tuple[float, ...] = setting((0.1, 0.25), "Between the axes of object and clutter", unit="m")
+    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m", maximum=10.0)
+    distance_m: tuple[float, ...] = setting(
+        (0.1, 0.25), "Between the axes of object and clutter", unit="m", maximum=10.0
+    )
     variants: int = setting(16, "Members of the family of random shapes that are used", minimum=1, maximum=10_000)
 
     def __post_init__(self) -> None:
