@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hard cases: degenerate, damaged and absurd clouds, grasps and tables, each with its expected outcome.
 
-`python test/hard_cases.py` lists them. An outcome is "ok" or the pattern of the reason with which the case is refused.
+An outcome is "ok" or the pattern of the reason with which the case is refused.
 """
 
 from collections.abc import Callable, Iterator
@@ -286,9 +286,3 @@ def _scenes() -> Iterator[tuple[str, Callable[[Float32], Float32], str, str]]:
     yield "10 km away", lambda xyz: xyz + np.float32(1e4), "empty_cloud", "no point between"
     yield "behind the camera", lambda xyz: -xyz, "empty_cloud", "no point between"
 
-
-if __name__ == "__main__":
-    for one in object_cases():
-        print(f"object {one.name}: plan {one.planned!r}, touch {one.predicted!r}")  # noqa: T201
-    for scene in scene_cases():
-        print(f"scene {scene.name}: {scene.segmented} {scene.reason!r}")  # noqa: T201
