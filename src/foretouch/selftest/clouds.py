@@ -221,8 +221,8 @@ def _turn() -> Float64:
     return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
 
 
-def _scene(tilt: float = 0.6, rise: float = 0.05, width: int = 320, height: int = 240) -> Float32:
-    """(H, W, 3): a table, tilted by `tilt` rad about x, with a box of `rise` [m] height."""
+def scene(tilt: float = 0.6, rise: float = 0.05, width: int = 320, height: int = 240) -> Float32:
+    """(H, W, 3) of a scene: a table, tilted by `tilt` rad about x, with a box of `rise` [m] height."""
     u, v = np.meshgrid((np.arange(width) - width / 2) / 240.0, (np.arange(height) - height / 2) / 240.0)
     rays = np.stack([u, v, np.ones_like(u)], axis=-1)
     normal = np.array([0.0, -np.sin(tilt), -np.cos(tilt)])
@@ -236,15 +236,15 @@ def _scene(tilt: float = 0.6, rise: float = 0.05, width: int = 320, height: int 
 def scene_cases() -> Iterator[SceneCase]:
     """Clouds of whole scenes, as images and as lists of points."""
     for name, change, status, reason in _scenes():
-        xyz = change(_scene())
+        xyz = change(scene())
         yield SceneCase(f"{name}, image", Cloud(xyz), status, reason)
         yield SceneCase(f"{name}, list", Cloud(xyz.reshape(-1, 3)), status, reason)
-    image = _scene()
+    image = scene()
     shuffled = np.random.default_rng(0).permutation(image.reshape(-1, 3)).reshape(image.shape)
     yield SceneCase("shuffled pixels", Cloud(shuffled), "bad_cloud", "beside the rays")
     for tilt in (0.0, 1.0, 1.3):
-        yield SceneCase(f"table at {tilt} rad", Cloud(_scene(tilt)), "ok")
-    yield SceneCase("bare table", Cloud(_scene(rise=0.0)), "no_object", "nothing stands more")
+        yield SceneCase(f"table at {tilt} rad", Cloud(scene(tilt)), "ok")
+    yield SceneCase("bare table", Cloud(scene(rise=0.0)), "no_object", "nothing stands more")
     for n in range(4):
         yield SceneCase(f"{n} points in a list", _cloud(bar()[:n].reshape(-1, 3) + _AWAY), *_few_status(n))
     yield SceneCase("only a ball", _cloud(ball(5000) + _AWAY), "no_plane", "plane holds|narrow")
@@ -285,4 +285,3 @@ def _scenes() -> Iterator[tuple[str, Callable[[Float32], Float32], str, str]]:
     yield "all x 1e20", damaged(1e20, 0, 1), "bad_cloud", "beside the rays|field of view|field_of_view"
     yield "10 km away", lambda xyz: xyz + np.float32(1e4), "empty_cloud", "no point between"
     yield "behind the camera", lambda xyz: -xyz, "empty_cloud", "no point between"
-

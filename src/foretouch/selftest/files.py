@@ -115,7 +115,9 @@ def _store(folder: Path, cloud: Cloud) -> Cloud:
     with StoreWriter(folder / "store") as writer:
         writer.write(GraspSample("object/0", "object", Cloud(points, rgb), grasp))
     read = Store(folder / "store")[0].cloud
-    return Cloud(read.xyz.reshape(cloud.xyz.shape).copy(), None if read.rgb is None else read.rgb.reshape(cloud.xyz.shape))
+    return Cloud(
+        read.xyz.reshape(cloud.xyz.shape).copy(), None if read.rgb is None else read.rgb.reshape(cloud.xyz.shape)
+    )
 
 
 FORMATS: Final[dict[str, Callable[[Path, Cloud], Cloud]]] = {

@@ -56,7 +56,9 @@ def made_samples(objects: int = 3, each: int = 4, *, constant: float | None = No
 def label_cases() -> Iterator[HardCase]:
     """Readings at and beyond the ranges of a working sensor."""
     for value in (1.0, 5e-324, 4095.0):
-        yield HardCase(f"training: all readings {value:g}", lambda v=value: _labels(v), right=lambda rows: rows.min() > 0.0)
+        yield HardCase(
+            f"training: all readings {value:g}", lambda v=value: _labels(v), right=lambda rows: rows.min() > 0.0
+        )
     for value in (0.0, -1.0, -22072.0, 4095.5, 4096.0, 1e300, math.inf, math.nan):
         yield HardCase(f"training: a reading of {value:g}", lambda v=value: _labels(v), "not between 0 and 4095|finite")
     yield HardCase("training: no sample", lambda: _prepared([]), "no sample")
@@ -86,11 +88,16 @@ def network_cases() -> Iterator[HardCase]:
     for precision in ("float32", "bfloat16"):
         for size in (1e-20, 1e4):
             yield HardCase(
-                f"network: weights of {size:g} in {precision}", lambda p=precision, s=size: _network(2, p, s, training=False)
+                f"network: weights of {size:g} in {precision}",
+                lambda p=precision, s=size: _network(2, p, s, training=False),
             )
-        yield HardCase(f"network: a step with weights of 1e25 in {precision}", lambda p=precision: _step(p, 1e25), "not finite")
+        yield HardCase(
+            f"network: a step with weights of 1e25 in {precision}", lambda p=precision: _step(p, 1e25), "not finite"
+        )
         yield HardCase(f"network: a step with weights of 0 in {precision}", lambda p=precision: _step(p, 0.0))
-    yield HardCase("network: a prediction with weights of 1e15", lambda: _overflowing(1e15), "gives a value that is not finite")
+    yield HardCase(
+        "network: a prediction with weights of 1e15", lambda: _overflowing(1e15), "gives a value that is not finite"
+    )
 
 
 def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, training: bool = True) -> Any:
@@ -160,7 +167,11 @@ def run_cases() -> Iterator[HardCase]:
     """Whole runs, whose model is then loaded and predicts one grasp."""
     constant = "is the same in all samples"
     for method in _METHODS:
-        yield HardCase(f"training: {method}, one sample", lambda m=method: _run(m, made_samples(1, 1)), _FEW + "|no sample is unlab")
+        yield HardCase(
+            f"training: {method}, one sample",
+            lambda m=method: _run(m, made_samples(1, 1)),
+            _FEW + "|no sample is unlab",
+        )
         yield HardCase(f"training: {method}, one object", lambda m=method: _run(m, made_samples(1, 12)))
         yield HardCase(
             f"training: {method}, constant labels",
@@ -174,7 +185,9 @@ def run_cases() -> Iterator[HardCase]:
                 lambda s=scaling, le=loss: _run("supervised", made_samples(constant=2000.0), target_scaling=s, loss=le),
             )
     for value in (1.0, 4095.0):
-        yield HardCase(f"training: constant labels of {value:g}", lambda v=value: _run("supervised", made_samples(constant=v)))
+        yield HardCase(
+            f"training: constant labels of {value:g}", lambda v=value: _run("supervised", made_samples(constant=v))
+        )
     yield HardCase("training: in bfloat16", lambda: _run("supervised", made_samples(), precision="bfloat16"))
     yield HardCase("training: a batch of one", lambda: _run("supervised", made_samples(), batch_size=1), "batch_size")
     yield HardCase(
