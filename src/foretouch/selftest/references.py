@@ -18,21 +18,28 @@ from foretouch.selftest.clouds import across, bar, scene
 from foretouch.types import TOUCH_SIZE, Cloud, Float32, Float64, Grasp
 
 
+_STEP, _UNITS = 10, 4096.0  # spacing of the points, in units of 2^-12 m
+
+
 def exact_cloud() -> Cloud:
-    """A bent sheet of 45 x 45 points whose coordinates are multiples of 2^-12 m: the same bits on every machine."""
-    u, v = (one.ravel() for one in np.meshgrid(np.arange(-22, 23), np.arange(-22, 23)))
-    height = (u * u + 2 * v * v) // 16
-    return Cloud((np.stack([8 * u, 6 * v, 4600 + height], axis=1) / 4096.0).astype(np.float32))
+    """Top and front of a box of 68 x 71 x 95 mm, tilted: 1876 points whose coordinates are the same bits on every machine.
+
+    Its sizes are those of the objects that the released models know, so that they do not answer with their mean.
+    """
+    width, depth, height = np.arange(28), np.arange(29), np.arange(1, 39)
+    tops, fronts = np.meshgrid(width, depth), np.meshgrid(width, height)
+    x = np.concatenate([one[0].ravel() for one in (tops, fronts)])
+    y = np.concatenate([tops[1].ravel(), 0 * fronts[1].ravel()])
+    z = np.concatenate([0 * tops[1].ravel(), fronts[1].ravel()])
+    turned = np.stack([13 * x, 5 * y - 12 * z, 12 * y + 5 * z], axis=1) * _STEP // 13
+    return Cloud(((turned + [0, 0, 4700]) / _UNITS).astype(np.float32))
 
 
 def exact_grasps() -> list[Grasp]:
     """Three grasps of `exact_cloud`."""
-    middle = np.array([0.0, 0.0, 4700.0]) / 4096.0
-    return [
-        across(64 / 1024, middle),
-        across(80 / 1024, middle, axis=0),
-        across(48 / 1024, middle + [1 / 64, 0.0, 0.0]),
-    ]
+    middle = np.array([140.0, -60.0, 4820.0]) / _UNITS
+    aside = np.array([0.0, 40.0, 40.0]) / _UNITS
+    return [across(288 / _UNITS, middle, 0), across(288 / _UNITS, middle + aside, 0), across(256 / _UNITS, middle, 1)]
 
 
 # --- references -------------------------------------------------------------------------------------------------
