@@ -34,7 +34,6 @@ COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught",
 EXACT = ("store", "recording")  # what is read must be what was written
 
 
-
 # --- what is read -----------------------------------------------------------------------------------------------
 
 

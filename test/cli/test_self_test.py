@@ -86,7 +86,9 @@ def test_a_crash_names_its_row_and_the_next_rows_run(copied: Path) -> None:
 def test_a_package_that_cannot_be_imported_names_the_import(copied: Path) -> None:
     (copied / "foretouch/selftest/case.py").write_text("import no_such_module\n")
     (copied / "foretouch/selftest/rows.py").write_text(
-        (PACKAGE / "selftest/rows.py").read_text().replace("from foretouch.selftest.case import HardCase, fault", "HardCase = fault = None")
+        (PACKAGE / "selftest/rows.py")
+        .read_text()
+        .replace("from foretouch.selftest.case import HardCase, fault", "HardCase = fault = None")
     )
     status, (row,) = doctor(copied, "models")
     assert status == 1

@@ -88,8 +88,7 @@ def _lines(process: subprocess.Popen[str]) -> Iterator[str]:
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def read() -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
+        for line in process.stdout or ():
             lines.put(line)
         lines.put("")
 

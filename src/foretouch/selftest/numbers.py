@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def loss_cases() -> Iterator[HardCase]:
         yield from _labeled(name)
         yield from _srgan(name)
     for name in ("int8", "int64", "bool"):
-        yield HardCase(f"losses: labels as {name}", lambda n=name: _labeled_loss(np.ones((4, 2)), n), "dtype .* is not")
+        yield HardCase(f"losses: labels as {name}", partial(_labeled_loss, np.ones((4, 2)), name), "dtype .* is not")
     yield HardCase(
         "losses: pairs of unequal batches",
         lambda: _srgan_loss("contrast", "float32", np.ones((2, 3)), np.ones((1, 3)), np.ones((2, 3))),
@@ -49,15 +50,15 @@ def _labeled(name: str) -> Iterator[HardCase]:
     ones = np.ones((4, 2))
     for kind in ("rmse", "mse"):
         case = f"losses: {kind} in {name}"
-        yield HardCase(f"{case}, zero residual", lambda k=kind: _labeled_loss(0 * ones, name, k), right=nearly(0.0))
+        yield HardCase(f"{case}, zero residual", partial(_labeled_loss, 0 * ones, name, kind), right=nearly(0.0))
         yield HardCase(
             f"{case}, one sample",
-            lambda k=kind: _labeled_loss(np.array([[3.0, 3.0]]), name, k)[0],
+            partial(_labeled_value, np.array([[3.0, 3.0]]), name, kind),
             right=nearly(3.0 if kind == "rmse" else 9.0, near),
         )
         yield HardCase(
             f"{case}, equal residuals of 70,000 values",
-            lambda k=kind: _labeled_loss(np.ones((35_000, 2)), name, k)[0],
+            partial(_labeled_value, np.ones((35000, 2)), name, kind),
             right=nearly(1.0, near),
         )
     yield HardCase(
@@ -90,23 +91,28 @@ def _labeled_loss(residual: Float64, name: str, kind: str = "rmse") -> tuple[Any
     return loss, scaled.grad
 
 
+def _labeled_value(residual: Float64, name: str, kind: str = "rmse") -> Any:
+    """The loss alone."""
+    return _labeled_loss(residual, name, kind)[0]
+
+
 def _srgan(name: str) -> Iterator[HardCase]:
     equal = np.full((3, 4), 0.5)
     far = {"float32": 1e18, "bfloat16": 1e18, "float16": 6e4}[name]
     for reading in _READINGS:
         case = f"losses: {reading} in {name}"
-        yield HardCase(f"{case}, equal features", lambda r=reading: _srgan_loss(r, name, equal, equal, equal))
+        yield HardCase(f"{case}, equal features", partial(_srgan_loss, reading, name, equal, equal, equal))
         yield HardCase(
             f"{case}, one sample of each source",
-            lambda r=reading: _srgan_loss(r, name, equal[:1], 2 * equal[:1], 3 * equal[:1]),
+            partial(_srgan_loss, reading, name, equal[:1], 2 * equal[:1], 3 * equal[:1]),
         )
         yield HardCase(
-            f"{case}, fake features of {far:g}", lambda r=reading: _srgan_loss(r, name, equal, equal, far * equal)
+            f"{case}, fake features of {far:g}", partial(_srgan_loss, reading, name, equal, equal, far * equal)
         )
     for contrast in _CONTRASTS:
         yield HardCase(
             f"losses: contrast {contrast} in {name}, unbounded features",
-            lambda c=contrast: _contrast_slope(c, name, far),
+            partial(_contrast_slope, contrast, name, far),
             right=lambda slope: (
                 float(slope) <= 0.1 * (1.0 + _HALF[name])
             ),  # w_F times a slope of at most one, shared out
@@ -138,8 +144,7 @@ def _contrast_slope(contrast: str, name: str, far: float) -> Any:
     fake = torch.full_like(zeros, far).requires_grad_()
     loss = losses.discriminator_loss(torch.tensor(0.0), losses.Features(zeros, zeros, fake), config)
     loss.total.backward()  # type: ignore[no-untyped-call]
-    assert fake.grad is not None
-    return fake.grad.double().abs().sum()
+    return torch.as_tensor(fake.grad).double().abs().sum()
 
 
 # --- metrics ----------------------------------------------------------------------------------------------------
@@ -162,9 +167,7 @@ def metric_cases() -> Iterator[HardCase]:
     )
     yield HardCase("metrics: no sample", lambda: _scores(*[np.empty((0, TOUCH_SIZE))] * 3), "S of at least 1")
     for value in (math.nan, math.inf):
-        yield HardCase(
-            f"metrics: a prediction of {value}", lambda v=value: _scores(constant * v, labels, mean), "finite"
-        )
+        yield HardCase(f"metrics: a prediction of {value}", partial(_scores, constant * value, labels, mean), "finite")
     yield HardCase("metrics: predictions of 1e200", lambda: _scores(constant * 1e200, labels, mean), "exceeds")
     yield HardCase("metrics: residuals of 1e-200", lambda: _scores(labels, labels, labels + 1e-200), undefined)
     yield HardCase("metrics: zero range", lambda: _ranges((5.0, 5.0)), "low < high")
@@ -196,7 +199,8 @@ def _comparisons(labels: Float64) -> Iterator[HardCase]:
     squares = (labels - 2500.0) ** 2
 
     def compare(objects: int, ours: Float64, reference: Float64) -> Any:
-        from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare as compared
+        from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors
+        from foretouch.learning.evaluation.metrics import compare as compared
 
         one, other = (
             ObjectErrors(tuple("abcdefgh"[:objects]), np.ones(objects), rows[:objects], reference[:objects])
@@ -227,9 +231,9 @@ def preparation_cases() -> Iterator[HardCase]:
     yield HardCase("preparation: unit sphere of 1e29 m", lambda: _sphere(1e29 * many), right=_unit)
     yield HardCase("preparation: unit sphere of 1e300 m", lambda: _sphere(1e300 * many), "exceeds 1e.30 m")
     for value in (math.nan, math.inf):
-        yield HardCase(f"preparation: unit sphere with {value}", lambda v=value: _sphere(many * v), "not finite")
+        yield HardCase(f"preparation: unit sphere with {value}", partial(_sphere, many * value), "not finite")
     for count in (0, 1, 31):
-        yield HardCase(f"preparation: {count} points", lambda n=count: _prepared(many[:n]), "fewer than 32")
+        yield HardCase(f"preparation: {count} points", partial(_prepared, many[:count]), "fewer than 32")
     yield HardCase("preparation: 32 points as 750", lambda: _prepared(many[:32]), right=_shaped(750, 3))
     yield HardCase("preparation: equal points", lambda: _prepared(many[[0] * 40]), "in one place")
     yield HardCase(
@@ -237,14 +241,14 @@ def preparation_cases() -> Iterator[HardCase]:
     )
     yield HardCase("preparation: 750 x 6 without colours", lambda: _prepared(many, None, "xyz+rgb"), "has no rgb")
     yield HardCase("preparation: 750 x 6 normals", lambda: _prepared(many, None, "xyz+normals"), right=_shaped(750, 6))
-    line = np.outer(np.linspace(0.0, 0.1, 40), [1.0, 0.0, 0.0]) + [0.0, 0.0, 1.0]
+    line = np.stack([np.linspace(0.0, 0.1, 40), np.zeros(40), np.ones(40)], axis=1)
     yield HardCase(
         "preparation: normals of a line", lambda: _prepared(line, None, "xyz+normals"), right=_shaped(750, 6)
     )
     for sampler in ("random", "voxel", "farthest"):
         yield HardCase(
             f"preparation: {sampler} sampling of two places",
-            lambda s=sampler: _prepared(many[[0, 1] * 400], None, "xyz", s),
+            partial(_prepared, many[[0, 1] * 400], None, "xyz", sampler),
             right=_shaped(750, 3),
         )
 
@@ -293,12 +297,12 @@ def calibration_cases() -> Iterator[HardCase]:
         ("one value off by 4000", labels + 4000.0 * np.eye(12, TOUCH_SIZE), labels, objects),
         ("the same residual everywhere", labels + 50.0, labels, objects),
     ):
-        yield HardCase(f"calibration: {name}", lambda p=predicted, a=actual, n=names: _calibrated(p, a, n))
+        yield HardCase(f"calibration: {name}", partial(_calibrated, predicted, actual, names))
     yield HardCase("calibration: one sample", lambda: _calibrated(noisy[:1], labels[:1], ["a"]))
     yield HardCase("calibration: no sample", lambda: _calibrated(noisy[:0], labels[:0], []), "no sample")
     for value in (math.nan, math.inf):
         yield HardCase(
-            f"calibration: a residual of {value}", lambda v=value: _calibrated(noisy * v, labels, objects), "finite"
+            f"calibration: a residual of {value}", partial(_calibrated, noisy * value, labels, objects), "finite"
         )
     yield HardCase("calibration: residuals of 1e9", lambda: _calibrated(labels + 1e9, labels, objects), "exceeds")
 
@@ -311,7 +315,7 @@ def _calibrated(predicted: Float64, labels: Float64, names: list[str]) -> list[A
     held_out = HeldOutPredictions(predicted, labels, np.array(names, np.str_), np.array(names, np.str_))
     made, _ = make_calibration(np.full(TOUCH_SIZE, 2500.0), {"known": held_out, "new": held_out})
     calibration = Calibration.from_tensors(made.to_tensors())
-    found = []
+    found: list[Any] = []
     for count in (0, 1, 1000):
         touched = (predicted[0], labels[0]) if count else None
         found += calibration.adapt(
@@ -328,21 +332,17 @@ def contact_cases() -> Iterator[HardCase]:
     for level in ("hertz", "winkler", "layer"):
         for kind, value in (("force_n", 0.0), ("depth_m", 0.0), ("depth_m", -1.0)):
             yield HardCase(
-                f"contact: {level}, {kind} {value:g}",
-                lambda le=level, k=kind, v=value: _force(le, k, v),
-                right=nearly(0.0),
+                f"contact: {level}, {kind} {value:g}", partial(_force, level, kind, value), right=nearly(0.0)
             )
         for kind in ("force_n", "depth_m"):
             for value in (5e-324, 1e-300, 1e300, math.inf, math.nan):
-                yield HardCase(
-                    f"contact: {level}, {kind} {value:g}", lambda le=level, k=kind, v=value: _force(le, k, v), kind
-                )
-        yield HardCase(f"contact: {level}, 1e-30 N", lambda le=level: _force(le, "force_n", 1e-30), right=nearly(1e-30))
+                yield HardCase(f"contact: {level}, {kind} {value:g}", partial(_force, level, kind, value), kind)
+        yield HardCase(f"contact: {level}, 1e-30 N", partial(_force, level, "force_n", 1e-30), right=nearly(1e-30))
         yield HardCase(
-            f"contact: {level}, 1e30 N", lambda le=level: _force(le, "force_n", 1e30), "compressed by|window is wide"
+            f"contact: {level}, 1e30 N", partial(_force, level, "force_n", 1e30), "compressed by|window is wide"
         )
         yield HardCase(
-            f"contact: {level}, 1 m deep", lambda le=level: _force(le, "depth_m", 1.0), "compressed by|window is wide"
+            f"contact: {level}, 1 m deep", partial(_force, level, "depth_m", 1.0), "compressed by|window is wide"
         )
     for name, gap, reason in (
         ("no surface", np.full((24, 24), np.inf), "nowhere in the window"),
@@ -351,15 +351,15 @@ def contact_cases() -> Iterator[HardCase]:
         ("not square", np.zeros((3, 4)), "is not .N, N."),
         ("overlapping", np.full((24, 24), -1.0), "least value"),
     ):
-        yield HardCase(f"contact: a gap of {name}", lambda g=gap: _pressed("winkler", "force_n", 1.0, g), reason)
+        yield HardCase(f"contact: a gap of {name}", partial(_pressed, "winkler", "force_n", 1.0, gap), reason)
     for level, reason in (("hertz", "too close|is flat|cuts"), ("winkler", ""), ("layer", "")):
         one = np.full((24, 24), np.inf)
         one[12, 12] = 0.0
         yield HardCase(
-            f"contact: {level}, a needle of one cell", lambda le=level, g=one: _pressed(le, "force_n", 0.01, g), reason
+            f"contact: {level}, a needle of one cell", partial(_pressed, level, "force_n", 0.01, one), reason
         )
         yield HardCase(
-            f"contact: {level}, a flat", lambda le=level: _pressed(le, "force_n", 0.5, np.zeros((24, 24))), reason
+            f"contact: {level}, a flat", partial(_pressed, level, "force_n", 0.5, np.zeros((24, 24))), reason
         )
 
 

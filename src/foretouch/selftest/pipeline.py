@@ -53,6 +53,6 @@ def _segmented(case: SceneCase) -> list[Any]:
     found = segment(Cloud(case.cloud.xyz))
     if found.status != "ok":
         raise CloudError(f"{found.status}: {found.reason}")
-    if not re.search(case.reason, found.reason) or len(found.objects) != 1:
+    if found.plane is None or not re.search(case.reason, found.reason) or len(found.objects) != 1:
         raise AssertionError(f"{len(found.objects)} objects: {found.reason}")
     return [found.plane.coefficients, found.objects[0].cloud.xyz]

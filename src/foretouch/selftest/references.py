@@ -7,7 +7,7 @@ A few of each, for the user's machine: other libraries or instructions of the pr
 import math
 from collections.abc import Callable, Iterator
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ import numpy.typing as npt
 from foretouch.selftest.case import HardCase
 from foretouch.selftest.clouds import across, bar, scene
 from foretouch.types import TOUCH_SIZE, Cloud, Float32, Float64, Grasp
-
 
 _STEP, _UNITS = 10, 4096.0  # spacing of the points, in units of 2^-12 m
 
@@ -32,7 +31,7 @@ def exact_cloud() -> Cloud:
     y = np.concatenate([tops[1].ravel(), 0 * fronts[1].ravel()])
     z = np.concatenate([0 * tops[1].ravel(), fronts[1].ravel()])
     turned = np.stack([13 * x, 5 * y - 12 * z, 12 * y + 5 * z], axis=1) * _STEP // 13
-    return Cloud(((turned + [0, 0, 4700]) / _UNITS).astype(np.float32))
+    return Cloud(((turned + np.array([0, 0, 4700])) / _UNITS).astype(np.float32))
 
 
 def exact_grasps() -> list[Grasp]:
@@ -48,7 +47,11 @@ def exact_grasps() -> list[Grasp]:
 def reference_cases() -> Iterator[HardCase]:
     """Each case returns the error of a kernel over its bound."""
     for name, bound, error in _ERRORS:
-        yield HardCase(f"reference: {name}", lambda b=bound, e=error: e() / b, right=lambda ratio: bool(ratio <= 1.0))
+        yield HardCase(f"reference: {name}", partial(_ratio, error, bound), right=lambda ratio: bool(ratio <= 1.0))
+
+
+def _ratio(error: Callable[[], float], bound: float) -> float:
+    return error() / bound
 
 
 def _table() -> float:
@@ -83,10 +86,11 @@ def _centroid() -> float:
     """Centroid and radius of the unit sphere, against sums of fractions."""
     from foretouch.cloud.geometry.sampling import UnitSphereFrame
 
-    points = (bar()[:300] + [0.0, 0.0, 1000.0]).astype(np.float32)
+    points = (bar()[:300] + np.array([0.0, 0.0, 1000.0])).astype(np.float32)
     frame = UnitSphereFrame.fit(points)
-    exact = [sum(map(Fraction, map(float, column))) / len(points) for column in points.T]
-    squares = (sum((Fraction(float(x)) - m) ** 2 for x, m in zip(row, exact, strict=True)) for row in points)
+    zero = Fraction(0)
+    exact = [sum((Fraction(float(x)) for x in column), zero) / len(points) for column in points.T]
+    squares = [sum(((Fraction(float(x)) - m) ** 2 for x, m in zip(row, exact, strict=True)), zero) for row in points]
     radius = math.sqrt(max(squares))
     errors = [abs(Fraction(float(c)) - m) / abs(m) for c, m in zip(frame.centre, exact, strict=True) if abs(m) > 1]
     return float(max(*errors, Fraction(abs(frame.scale - radius) / radius)))
@@ -103,7 +107,7 @@ def _hertz() -> float:
     gap = (offset[:, None] ** 2 + offset**2) / (2.0 * radius)
     force = solve_layer(ContactProblem(gap - gap.min(), step, (body,)), Command(depth_m=depth)).force_n
     expected = 4.0 / 3.0 * body.plane_modulus_pa * math.sqrt(radius) * depth**1.5
-    return abs(force / expected - 1.0)
+    return float(abs(force / expected - 1.0))
 
 
 def _scores() -> float:
@@ -199,9 +203,9 @@ _ERRORS: tuple[tuple[str, float, Callable[[], float]], ...] = (
 def invariance_cases() -> Iterator[HardCase]:
     """What must not change an answer, to the bit."""
     for name in ("contact-v1", "touchnet-v1"):
-        yield HardCase(f"invariance: {name}, grasps alone or together", lambda n=name: _alone(n), right=_zero)
-        yield HardCase(f"invariance: {name}, the same call twice", lambda n=name: _twice(n), right=_zero)
-        yield HardCase(f"invariance: {name}, order of grasps", lambda n=name: _reordered(n), right=_zero)
+        yield HardCase(f"invariance: {name}, grasps alone or together", partial(_alone, name), right=_zero)
+        yield HardCase(f"invariance: {name}, the same call twice", partial(_twice, name), right=_zero)
+        yield HardCase(f"invariance: {name}, order of grasps", partial(_reordered, name), right=_zero)
     yield HardCase("invariance: order of points, grasps", _shuffled_grasps, right=_zero)
     yield HardCase("invariance: order of points, contact-v1", _shuffled_touch, right=lambda worst: bool(worst <= 1e-6))
     yield HardCase("invariance: segmentation, the same call twice", _segmented_twice, right=_zero)

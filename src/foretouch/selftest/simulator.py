@@ -4,7 +4,8 @@
 import dataclasses
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from types import NoneType, UnionType
 from typing import Any
 
@@ -50,11 +51,11 @@ def mesh_cases() -> Iterator[HardCase]:
         ("a negative index", corners, faces - 1, "no vertex"),
         ("a degenerate face", corners, np.concatenate([faces, [[0, 0, 0]]]), _NOT_CLOSED),
     ):
-        yield HardCase(f"simulator: a mesh with {name}", lambda v=vertices, f=triangles: _unit_mesh(v, f), reason)
+        yield HardCase(f"simulator: a mesh with {name}", partial(_unit_mesh, vertices, triangles), reason)
     for size in (1e-9, 1e3, 1e-300, 1e150):
         yield HardCase(
             f"simulator: a cube of {size:g} m",
-            lambda s=size: _unit_mesh(s * corners, faces),
+            partial(_unit_mesh, size * corners, faces),
             right=lambda vertices: bool(np.allclose(np.abs(vertices), 0.5)),
         )
 
@@ -150,7 +151,7 @@ def _ends(group: type[Settings], end: str) -> dict[str, Any]:
 
 def _scene(name: str, document: Mapping[str, Any], reason: str) -> HardCase:
     """A sample of a scene; with the reason `?` it may be refused by any name."""
-    run = lambda: _sample(document)  # noqa: E731
+    run: Callable[[], Any] = partial(_sample, document)
     if reason != "?":
         return HardCase(f"simulator: {name}", run, reason)
 

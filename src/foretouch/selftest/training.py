@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +58,10 @@ def label_cases() -> Iterator[HardCase]:
     """Readings at and beyond the ranges of a working sensor."""
     for value in (1.0, 5e-324, 4095.0):
         yield HardCase(
-            f"training: all readings {value:g}", lambda v=value: _labels(v), right=lambda rows: rows.min() > 0.0
+            f"training: all readings {value:g}", partial(_labels, value), right=lambda rows: rows.min() > 0.0
         )
     for value in (0.0, -1.0, -22072.0, 4095.5, 4096.0, 1e300, math.inf, math.nan):
-        yield HardCase(f"training: a reading of {value:g}", lambda v=value: _labels(v), "not between 0 and 4095|finite")
+        yield HardCase(f"training: a reading of {value:g}", partial(_labels, value), "not between 0 and 4095|finite")
     yield HardCase("training: no sample", lambda: _prepared([]), "no sample")
     unlabelled = [replace(one, touch=None) for one in made_samples(1, 2)]
     yield HardCase("training: no label", lambda: _prepared(unlabelled), "is not labelled")
@@ -88,13 +89,12 @@ def network_cases() -> Iterator[HardCase]:
     for precision in ("float32", "bfloat16"):
         for size in (1e-20, 1e4):
             yield HardCase(
-                f"network: weights of {size:g} in {precision}",
-                lambda p=precision, s=size: _network(2, p, s, training=False),
+                f"network: weights of {size:g} in {precision}", partial(_network, 2, precision, size, training=False)
             )
         yield HardCase(
-            f"network: a step with weights of 1e25 in {precision}", lambda p=precision: _step(p, 1e25), "not finite"
+            f"network: a step with weights of 1e25 in {precision}", partial(_step, precision, 1e25), "not finite"
         )
-        yield HardCase(f"network: a step with weights of 0 in {precision}", lambda p=precision: _step(p, 0.0))
+        yield HardCase(f"network: a step with weights of 0 in {precision}", partial(_step, precision, 0.0))
     yield HardCase(
         "network: a prediction with weights of 1e15", lambda: _overflowing(1e15), "gives a value that is not finite"
     )
@@ -110,9 +110,7 @@ def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, trai
     torch.manual_seed(0)
     net = TouchNet(ModelConfig.from_mapping(_MODEL))
     TrainingDevice.of(DeviceConfig(device="cpu", precision=precision), 2).prepare(net)
-    with torch.no_grad():
-        for parameter in net.parameters():
-            parameter *= size
+    _multiply(net, size)
     points = torch.rand(1, 32, 3).expand(clouds, 32, 3).contiguous()
     grasps = torch.rand(1, net.config.grasp_size).expand(clouds, -1)
     if not training:
@@ -123,19 +121,24 @@ def _network(clouds: int, precision: str = "float32", size: float = 1.0, *, trai
     return [answer, *(one.grad for one in net.parameters() if one.grad is not None)]
 
 
-def _overflowing(size: float) -> Any:
-    """A prediction by a model file whose weights were multiplied."""
+def _multiply(net: Any, size: float) -> None:
+    """Multiply all weights of a network."""
     import torch
 
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.mul_(size)
+
+
+def _overflowing(size: float) -> Any:
+    """A prediction by a model file whose weights were multiplied."""
     from foretouch.models.network.checkpoint import save_network
     from foretouch.models.network.config import ModelConfig
     from foretouch.models.network.networks import TouchNet
     from foretouch.models.registry import load_model
 
     net = TouchNet(ModelConfig.from_mapping(_MODEL)).eval()
-    with torch.no_grad():
-        for parameter in net.parameters():
-            parameter *= size
+    _multiply(net, size)
     sample = made_samples(1, 1)[0]
     with tempfile.TemporaryDirectory() as folder:
         model = load_model(save_network(Path(folder), "overflowing", net, {}))
@@ -145,8 +148,6 @@ def _overflowing(size: float) -> Any:
 
 def _step(precision: str, size: float) -> Any:
     """One epoch of a network whose weights were multiplied."""
-    import torch
-
     from foretouch.learning.data import TrainingSet
     from foretouch.learning.training.supervised import SupervisedTrainer, TrainConfig
     from foretouch.models.network.config import ModelConfig
@@ -154,9 +155,7 @@ def _step(precision: str, size: float) -> Any:
     data = TrainingSet.build(made_samples(), ModelConfig.from_mapping(_MODEL))
     config = TrainConfig(epochs=1, batch_size=4, device="cpu", precision=precision)
     trainer = SupervisedTrainer(data, np.arange(len(data)), config)
-    with torch.no_grad():
-        for parameter in trainer.net.parameters():
-            parameter *= size
+    _multiply(trainer.net, size)
     return [trainer.run_epoch(), list(trainer.net.state_dict().values())]
 
 
@@ -168,25 +167,23 @@ def run_cases() -> Iterator[HardCase]:
     constant = "is the same in all samples"
     for method in _METHODS:
         yield HardCase(
-            f"training: {method}, one sample",
-            lambda m=method: _run(m, made_samples(1, 1)),
-            _FEW + "|no sample is unlab",
+            f"training: {method}, one sample", partial(_run, method, made_samples(1, 1)), _FEW + "|no sample is unlab"
         )
-        yield HardCase(f"training: {method}, one object", lambda m=method: _run(m, made_samples(1, 12)))
+        yield HardCase(f"training: {method}, one object", partial(_run, method, made_samples(1, 12)))
         yield HardCase(
             f"training: {method}, constant labels",
-            lambda m=method: _run(m, made_samples(constant=2000.0)),
+            partial(_run, method, made_samples(constant=2000.0)),
             constant if method == "contact" else "",
         )
     for scaling in ("standardised", "ranges"):
         for loss in ("rmse", "mse"):
             yield HardCase(
                 f"training: {loss} of {scaling} constant labels",
-                lambda s=scaling, le=loss: _run("supervised", made_samples(constant=2000.0), target_scaling=s, loss=le),
+                partial(_run, "supervised", made_samples(constant=2000.0), target_scaling=scaling, loss=loss),
             )
     for value in (1.0, 4095.0):
         yield HardCase(
-            f"training: constant labels of {value:g}", lambda v=value: _run("supervised", made_samples(constant=v))
+            f"training: constant labels of {value:g}", partial(_run, "supervised", made_samples(constant=value))
         )
     yield HardCase("training: in bfloat16", lambda: _run("supervised", made_samples(), precision="bfloat16"))
     yield HardCase("training: a batch of one", lambda: _run("supervised", made_samples(), batch_size=1), "batch_size")

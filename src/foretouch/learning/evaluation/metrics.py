@@ -43,7 +43,6 @@ from foretouch.errors import DatasetError
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-
 _MOST_COUNTS: Final = 1e12  # a reading has at most 4095
 
 
