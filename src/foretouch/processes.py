@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One thread of linear algebra per process: sums keep their order, and processes do not take the cores from each other."""
+"""One thread of linear algebra per process: sums keep their order, and processes leave the cores to each other."""
 
 import os
 from collections.abc import Iterator

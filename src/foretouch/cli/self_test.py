@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch doctor --self-test`: run the self-test in child processes, so that a crash of a library is a row and not the end."""
+"""`foretouch doctor --self-test`: rows of the self-test in child processes, so that a crash is one failed row."""
 
 import json
 import queue
@@ -47,7 +47,10 @@ def run_self_test(names: Sequence[str], *, as_json: bool) -> int:
 
 
 def run_rows(names: Sequence[str]) -> Iterator[RowResult]:
-    """Run rows by name, each group of them in one child process; a row in which it dies fails, the next ones still run."""
+    """Run rows by name, each group of them in one child process.
+
+    A row in which it dies fails, the next ones still run.
+    """
     waiting = [name for name in names if name != ROS]
     while waiting:
         for result in _child(["foretouch.selftest", *waiting]):

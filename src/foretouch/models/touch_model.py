@@ -94,14 +94,15 @@ class TouchModel:
             reach: Of the hand.
 
         Returns:
-            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference` names the
-            strongest reading that it was adapted to: touches, tare or none. Flags: `out_of_range` where a value leaves the
-            model's ranges (it is not clipped), `unfamiliar` where cloud or grasp is out of the training distribution.
+            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
+            names the strongest reading that it was adapted to: touches, tare or none. Flags: `out_of_range` where a
+            value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or grasp is out of the
+            training distribution.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
-            ModelError: If the cloud lacks a colour that the model needs; if tare or residuals are given to a model without
-                calibration, or both are; if the residuals are of another model.
+            ModelError: If the cloud lacks a colour that the model needs; if tare or residuals are given to a model
+                without calibration, or both are; if the residuals are of another model.
             TactileError: If the tare is not a reading of working sensors.
         """
         if residuals is not None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ROS row of the self-test: a cloud over DDS, and a hostile request to a running node.
 
-`python -m foretouch.ros.self_test` prints one line of JSON. It talks on this machine only, in a domain and a namespace of its
-own, so that a running robot is not disturbed.
+`python -m foretouch.ros.self_test` prints one line of JSON. It talks on this machine only, in a domain and a namespace
+of its own, so that a running robot is not disturbed.
 """
 
 import json

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`python -m foretouch.selftest [ROW]...`: run rows of the self-test and print one line of JSON for each.
 
-A line `{"row": ..., "state": "running"}` comes before a row, so that the caller can name the row in which this process dies.
-`--all` runs every hard case of every format and effect instead, and prints those that are not as expected.
+A line `{"row": ..., "state": "running"}` comes before a row, so that the caller can name the row in which this process
+dies. `--all` runs every hard case of every format and effect instead, and prints those that are not as expected.
 """
 
 import json

@@ -21,7 +21,7 @@ _STEP, _UNITS = 10, 4096.0  # spacing of the points, in units of 2^-12 m
 
 
 def exact_cloud() -> Cloud:
-    """Top and front of a box of 68 x 71 x 95 mm, tilted: 1876 points whose coordinates are the same bits on every machine.
+    """Top and front of a tilted box of 68 x 71 x 95 mm: 1876 points, the same bits on every machine.
 
     Its sizes are those of the objects that the released models know, so that they do not answer with their mean.
     """

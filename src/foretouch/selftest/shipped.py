@@ -19,7 +19,7 @@ from foretouch.selftest.references import exact_cloud, exact_grasps
 from foretouch.types import TOUCH_SIZE
 
 TOLERANCE_COUNTS: Final = 0.5
-"""Largest difference between processors: half of what a reading resolves. Forests jump where a rounding crosses a threshold."""
+"""Largest difference between processors: half of what a reading resolves. One bit in each coordinate moves 0.002."""
 
 _EXPECTED: Final = Path(__file__).with_name("expected.json")
 

@@ -103,7 +103,7 @@ def scene_cases() -> Iterator[HardCase]:
 
 
 def effect_cases() -> Iterator[HardCase]:
-    """Each group of effects with all of its settings at zero or their lowest, at their highest, and at absurd values."""
+    """Each group of effects with all of its settings at their lowest, at their highest, and at absurd values."""
     from foretouch.simulation.scene import SceneConfig
 
     for name, group in _groups(SceneConfig):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run cells in processes of this machine or as tasks of a Ray cluster; the rows do not depend on which.
 
-A cell takes plain data and returns plain data; an exception becomes a failed result with its reason. Each process has one
-thread, so that sums have a fixed order and cells share the cores.
+A cell takes plain data and returns plain data; an exception becomes a failed result with its reason. Each process has
+one thread, so that sums have a fixed order and cells share the cores.
 """
 
 from __future__ import annotations

@@ -17,16 +17,16 @@ the skill of a draw with object o taken w_o times is (pooled over folds and seed
 Two predictors are compared by the difference of their skills in the *same* draws, so that an object which is difficult
 for both favours neither.
 
-With few objects, percentiles of a bootstrap are too narrow. With 8, plain 95 % percentiles contain the true value in 89 %
-of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t requires 2.365).
+With few objects, percentiles of a bootstrap are too narrow. With 8, plain 95 % percentiles contain the true value in 89
+% of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t requires 2.365).
 So the percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap", The
 American Statistician 69, section 4): the tail is
 
     Φ(-√(O / (O - 1)) t_{O-1, 1-α/2})                                                        (2)
 
 instead of α/2, 0.6 % instead of 2.5 % for 8 objects. No draw leaves the range that the objects span, which
-contains the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no interval
-is given. In every case the interval is valid for objects *like these*: 8 household objects, each recorded on
+contains the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no
+interval is given. In every case the interval is valid for objects *like these*: 8 household objects, each recorded on
 different days, guarantee nothing about another hand, camera or kind of object.
 """
 

@@ -6,9 +6,10 @@ Two conditions, distinguished in prediction by the `unfamiliar` flag:
     known   objects in the training data, at another time: residuals of time-blocked folds
     new     objects outside the training data: residuals of objects left out
 
-Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation of all
-calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects. With few
-objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample guarantee is given.
+Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation
+of all calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects.
+With few objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample
+guarantee is given.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
 
 
 def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
-    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by each sample's tare, if it has one."""
+    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
@@ -136,7 +137,8 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     lasting part cannot be separated: then all of the error counts as new with each grasp, and touches do not narrow the
     intervals.
 
-    With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects only.
+    With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects
+    only.
 
     Raises:
         DatasetError: If there is no sample, or a residual is not finite or beyond 1e6 counts.
@@ -176,7 +178,7 @@ def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float6
 
 
 def _slopes(predicted: Float64, actual: Float64) -> Float64:
-    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, within [0, 1].
+    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
 
     It is 1 where no difference was predicted.
     """
@@ -243,8 +245,8 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         held_out: By name of the group: `known` or `new`, with `_tare` behind it where a tare is used.
 
     Returns:
-        The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out of
-        the calibration, by modality and by object.
+        The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out
+        of the calibration, by modality and by object.
     """
     regimes = {name: fit_group(one, new=name.startswith("new")) for name, one in held_out.items()}
     facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}

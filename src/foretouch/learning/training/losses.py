@@ -117,8 +117,8 @@ def labeled_loss(
         target: (B, M) labels on the same scale.
         sizes: Number of values of each modality; they add up to M. P2 has one modality per network.
         kind: `rmse`, or `mse` without the root.
-        context: The processes that share the batch. Squares and their number are summed over all of them before the root:
-            the mean of each process's own root is a different loss.
+        context: The processes that share the batch. Squares and their number are summed over all of them before the
+            root: the mean of each process's own root is a different loss.
 
     Raises:
         DatasetError: If there is no sample, or a tensor is not floating.

@@ -4,7 +4,8 @@
 RUN/config.yaml        resolved settings
 RUN/log.jsonl          one line per epoch
 RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
-RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end; RUN/<name>.trust.safetensors its calibration
+RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
+RUN/<name>.trust.safetensors             its calibration
 RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboard`
 
 The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Environment variables that must be set before NumPy and rclpy are imported. What the user has set is never changed."""
+"""Environment variables that must be set before NumPy and rclpy are imported. The user's own are never changed."""
 
 import os
 import sys

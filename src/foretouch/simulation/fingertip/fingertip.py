@@ -11,8 +11,9 @@ manual). With u the skin's displacement, b the depth at which skin meets core an
 c = (n · pad)^k, the share of liquid pressure where the skin is free: its rim is clamped to the nail side.
 The electrodes do not enter: where the contact lies decides them, and hardly V.
 
-**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core conducts;
-where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, Syntouch). Here:
+**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core
+conducts; where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls
+(BioTac product manual, Syntouch). Here:
 
     s_e = Σ_cells w_e u (n · n_e)+ - V / A          how much closer the skin is at electrode e [m]
     Z_e = Z_rest,e · exp(gain_e · s_e / thinning)   a layer that thins ever more slowly

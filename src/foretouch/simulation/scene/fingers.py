@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fingertips of a scene (pad, posture, sensor), and how it is grasped (grasps by GeoGrasp, force or depth by the hand)."""
+"""Fingertips of a scene (pad, posture, sensor), and its grasps (by GeoGrasp, with force or depth by the hand)."""
 
 from dataclasses import dataclass
 
@@ -68,7 +68,7 @@ class DriftConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SessionsConfig(Settings):
-    """Each object was recorded on another day, and the rest level of a fingertip differs from day to day (inflation, wear).
+    """Each object was recorded on another day; the rest level of a fingertip differs by the day (inflation, wear).
 
     Between the eight objects of the public recordings, which have no tare, the lower end of PDC varies by 54 counts
     and the upper end of the electrodes by 50 to 80. That holds the touches of the objects too and so bounds the rest

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects on the table: pose, material, clutter around them, and families of many objects.
 
-A family asks in one line for K objects whose shape, size and stiffness are drawn. It is drawn when the scene is read, so the scene itself holds each object in full, its hash
-covers them all, and an object keeps what it drew however many grasps it gets.
+A family asks in one line for K objects whose shape, size and stiffness are drawn. It is drawn when the scene is read,
+so the scene itself holds each object in full, its hash covers them all, and an object keeps what it drew however many
+grasps it gets.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,10 @@ RESTS = ("upright", "side", "any")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig(Settings):
-    """Pose of an object on the table; each value is drawn uniformly from its range. The world's origin is on the table, z up."""
+    """Pose of an object on the table.
+
+    Each value is drawn uniformly from its range. The world's origin is on the table, z up.
+    """
 
     x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
     y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
