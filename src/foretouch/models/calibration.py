@@ -105,8 +105,7 @@ class CalibrationGroup(TensorRecord):
         for count in _TOUCHES:
             total = self.between + np.diag(self.within / count)
             with np.errstate(all="ignore"):
-                unit = np.sqrt(np.diag(total))  # a change of units is no reason to be singular
-                condition = float(np.linalg.cond(total / np.outer(unit, unit)))
+                condition = float(np.linalg.cond(total))
             if not condition < _MAX_CONDITION:
                 rule = f"B + W/{count} is singular: its condition is {condition:.3g}, {_MAX_CONDITION:g} is allowed"
                 raise ModelError(f"between, within: {rule}")

@@ -21,9 +21,9 @@ _MOST_IN_TEXT: Final = 5_000  # points of a file in text
 
 def file_cases(*, every: bool = False) -> Iterator[HardCase]:
     """Each hard cloud in one format, in turn; with `every`, in all of them: over a thousand cases."""
-    turns = itertools.cycle(FORMATS)
+    turns = itertools.cycle(ROUND_TRIPS)
     for name, cloud in hard_clouds():
-        for form in FORMATS if every or cloud.rgb is not None or cloud.size < _FEW else [next(turns)]:
+        for form in ROUND_TRIPS if every or cloud.rgb is not None or cloud.size < _FEW else [next(turns)]:
             if ("ascii" in form and cloud.size > _MOST_IN_TEXT) or (form == "PCD compressed" and cloud.size == 0):
                 continue  # text of megabytes takes seconds; Open3D cannot write an empty cloud
             reason = "not finite" if form == "store" and not np.isfinite(cloud.xyz).all() else ""
@@ -33,7 +33,7 @@ def file_cases(*, every: bool = False) -> Iterator[HardCase]:
 def _there_and_back(form: str, cloud: Cloud) -> None:
     if form in _WITHOUT_COLOURS:
         cloud = Cloud(cloud.xyz)
-    write = FORMATS[form]
+    write = ROUND_TRIPS[form]
     with tempfile.TemporaryDirectory() as folder:
         read = write(Path(folder), cloud)
         if read.xyz.shape != cloud.xyz.shape:
@@ -127,7 +127,7 @@ def _store(folder: Path, cloud: Cloud) -> Cloud:
     )
 
 
-FORMATS: Final[dict[str, Callable[[Path, Cloud], Cloud]]] = {
+ROUND_TRIPS: Final[dict[str, Callable[[Path, Cloud], Cloud]]] = {
     "npy": _plain(".npy"),
     "npz": _plain(".npz"),
     "PCD binary": _plain(".pcd"),

@@ -31,8 +31,8 @@ COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
-_LEAST_DEVIATION: Final = 1e-3  # [counts] of errors and half widths: no sensor resolves less
-_MOST_COUNTS: Final = 1e6  # of a residual, whose square a calibration file may hold; a reading has at most 4095
+_LEAST_DEVIATION: Final = 12.0**-0.5  # [counts] of errors and half widths: that of rounding to whole counts
+_MOST_COUNTS: Final = 4e4  # of a residual, beyond which B + W/n may be singular; a reading has at most 4095
 _PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 Names = npt.NDArray[np.str_]
@@ -141,7 +141,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     only.
 
     Raises:
-        DatasetError: If there is no sample, or a residual is not finite or beyond 1e6 counts.
+        DatasetError: If there is no sample, or a residual is not finite or beyond 40,000 counts.
     """
     if len(held_out.labels) == 0:
         raise DatasetError("calibration: there is no sample")
