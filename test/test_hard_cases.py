@@ -4,16 +4,11 @@
 from __future__ import annotations
 
 import re
-import sys
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-from hard_cases import ObjectCase, SceneCase, across, object_cases, scene_cases
 
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError, GraspError
@@ -23,6 +18,7 @@ from foretouch.grasp.reach import check_reach
 from foretouch.models import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
+from foretouch.selftest.clouds import ObjectCase, SceneCase, across, object_cases, scene_cases
 from foretouch.types import Cloud, Grasp, Plane, TouchPrediction
 
 OBJECTS, SCENES = list(object_cases()), list(scene_cases())

@@ -93,7 +93,8 @@ def parse_json(text: str | bytes) -> Any:
     """The document in a JSON text.
 
     Raises:
-        ValueError: If it is no JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file accepts.
+        ValueError: If it is no JSON, nests more than 64 levels, or holds half of a surrogate pair, which no file
+            accepts.
     """
     try:
         document = json.loads(text)

@@ -145,8 +145,8 @@ def parse_yaml(text: str) -> Any:
     """The document in a YAML text, loaded safely.
 
     Raises:
-        ValueError: If it is no YAML, a value is none of its type, it nests more than 32 levels, an alias is inside of what
-            it repeats, or it holds more than 100 000 values, those that aliases repeat counted each time.
+        ValueError: If it is no YAML, a value is none of its type, it nests more than 32 levels, an alias is inside of
+            what it repeats, or it holds more than 100 000 values, those that aliases repeat counted each time.
     """
     try:
         _check_events(yaml.parse(text, Loader=_LOADER))

@@ -107,8 +107,8 @@ class Pipeline:
 
         Args:
             cloud: (H, W, 3) or (N, 3) points.
-            previous: (3,) float64 [m], centroid of the target in the previous cloud of a stream; of objects that fit the
-                rule equally well, it stays the target.
+            previous: (3,) float64 [m], centroid of the target in the previous cloud of a stream; of objects that fit
+                the rule equally well, it stays the target.
         """
         found = segment(cloud, self.config.segmentation)
         if found.status != "ok" or found.plane is None:

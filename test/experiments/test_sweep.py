@@ -122,9 +122,14 @@ def test_folders_of_something_else_are_left_alone(tmp_path, numbers) -> None:
             sweep(tmp_path / "out", numbers, resume=resume)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
     sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)  # nothing there: it begins
-    (tmp_path / "new/cells/cell0.json").write_text("{")
-    with pytest.raises(FileError, match=r"cell0.json: is unreadable"):
-        sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)
+    for text, rule in (
+        ("{", "is no JSON"),
+        ("[" * 100_000 + "]" * 100_000, "nested levels"),
+        ("[]", "contains no mapping"),
+    ):
+        (tmp_path / "new/cells/cell0.json").write_text(text)
+        with pytest.raises(FileError, match=rf"cell0.json: .*{rule}"):
+            sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)
 
 
 def test_presets_and_their_errors() -> None:

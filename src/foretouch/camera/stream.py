@@ -125,7 +125,10 @@ class FrameStream:
                     continue
 
     def _start(self, rs: Any, *, exact: bool) -> float:
-        """Open all streams, then start them together, so that the first frames form pairs; returns the depth period [ms]."""
+        """Open all streams, then start them together, so that the first frames form pairs.
+
+        Returns the depth period [ms].
+        """
         wanted = [(rs.stream.depth, rs.format.z16, self._depth_queue, _DEPTH_FRAMES)]
         if self.wants_colour:
             wanted.append((rs.stream.color, rs.format.rgb8, self._colour_queue, _COLOUR_FRAMES))
@@ -252,7 +255,10 @@ class ColourBuffer(Generic[_Frame]):
         self._frames.append(frame)
 
     def nearest(self, stamp_ms: float) -> _Frame | None:
-        """Return the frame that matches `stamp_ms`, or None; frames that are too old for it or later ones are dropped."""
+        """Return the frame that matches `stamp_ms`, or None.
+
+        Frames that are too old for it or later ones are dropped.
+        """
         while self._frames and self._time_ms(self._frames[0]) < stamp_ms - self._tolerance_ms:
             self._frames.popleft()
         best = min(self._frames, key=lambda frame: abs(self._time_ms(frame) - stamp_ms), default=None)

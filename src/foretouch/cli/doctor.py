@@ -37,10 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--json", action="store_true", help="print one JSON object per check")
     parser.add_argument("--all", action="store_true", help="also show the checks that passed")
+    parser.add_argument(
+        "--self-test",
+        nargs="*",
+        metavar="ROW",
+        help="run hard cases, references, models and formats on this machine, in less than a minute; or only some rows",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Return exit status 1 if something is missing, broken or of another version."""
+    """Return exit status 1 if something is missing, broken or of another version, or fails in the self-test."""
+    if arguments.self_test is not None:
+        from foretouch.cli.self_test import run_self_test
+
+        return run_self_test(arguments.self_test, as_json=arguments.json)
     findings = list(examine())
     problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:

@@ -95,9 +95,9 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
     """The calibration of the intervals; None without intervals.
 
     Returns:
-        `level`: nominal coverage. `objects`: how many it was calibrated on. `promise`: the highest coverage that conformal
-        intervals guarantee for one more object, whatever the distribution [Vovk et al. 2005]. `regimes`: by group, the
-        `coverage` of held-out objects, mean over the modalities.
+        `level`: nominal coverage. `objects`: how many it was calibrated on. `promise`: the highest coverage that
+        conformal intervals guarantee for one more object, whatever the distribution [Vovk et al. 2005]. `regimes`: by
+        group, the `coverage` of held-out objects, mean over the modalities.
     """
     facts = card.get("calibration")
     if facts is None:

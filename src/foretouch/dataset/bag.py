@@ -67,7 +67,8 @@ class Recording:
     """An open recording; a context manager.
 
     Args:
-        path: A rosbag2 directory, a directory of `.mcap` or `.db3` files without metadata, such a file, or a ROS 1 `.bag`.
+        path: A rosbag2 directory, a directory of `.mcap` or `.db3` files without metadata, such a file, or a ROS 1
+            `.bag`.
 
     Raises:
         FileError: If the path is no recording, or is truncated or damaged.
@@ -182,7 +183,7 @@ class Recording:
 
 
 def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
-    """The clouds of one topic of a recording (see `Recording.cloud_topic`), with the frames and stamps of their headers."""
+    """Clouds of one topic of a recording (see `Recording.cloud_topic`), with frames and stamps of their headers."""
     with Recording(path) as recording:
         for _, cloud in recording.clouds(topic):
             yield cloud

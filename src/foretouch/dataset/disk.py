@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""File operations that datasets share: readable disk errors, durable names, folders that appear complete or not at all."""
+"""File operations that datasets share: readable disk errors, durable names, folders that appear as a whole."""
 
 import os
 import shutil

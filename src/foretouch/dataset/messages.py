@@ -3,8 +3,8 @@
 
 `object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
 rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
-`column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of tactile messages are in
-`foretouch.tactile.messages`.
+`column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of tactile messages
+are in `foretouch.tactile.messages`.
 """
 
 from typing import Any, Final, NamedTuple

@@ -92,7 +92,10 @@ class Pace:
         self._last_ns = 0
 
     def due_s(self, entry: Entry) -> float:
-        """Time from the start of the round at which to publish the entry [s]; must be called once per entry, in order."""
+        """Time from the start of the round at which to publish the entry [s].
+
+        Must be called once per entry, in order.
+        """
         if self._first_ns is None:
             self._first_ns = entry.at_ns
         self._last_ns = max(self._last_ns, entry.at_ns)

@@ -101,7 +101,8 @@ def check_name(name: str, what: str) -> str:
         what: The field, for the error message.
 
     Raises:
-        DatasetError: If it is empty, longer than 100 characters, `.` or `..`, or holds a slash, a colon or a control character.
+        DatasetError: If it is empty, longer than 100 characters, `.` or `..`, or holds a slash, a colon or a control
+            character.
     """
     if not name or len(name) > 100 or name.strip(".") == "" or _FORBIDDEN.search(name):
         raise DatasetError(

@@ -90,7 +90,8 @@ class DatasetFormat:
     Attributes:
         recognise: Whether a path that exists is of this format.
         open: Opens a path for reading, with or without recordings that were cut off.
-        export: Writes samples to a folder that does not exist yet; adds to the counts, and reports progress once a sample.
+        export: Writes samples to a folder that does not exist yet; adds to the counts, and reports progress once a
+            sample.
     """
 
     recognise: Callable[[Path], bool] = _not_supported

@@ -21,7 +21,7 @@ from foretouch.errors import FileError, ForetouchError
 from foretouch.types import Cloud, GraspSample
 
 STAMP_STEP_NS = 100_000_000
-"""The k-th cloud of a folder, from 1, gets k times this as its stamp [ns]: most files carry none, and stamps must rise."""
+"""Stamp of the k-th cloud of a folder over k, from 1 [ns]: most files carry none, and stamps must rise."""
 
 SourceKind = Literal["clouds", "samples", "recording"]
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Experiments: each folder is one, and one command rebuilds its table and figures (`foretouch experiment NAME`).
 
-`framework` runs any experiment, also a user's own; `shared` holds what several of the experiments here have in common. A
-killed sweep is resumed where it was.
+`framework` runs any experiment, also a user's own; `shared` holds what several of the experiments here have in common.
+A killed sweep is resumed where it was.
 """
 
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table, find_experiment, list_experiments

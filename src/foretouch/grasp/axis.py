@@ -37,7 +37,8 @@ def object_axis(cloud: Cloud, plane: Plane, config: GeoGraspConfig) -> tuple[Flo
         config: Settings.
 
     Returns:
-        (3,) float64 axis of unit length with the sign of `find_axis` (method `stable`: of `object_frame`), and (3,) float64 centroid [m].
+        (3,) float64 axis of unit length with the sign of `find_axis` (method `stable`: of `object_frame`), and (3,)
+        float64 centroid [m].
 
     Raises:
         CloudError: If the points are too few, too far away, or all in one voxel.

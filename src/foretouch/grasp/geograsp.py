@@ -134,8 +134,8 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the new
-            one is better by more than `hold`.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the
+            new one is better by more than `hold`.
         hold: In units of the score.
 
     Returns:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact candidates and their ranking, after GeoGrasp (Zapata-Impata et al. 2019) and its public code.
 
-Candidates are the surface points around the two initial points of the grasp plane. Comparisons that decide whether a point
-belongs are made in float32 where the original does, since points do lie on the limits.
+Candidates are the surface points around the two initial points of the grasp plane. Comparisons that decide whether a
+point belongs are made in float32 where the original does, since points do lie on the limits.
 
 Symbols of the two rankings: a, b candidates of the first and the second side; p1, p2 the initial points; cd distance to
 the centroid, pd distance to the grasp plane, k curvature, each scaled to the range of its side; w distance of

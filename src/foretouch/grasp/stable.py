@@ -3,7 +3,8 @@
 
 GeoGrasp (Zapata-Impata et al. 2019) decides by hard limits: a point is an outlier or not, belongs to a voxel of a grid
 that is anchored at the sensor, is the extreme of the grasp plane, or ranks first. Here every such limit is a weight
-between 0 and 1, all directions are those of the object and its table, and sums do not depend on the order of the points:
+between 0 and 1, all directions are those of the object and its table, and sums do not depend on the order of the
+points:
 
 - outliers fade out around the limit of the filter; points weigh by the area that they cover, instead of voxels;
 - the sign of the axis is that of the object's own asymmetry;
@@ -110,10 +111,10 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
 def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     """Centroid, main axis and the direction across it; the signs follow the object's asymmetry.
 
-    `across` is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes its
-    sign with the axis. Of the two signs, that with the larger sum of the third moments along both directions is taken.
-    A small constant preference for one direction of the camera's frame is added to the second and the third moments:
-    it decides where the object is as round, or as symmetric, as the noise.
+    `across` is the table's normal x the axis, and for an upright object the axis x the direction of view; it changes
+    its sign with the axis. Of the two signs, that with the larger sum of the third moments along both directions is
+    taken. A small constant preference for one direction of the camera's frame is added to the second and the third
+    moments: it decides where the object is as round, or as symmetric, as the noise.
 
     Raises:
         CloudError: If the points coincide.

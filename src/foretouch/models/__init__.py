@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Touch models: networks and contact models, their files, calibration and prediction; importing this imports no torch."""
+"""Touch models: networks and contact models, their files, calibration and prediction.
+
+Importing this imports no torch.
+"""
 
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.registry import DEFAULT_MODEL, available_models, load_model

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adaptation of predictions to tactile readings, and calibrated prediction intervals; and their file beside a model.
 
-The residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that is
-new with each grasp, of variance W. After n readings with mean residual r, the best linear estimate of the lasting part is
-B (B + W/n)⁻¹ r (the multivariate empirical Bayes estimator [Efron and Morris 1973]): closed form, a 50 x 50 system, no
-training. Once an object was touched, predicted differences between two grasps on it are multiplied by a shrinkage factor
-(`worth`), because on a new object the actual differences are smaller than predicted.
+The residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that
+is new with each grasp, of variance W. After n readings with mean residual r, the best linear estimate of the lasting
+part is B (B + W/n)⁻¹ r (the multivariate empirical Bayes estimator [Efron and Morris 1973]): closed form, a 50 x 50
+system, no training. Once an object was touched, predicted differences between two grasps on it are multiplied by a
+shrinkage factor (`worth`), because on a new object the actual differences are smaller than predicted.
 
 Intervals are conformal with objects as the exchangeable unit: half widths cover the requested share of residuals,
 with equal weight for each calibration object (`learning.training.calibration`).
@@ -101,8 +101,9 @@ class CalibrationGroup(TensorRecord):
         """Refuse an adaptation that is singular, or that makes more of a residual than is there.
 
         In units of the deviations of W, a touch moves the predictions by A (A + 1)⁻¹ of the residual, where A is B in
-        these units: less than 1 in every direction. In counts, a channel can move by more than the largest residual, since
-        correlated channels with less noise vouch for it; beyond `_MAX_GAIN` times it, B and W were not estimated together.
+        these units: less than 1 in every direction. In counts, a channel can move by more than the largest residual,
+        since correlated channels with less noise vouch for it; beyond `_MAX_GAIN` times it, B and W were not estimated
+        together.
         """
         for count in _TOUCHES:
             total = self.between + np.diag(self.within / count)
@@ -193,8 +194,8 @@ class Calibration:
         """From `to_tensors`.
 
         Raises:
-            ModelError: Names the array that is missing, of another shape or not finite, or no variance, width, shrinkage
-                factor or covariance.
+            ModelError: Names the array that is missing, of another shape or not finite, or no variance, width,
+                shrinkage factor or covariance.
         """
         if "rest" not in tensors:
             raise ModelError("rest: is missing")
@@ -242,7 +243,10 @@ def calibration_file(
     facts: Mapping[str, Any],
     fallback: Fallback | None = None,
 ) -> dict[Path, bytes]:
-    """`<name>.trust.safetensors` with its content; adds its name and hash to the card. Arguments as in `add_calibration`."""
+    """`<name>.trust.safetensors` with its content.
+
+    Adds its name and hash to the card. Arguments as in `add_calibration`.
+    """
     tensors = calibration.to_tensors()
     if fallback is not None:
         tensors |= {_FALLBACK + key: value for key, value in fallback.to_tensors().items()}

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Novelty detection: whether a cloud and a grasp resemble those that a model was trained on.
 
-Two tests are combined. `SizeNoveltyDetector` looks at the object alone: the distance of a cloud's sizes from the nearest
-training clouds, relative to the usual distances within the training objects. On the public recordings it detects nine in
-ten grasps on an object that was left out, at one false alarm in twenty; it cannot detect an object of the same size and
-shape as one of the training objects. `network.length_check.LengthRangeCheck` compares five lengths of a cloud and a grasp with their ranges in
-training. It finds gross errors (a house instead of a can, metres mistaken for millimetres, a grasp beside the object) and
-passes objects of another make and of usual size. Networks use both; a contact model uses the first alone.
+Two tests are combined. `SizeNoveltyDetector` looks at the object alone: the distance of a cloud's sizes from the
+nearest training clouds, relative to the usual distances within the training objects. On the public recordings it
+detects nine in ten grasps on an object that was left out, at one false alarm in twenty; it cannot detect an object of
+the same size and shape as one of the training objects. `network.length_check.LengthRangeCheck` compares five lengths of
+a cloud and a grasp with their ranges in training. It finds gross errors (a house instead of a can, metres mistaken for
+millimetres, a grasp beside the object) and passes objects of another make and of usual size. Networks use both; a
+contact model uses the first alone.
 
 `Fallback` applies the detector to networks. A network does not detect objects unlike those of training: on the public
 recordings it is far worse than the mean of the training labels on an object that was left out. The contact model

@@ -149,9 +149,10 @@ class TouchModel:
             reach: Of the hand.
 
         Returns:
-            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference` names the
-            strongest reading that it was adapted to: touches of the object, tare, history or none. Flags: `out_of_range` where a value leaves the
-            model's ranges (it is not clipped), `unfamiliar` where cloud or grasp is out of the training distribution.
+            One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
+            names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
+            `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or grasp
+            is out of the training distribution.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.

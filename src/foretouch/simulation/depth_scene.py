@@ -131,7 +131,8 @@ class DepthImage:
     Attributes:
         depth_mm: (H, W) uint16 [mm] along the optical axis, 0 where there is none.
         rgb: (H, W, 3) uint8, in the same view as the depth.
-        labels: (H, W) int32: 0 none or floor, 1 table, 2 and on the objects; exact, also where depth is noisy or absent.
+        labels: (H, W) int32: 0 none or floor, 1 table, 2 and on the objects; exact, also where depth is noisy or
+            absent.
         K: (3, 3) float64, intrinsics [px].
         plane: (4,) float64, the table in the camera frame, its normal towards the camera [m].
     """

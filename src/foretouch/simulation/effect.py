@@ -133,7 +133,8 @@ class Effect:
         writes: Keys that it makes; each key has one maker.
         modifies: Keys that it changes, after they are made and before they are read. Several change one key in
             the order in which the effects are listed.
-        again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is there.
+        again: Whether it draws anew when the same grasp is repeated: what the hand and the sensor do, not what is
+            there.
     """
 
     name: str

@@ -2,8 +2,8 @@
 """A simulated hand that executes grasps on the objects of a scene: the readings of its fingertips, message by message.
 
 The contact of a grasp is solved once, for the object as it lay when the grasp was planned; the course of time only
-scales it. The same effects run as in a data set, and only those that the scene calls for. Between grasps, `RestingFingers`
-generates the readings of fingertips that touch nothing.
+scales it. The same effects run as in a data set, and only those that the scene calls for. Between grasps,
+`RestingFingers` generates the readings of fingertips that touch nothing.
 """
 
 from __future__ import annotations

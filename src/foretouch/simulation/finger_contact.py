@@ -31,7 +31,7 @@ class FingerFrame:
         return self.rotation[:, 2]
 
     def points(self, x: Float64, y: Float64, depth: float) -> Float64:
-        """(..., 3) float64 [m], world, of points at (x, y) of the tangent plane, moved by `depth` along the approach."""
+        """(..., 3) float64 [m], world, of points at (x, y) of the tangent plane, `depth` along the approach."""
         return self.origin + np.stack([x, y, np.full_like(x, depth)], axis=-1) @ self.rotation.T
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera. `swinging` moves the objects a little, so that no two images in a row are equal.
+From there on the code is that of a real camera. `swinging` moves the objects a little, so that no two images in a row
+are equal.
 """
 
 import logging

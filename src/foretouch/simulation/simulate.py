@@ -6,18 +6,17 @@ finger closes beside the object...) is tried again with other random numbers, ea
 stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
 """
 
-import os
 from collections import Counter, deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
 import numpy as np
 
 from foretouch.errors import ConfigError, SimulationError
+from foretouch.processes import one_thread_each
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
@@ -229,7 +228,7 @@ def _work(slots: range) -> _Block:
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Blocks in order from several processes, a few made ahead of the reader."""
-    with _one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
+    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:
@@ -242,19 +241,3 @@ def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterat
             raise SimulationError("a worker process died; with --workers 1 the cause can be seen", "worker") from err
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Workers inherit the environment: their BLAS must not take the cores from each other."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all samples of a scene share (camera rays, table, fingers), and the random streams of each sample.
 
-Each effect of each sample draws from a random stream of its own, so that adding an effect, or drawing more in one, changes the numbers
-of no other effect, and a sample can be generated again alone on any worker.
+Each effect of each sample draws from a random stream of its own, so that adding an effect, or drawing more in one,
+changes the numbers of no other effect, and a sample can be generated again alone on any worker.
 """
 
 import hashlib

@@ -27,6 +27,10 @@ _SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
 _COLUMNS: Final = dict(zip(MODALITIES, np.split(np.arange(sum(_SIZES)), np.cumsum(_SIZES)[:-1]), strict=True))
 
 
+_NARROWEST: Final = 1e-6  # [counts]
+_WIDEST: Final = 1e12  # [counts]
+
+
 def columns(modalities: Sequence[str]) -> npt.NDArray[np.intp]:
     """Columns of some modalities in `Touch.vector()`.
 
@@ -55,7 +59,7 @@ class TactileRanges(Settings):
     """Lowest and highest count of each modality, for scaling to [0, 1].
 
     Raises:
-        ConfigError: If a range is not (low, high) with low < high.
+        ConfigError: If a range is not (low, high) with low < high, or is too narrow or too wide to divide by.
     """
 
     pdc_th: tuple[float, ...] = setting((2500.0, 3400.0), "Static pressure of the thumb, low and high", unit="counts")
@@ -69,6 +73,11 @@ class TactileRanges(Settings):
             limits = getattr(self, name.lower())
             if len(limits) != 2 or limits[0] >= limits[1]:
                 raise ConfigError(f"TactileRanges.{name.lower()}: {list(limits)} is not [low, high] with low < high")
+            if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:
+                raise ConfigError(
+                    f"TactileRanges.{name.lower()}: {list(limits)}: high - low is not between {_NARROWEST:g} and "
+                    f"{_WIDEST:g} counts"
+                )
 
     def of(self, modality: str) -> tuple[float, float]:
         """(low, high) of one modality [counts]; a `TactileError` if there is no such modality."""

@@ -153,7 +153,10 @@ def to_kohm(electrode: npt.ArrayLike) -> Float64:
 
 
 def to_celsius(tdc: npt.ArrayLike) -> Float64:
-    """Temperature [degrees C]: 4025 / ln((155183 - 46555 x) / x) - 273.15 with x = TDC / 4095; errors as in `to_kohm`."""
+    """Temperature [degrees C]: 4025 / ln((155183 - 46555 x) / x) - 273.15 with x = TDC / 4095.
+
+    Errors as in `to_kohm`.
+    """
     x = _counts("tdc", tdc, above_zero=True) / FULL_SCALE
     return 4025.0 / np.log((155183.0 - 46555.0 * x) / x) - _ZERO_CELSIUS_K
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from foretouch.config import load_yaml
 from foretouch.errors import ConfigError, DatasetError, FileError
@@ -172,6 +172,31 @@ def test_a_damaged_state_is_named(tmp_path) -> None:
     write_state(file, {"a": torch.ones(300)}, {"epoch": 1})
     file.write_bytes(file.read_bytes()[:-40])
     with pytest.raises(FileError, match="is no state of training"):
+        read_state(file)
+
+
+def test_a_state_with_one_flipped_bit_is_refused(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    write_state(file, {"a": torch.ones(300), "b": torch.zeros((), dtype=torch.bfloat16)}, {"epoch": 1, "x": 0.1})
+    read_state(file)
+    content = bytearray(file.read_bytes())
+    for at in (len(content) - 500, content.index(b"epoch") + 9):  # a weight; the number of the epoch
+        damaged = bytearray(content)
+        damaged[at] ^= 2
+        file.write_bytes(damaged)
+        with pytest.raises(FileError, match=r"state.safetensors: sha256: .* is not .*: the file was changed"):
+            read_state(file)
+
+
+@pytest.mark.timeout(20)
+def test_a_state_that_is_a_fifo_or_nests_deeply_is_refused(tmp_path) -> None:
+    file = tmp_path / STATE_FILE
+    os.mkfifo(file)
+    with pytest.raises(FileError, match="is a FIFO"):
+        read_state(file)
+    file.unlink()
+    save_file({"a": torch.ones(1)}, file, {"foretouch-training": "[" * 100_000 + "]" * 100_000})
+    with pytest.raises(FileError, match="is no state of training: more than 64 nested levels"):
         read_state(file)
 
 

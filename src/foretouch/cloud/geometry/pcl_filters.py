@@ -2,8 +2,8 @@
 """PCL's VoxelGrid, NormalEstimation and StatisticalOutlierRemoval, as GeoGrasp uses them.
 
 Comparisons and sums that decide on single points are made in float32, as in PCL. Neighbours of the outlier filter are
-found by a k-d tree or, for the points of a depth image, in a window of its pixels. The tree is that of small_gicp: on one
-thread, 51 neighbours of each of 3000 points take two thirds of the time of SciPy's.
+found by a k-d tree or, for the points of a depth image, in a window of its pixels. The tree is that of small_gicp: on
+one thread, 51 neighbours of each of 3000 points take two thirds of the time of SciPy's.
 """
 
 from dataclasses import dataclass

@@ -12,6 +12,7 @@ from foretouch.types import Float64, Grasp
 
 SAMPLERS = ("random", "voxel", "farthest")
 _VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more
+_MAX_M = 1e30  # whose square is a number in float64
 _MIN_SCALE_M = 1e-6  # a smaller cloud is one point and the rounding of float32
 
 
@@ -110,13 +111,15 @@ class UnitSphereFrame:
             xyz: (N, 3) floating [m], finite, N > 0.
 
         Raises:
-            CloudError: If there is no point, one is not finite, or all coincide.
+            CloudError: If there is no point, one is not finite or beyond 1e30 m, or all coincide.
         """
         points = np.asarray(xyz, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
             raise CloudError(f"xyz: shape {points.shape} is not (N, 3) with N > 0")
         if not np.isfinite(points).all():
             raise CloudError("xyz: contains points that are not finite")
+        if np.abs(points).max() > _MAX_M:
+            raise CloudError(f"xyz: {np.abs(points).max():g} m exceeds {_MAX_M:g} m")
         centre = points.mean(axis=0)
         scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
         if scale < _MIN_SCALE_M:

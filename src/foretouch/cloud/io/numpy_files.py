@@ -71,7 +71,7 @@ def read_archive(path: Path, names: Collection[str]) -> tuple[dict[str, npt.NDAr
 
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
-    """Refuse compressed data that unpack to more than `UNPACKED` and `UNPACKED_RATIO` allow for a file of `size` bytes."""
+    """Refuse data that unpack to more than `UNPACKED` and `UNPACKED_RATIO` allow for a file of `size` bytes."""
     limit = max(UNPACKED, UNPACKED_RATIO * size)
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decode and encode the bytes of a `sensor_msgs/PointCloud2`, without ROS.
 
-`PointCloud2Layout` describes the layout of the message; its bytes are read through strided NumPy views, so decoding takes
-the same time for one point and for a million. Only what no view can express is copied: numbers of the other byte
+`PointCloud2Layout` describes the layout of the message; its bytes are read through strided NumPy views, so decoding
+takes the same time for one point and for a million. Only what no view can express is copied: numbers of the other byte
 order, float64 coordinates, and x, y, z that are not evenly spaced.
 """
 

@@ -172,9 +172,9 @@ def select_targets(
 ) -> tuple[list[ObjectSegment], str]:
     """Select the objects that get grasps.
 
-    Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would decide.
-    Of them, the object is selected that is still where the previous target was; else the one at the smallest angle to the
-    optical axis; of those within 1 degree of it the leftmost in the image, then the highest.
+    Objects within `margin_m` (mode `largest`: within 5 % of the points) of the best are ambiguous, since noise would
+    decide. Of them, the object is selected that is still where the previous target was; else the one at the smallest
+    angle to the optical axis; of those within 1 degree of it the leftmost in the image, then the highest.
 
     Args:
         objects: In order of id.

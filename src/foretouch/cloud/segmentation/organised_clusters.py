@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Label the objects of an organised cloud by connected components in the image.
 
-Points above the table are first labelled on a coarse grid of pixels. Two neighbours of the grid are connected unless the
-pixels between them fall to the table or jump in depth, so that an object in front of another one is not merged
+Points above the table are first labelled on a coarse grid of pixels. Two neighbours of the grid are connected unless
+the pixels between them fall to the table or jump in depth, so that an object in front of another one is not merged
 with it. The labels then grow to full resolution, and the outlines are refined:
 
 - Flying pixels lie in the air between an object and its background, since the camera mixed both. They have few
-  neighbours at their own depth. Those next to solid pixels of the object are its outline: they keep its label, but their
-  depth belongs to neither surface, hence they are not solid.
+  neighbours at their own depth. Those next to solid pixels of the object are its outline: they keep its label, but
+  their depth belongs to neither surface, hence they are not solid.
 - Base pixels are below the height threshold, touch an object and lie at its depth: they are the foot of the object.
 """
 

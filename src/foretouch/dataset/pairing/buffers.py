@@ -85,8 +85,8 @@ class TouchBuffer:
         """Add a reading, in any order.
 
         Returns:
-            The readings that are accepted now: this one; none while its stamp is in question; or also the one before it,
-            whose stamp it has confirmed. Tare and contact detectors use these alone.
+            The readings that are accepted now: this one; none while its stamp is in question; or also the one before
+            it, whose stamp it has confirmed. Tare and contact detectors use these alone.
         """
         if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > self._leap_ns:
             return self._add_leap(reading)

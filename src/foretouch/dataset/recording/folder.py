@@ -183,7 +183,10 @@ def _create_manifest(path: Path, identity: Identity) -> None:
 
 
 def _require_same(path: Path, identity: Identity) -> None:
-    """Refuse to continue with another hand, another camera, or another minor version of foretouch; names all differences."""
+    """Refuse to continue with another hand, another camera, or another minor version of foretouch.
+
+    Names all differences.
+    """
     known, version = _read_identity(path)
     pairs = [("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera)]
     differences = [line for name, old, new in pairs for line in _differences(name, old, new)]

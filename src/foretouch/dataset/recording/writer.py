@@ -307,7 +307,10 @@ class RecordingWriter:
                 self._file.finish(self.counts)
 
     def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost; says which, in one line."""
+        """Copy a file that was removed into the fallback folder, or count its content as lost.
+
+        Says which, in one line.
+        """
         if os.fstat(remains.fileno()).st_nlink:
             return (
                 f"was moved or unmounted during the recording, with its {self.samples} samples: the session has ended"

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much do the components of the contact model contribute, and how much a tare and touches?
 
-On simulated objects that were never touched, with tares: predictions without adaptation, with a tare, after touches, and with
-both, all scored on the same grasps. And the model without one of its components, compared with the full one: on those
-objects, and on the real grasps in random folds, in blocks of time, on objects left out, and after touches of these.
+On simulated objects that were never touched, with tares: predictions without adaptation, with a tare, after touches,
+and with both, all scored on the same grasps. And the model without one of its components, compared with the full one:
+on those objects, and on the real grasps in random folds, in blocks of time, on objects left out, and after touches of
+these.
 
-A model with other features is fitted separately and only tested before touches, since a new calibration for it would take
-ten to fifteen times as long.
+A model with other features is fitted separately and only tested before touches, since a new calibration for it would
+take ten to fifteen times as long.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model without one of its components, and predictions of each component alone.
 
-The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined here.
+The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined
+here.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns are those of the object, from which novelty is detected;
+"""By name of the variant, (S, F) feature rows. The first columns, of the object, serve to detect novelty;
 `geometry_features` are those of the baseline's trees."""
 
 

@@ -8,8 +8,8 @@
 An object is tested without a touch and after some, with a tare and without where there are tares. The predictor is the
 released one, `ContactPredictor`, which is calibrated on its training samples alone.
 
-Coverage is counted value by value and averaged over the values of a modality, the grasps and the draws of touches. Width is
-relative to the interval around the mean of the training labels, calibrated by the same rule.
+Coverage is counted value by value and averaged over the values of a modality, the grasps and the draws of touches.
+Width is relative to the interval around the mean of the training labels, calibrated by the same rule.
 """
 
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ def _run(cell: Cell, settings: CoverageSettings, data: RealAndSimulated) -> list
 
 
 def _reference_half_width(train: Sequence[GraspSample]) -> Float64:
-    """(50,) half width of the interval around the mean of the training labels, calibrated on held-out objects [counts]."""
+    """(50,) half width around the mean of the training labels, calibrated on held-out objects [counts]."""
     labels, objects = labels_of(train), np.array([sample.object for sample in train])
     predicted = np.empty_like(labels)
     for fold in object_folds(list(objects)):

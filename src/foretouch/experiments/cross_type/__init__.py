@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """P1's tables: five folds within cylinders and within boxes, and training on one type to test on the other.
 
-P1 recorded a crisps can and a coffee can, a snacks box and a sugar box. The sugar box is not in the public data: `p1_boxes`
-would have a single object and is left out, and `boxes` are all boxes of the data. P1 does not state in which direction it
-crossed the types, so its errors are listed beside those of both directions together.
+P1 recorded a crisps can and a coffee can, a snacks box and a sugar box. The sugar box is not in the public data:
+`p1_boxes` would have a single object and is left out, and `boxes` are all boxes of the data. P1 does not state in which
+direction it crossed the types, so its errors are listed beside those of both directions together.
 """
 
 from __future__ import annotations

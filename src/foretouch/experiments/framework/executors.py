@@ -1,22 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run cells in processes of this machine or as tasks of a Ray cluster; the rows do not depend on which.
 
-A cell takes plain data and returns plain data; an exception becomes a failed result with its reason. Each process has one
-thread, so that sums have a fixed order and cells share the cores.
+A cell takes plain data and returns plain data; an exception becomes a failed result with its reason. Each process has
+one thread, so that sums have a fixed order and cells share the cores.
 """
 
 from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import socket
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,11 +22,11 @@ from typing import Any, Final
 
 from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingDependencyError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
+from foretouch.processes import ONE_THREAD, one_thread_each
 
 LOCAL_CLUSTER: Final = "local"
 """Address that starts a Ray node on this machine for one sweep."""
 
-_ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 _RETRIES: Final = 3
 _DIED: Final = "its process died (killed, or out of memory)"
 
@@ -91,7 +89,7 @@ def in_processes(job: Job, cells: Sequence[Cell], workers: int) -> Iterator[Cell
     failed.
     """
     queue = deque(cells)
-    with _environment(_ONE_THREAD):
+    with one_thread_each():
         while queue:
             suspects = yield from _until_broken(job, queue, workers)
             for cell in suspects:
@@ -126,7 +124,7 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
     except (ray.exceptions.RayError, ConnectionError, ImportError, ValueError, RuntimeError) as err:
         raise ConfigError(f"--address: {address}: {' '.join(str(err).split())}") from err
     try:
-        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": _ONE_THREAD})(run_cell)
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES, runtime_env={"env_vars": ONE_THREAD})(run_cell)
         running = {task.remote(job, cell): cell for cell in cells}
         while running:
             (done, *_), _ = ray.wait(list(running), num_returns=1)
@@ -166,18 +164,3 @@ def _require_server(address: str) -> None:
             return
     except (OSError, ValueError, OverflowError) as err:
         raise ConfigError(f"--address: {address}: no cluster answers: {err}") from err
-
-
-@contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that are started within the context."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -2,8 +2,8 @@
 """Define and find experiments: settings, data, small independent cells, a table and figures of their rows.
 
 An experiment is a package or module that holds an `EXPERIMENT`. Each folder beside this one is an experiment of that
-name, except for `framework` and `shared`: to add an experiment, add its folder. A module elsewhere is found by its dotted
-name, such as `my_lab.stiffness`.
+name, except for `framework` and `shared`: to add an experiment, add its folder. A module elsewhere is found by its
+dotted name, such as `my_lab.stiffness`.
 
 A cell is plain data and runs in any process or on any machine. Its rows follow from settings, data and cell alone.
 """
@@ -83,10 +83,11 @@ class Experiment(Generic[S, D]):
         run: Rows of one cell. Pure: no file, no clock, no global randomness.
         tabulate: Rows of the finished cells, each with its cell's values and in order of the cells, to `results.csv`.
         summarise: Rows of `results.csv` to the tables on the terminal.
-        figure: (rows of `results.csv`, folder) to the figures that it wrote; matplotlib is only imported when it is called.
+        figure: (rows of `results.csv`, folder) to the figures that it wrote; matplotlib is only imported when it is
+            called.
         prepare: (settings, --data or None, folder of the sweep) to the path of the data, which it may generate.
-        free: Settings that only select cells or change how rows are summarised. They may change when a sweep is resumed:
-            finished cells are kept, such as hours of one predictor when another one is added.
+        free: Settings that only select cells or change how rows are summarised. They may change when a sweep is
+            resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
         order: Position in lists of experiments; equal ones are sorted by name.
     """
@@ -119,7 +120,10 @@ class Experiment(Generic[S, D]):
         return base.updated(overrides, self.name)
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
-        """Draw the figures of `results.csv` into a folder; none if there are no rows or the experiment has no figure."""
+        """Draw the figures of `results.csv` into a folder.
+
+        None if there are no rows or the experiment has no figure.
+        """
         return self.figure(rows, folder) if self.figure is not None and rows else []
 
 

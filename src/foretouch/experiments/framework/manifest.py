@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from foretouch import __version__
+from foretouch.checked_files import read_json
 from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
@@ -81,7 +82,7 @@ def open_folder(
         return {**fixed, "sessions": []}
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
-    manifest = _read_json(file)
+    manifest = _read_mapping(file)
     before = {**manifest, "settings": _completed(manifest.get("settings"), kind)}
     for name in _FIXED:
         _require_same(_without(before.get(name), free), _without(fixed[name], free), name, file)
@@ -97,7 +98,7 @@ def require_experiment(out: Path, name: str) -> None:
         FileError: If the manifest is damaged.
     """
     file = out / MANIFEST_FILE
-    if file.exists() and (found := _read_json(file).get("experiment")) != name:
+    if file.exists() and (found := _read_mapping(file).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
 
 
@@ -124,7 +125,7 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
         file = _cell_file(out, cell)
         if not file.exists():
             continue
-        record = _read_json(file)
+        record = _read_mapping(file)
         if record.get("values") != json.loads(json.dumps(cell.values)) or "rows" not in record:
             raise FileError(file, "was run with other values than the experiment has now; start a new sweep")
         found[cell.key] = [{**record["values"], **row} for row in record["rows"]]
@@ -200,11 +201,8 @@ def _cell_file(out: Path, cell: Cell) -> Path:
     return out / _CELLS / f"{cell.key}.json"
 
 
-def _read_json(file: Path) -> dict[str, Any]:
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as err:
-        raise FileError(file, f"is unreadable: {' '.join(str(err).split())}") from err
+def _read_mapping(file: Path) -> dict[str, Any]:
+    record = read_json(file)
     if not isinstance(record, dict):
         raise FileError(file, "contains no mapping")
     return record

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """P2's Fig. 3 on the simulated deformables: does an SR-GAN need fewer labels than a PointNet?
 
-Of 3200 training samples 10, 30, 50, 70 or 90 % lose their labels (T10...T90). The SR-GAN is trained on all of them and on fake
-clouds, the PointNet on the labelled ones; both are tested on the same 800 samples, in several runs, with one network per
-modality. The mean of the remaining labels, and trees on the geometry of the grasps with these labels, are the baselines.
-`training` describes how both are trained, `results` how they are compared, and `label_ratio_tuning` how the trials in
-the presets were chosen.
+Of 3200 training samples 10, 30, 50, 70 or 90 % lose their labels (T10...T90). The SR-GAN is trained on all of them and
+on fake clouds, the PointNet on the labelled ones; both are tested on the same 800 samples, in several runs, with one
+network per modality. The mean of the remaining labels, and trees on the geometry of the grasps with these labels, are
+the baselines. `training` describes how both are trained, `results` how they are compared, and `label_ratio_tuning` how
+the trials in the presets were chosen.
 """
 
 from collections.abc import Sequence

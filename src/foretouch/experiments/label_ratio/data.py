@@ -109,8 +109,8 @@ class PresampledSet(TrainingSet):
     def points(self, index: npt.NDArray[np.integer], rng: np.random.Generator, n_points: int | None = None) -> Float32:
         """(B, n, C) float32: consecutive points of each cloud from a randomly drawn first one.
 
-        Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each; two
-        draws may share a run of points.
+        Since the points are in random order, these are a random sample of them, twenty times as fast as drawing each;
+        two draws may share a run of points.
 
         Args:
             index: (B,) samples.

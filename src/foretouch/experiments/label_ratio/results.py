@@ -5,13 +5,13 @@ With e_mri the squared error of model m in run r on test sample i, the RMSE of a
 
     change = 100 (mean_r RMSE_srgan,r - mean_r RMSE_pointnet,r) / mean_r RMSE_pointnet,r     [%]   (1)
 
-It is below 0 where the SR-GAN has the lower error. Both models have the same test samples and, run by run, the same seed, so
-their errors are compared in pairs. There are two sources of chance. Test grasps: they are resampled with replacement
-within each object, since P2 has only four objects; with the same draw for both models and all runs. Runs: with d_r the
-difference of a run and s its standard deviation over R runs, s / √R times a draw from Student's t with R - 1 degrees of
-freedom is added, since resampling three or five runs would underestimate their variance (by (R - 1) / R, with the tails
-of a normal distribution). The interval is that between the 2.5 and 97.5 percentiles of the sum, over the mean RMSE of the
-PointNet. It is valid for these objects, this split and these settings.
+It is below 0 where the SR-GAN has the lower error. Both models have the same test samples and, run by run, the same
+seed, so their errors are compared in pairs. There are two sources of chance. Test grasps: they are resampled with
+replacement within each object, since P2 has only four objects; with the same draw for both models and all runs. Runs:
+with d_r the difference of a run and s its standard deviation over R runs, s / √R times a draw from Student's t with R -
+1 degrees of freedom is added, since resampling three or five runs would underestimate their variance (by (R - 1) / R,
+with the tails of a normal distribution). The interval is that between the 2.5 and 97.5 percentiles of the sum, over the
+mean RMSE of the PointNet. It is valid for these objects, this split and these settings.
 
 P2's figures are for other objects: its lowest error and the differences in its text are shown for reference only.
 """

@@ -2,15 +2,16 @@
 """Training of the two models of `label_ratio`, and the hyperparameters that were tried for each.
 
 One trainer trains both. The PointNet is the SR-GAN with unsupervised weights of zero: the same network from the same
-initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size, the
-same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
+initial weights, batch norm frozen at the statistics of the same clouds, batches of labelled samples of the same size,
+the same optimiser and number of updates. What remains is the effect of the unlabelled and fake clouds.
 
 Departures from P2, equal for both models, each an option in the settings:
 
 - An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
   P2's 30 epochs over all labelled samples would give T10 nine times the updates of T90.
-- AdamW with a cosine schedule instead of Adam at a constant 0.01, labels standardised instead of scaled by their ranges, the
-  radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not converge on touch.
+- AdamW with a cosine schedule instead of Adam at a constant 0.01, labels standardised instead of scaled by their ranges,
+  the radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not converge on
+  touch.
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
@@ -63,8 +64,9 @@ TRIALS: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
         "0.3/1/1, rate 0.001, decay 0.3": _srgan(0.3, 1.0, 1.0, rate=1e-3, decay=0.3),
     },
 }
-"""Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`; their learning rate is
-0.003 unless the name contains another one."""
+"""Changes of each trial by model. Trials of the SR-GAN are named by w_U / w_F / λ of the loss `srgan`.
+
+Their learning rate is 0.003 unless the name contains another one."""
 
 
 AS_PRINTED: Final[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {
@@ -112,8 +114,8 @@ def configured(base: SrganConfig, model: str, trial: str, labelled: int, updates
 class PointnetTrainer(SrganTrainer):
     """The SR-GAN's trainer without unlabelled and fake clouds.
 
-    With `_SUPERVISED` it takes the steps of `SrganTrainer` on the same batches, without the generator and the terms that
-    are multiplied by zero, in a quarter of the time.
+    With `_SUPERVISED` it takes the steps of `SrganTrainer` on the same batches, without the generator and the terms
+    that are multiplied by zero, in a quarter of the time.
     """
 
     def _epoch(self) -> Iterator[Mapping[str, float]]:

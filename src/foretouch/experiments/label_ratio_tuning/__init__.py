@@ -2,9 +2,9 @@
 """Hyperparameters of `label_ratio`: as many trials for the PointNet as for the SR-GAN, chosen without the test samples.
 
 At a ratio, a quarter of the samples *that kept their labels* is held out, each network is trained on the other three
-quarters as in `label_ratio`, and the trial with the lowest error on the held-out samples is chosen: one for each model, ratio
-and kind of modality, pressures or electrodes (`quick` runs one modality of each kind). Neither test samples nor labels that
-the ratio withholds are used. T90's choice is used at T70 too, T50's at the ratios with more labels.
+quarters as in `label_ratio`, and the trial with the lowest error on the held-out samples is chosen: one for each model,
+ratio and kind of modality, pressures or electrodes (`quick` runs one modality of each kind). Neither test samples nor
+labels that the ratio withholds are used. T90's choice is used at T70 too, T50's at the ratios with more labels.
 """
 
 from collections.abc import Sequence

@@ -5,8 +5,9 @@
     new objects              each real object left out once; some of the others for training
     simulated new objects    some simulated objects for training; the same other ones for testing
 
-Training subsets are drawn by the seed; a smaller one is part of a larger one. The reference of the skill is the mean of the
-labels of the *full* training set at every size, so that all sizes are comparable: for small ones the skill may be far below 0.
+Training subsets are drawn by the seed; a smaller one is part of a larger one. The reference of the skill is the mean of
+the labels of the *full* training set at every size, so that all sizes are comparable: for small ones the skill may be
+far below 0.
 """
 
 from __future__ import annotations

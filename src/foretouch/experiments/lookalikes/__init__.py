@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects of one shape that differ in stiffness: what can be predicted from the cloud, and what touches add.
 
-Grasps come in encounters: some grasps of one object under an object name of its own, since the cloud does not show which
-object it is. Half of each object's encounters are for training; in the others it is touched as an unseen object is. The
-reference of the skill is always the mean over all look-alikes. A predictor that is trained on the tested object alone shows
-how much there is to gain.
+Grasps come in encounters: some grasps of one object under an object name of its own, since the cloud does not show
+which object it is. Half of each object's encounters are for training; in the others it is touched as an unseen object
+is. The reference of the skill is always the mean over all look-alikes. A predictor that is trained on the tested object
+alone shows how much there is to gain.
 """
 
 from collections.abc import Sequence
@@ -111,7 +111,10 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `lookalikes.png`: modalities side by side, all encounters together; dashed if trained on the object alone."""
+    """Draw `lookalikes.png`: modalities side by side, all encounters together.
+
+    Dashed if trained on the object alone.
+    """
     together = [row for row in rows if row["kind"] == ALL_OBJECTS]
     predictors = list(dict.fromkeys(row["predictor"] for row in together))
     figure = new_figure(13.0, 3.8)

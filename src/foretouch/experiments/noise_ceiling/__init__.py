@@ -8,11 +8,11 @@ their mean, s² their variance (n - 1), p a prediction and µ the mean of the tr
     of a predictor:                                    S_i = (p - m)² + s² (1 - 1/n)           (2)
     of the training mean:                              R_i = (µ - m)² + s² (1 - 1/n)           (3)
 
-are unbiased estimates of the squared error on one new execution, for any number of repeats: in eqs. 2 and 3 the variance
-of the mean of n repeats is s²/n. Skill is 1 - sum S / sum R as everywhere. Repeats keep the object itself, its pose and
-its cloud: more than a model is given, so the ceiling is an upper bound. A predictor's `share` is its skill over the
-ceiling's, on the same repeats. With `split: object` there is a second ceiling for objects that were never touched: their
-material and day are unknown as well, and predictors are compared with that one.
+are unbiased estimates of the squared error on one new execution, for any number of repeats: in eqs. 2 and 3 the
+variance of the mean of n repeats is s²/n. Skill is 1 - sum S / sum R as everywhere. Repeats keep the object itself, its
+pose and its cloud: more than a model is given, so the ceiling is an upper bound. A predictor's `share` is its skill
+over the ceiling's, on the same repeats. With `split: object` there is a second ceiling for objects that were never
+touched: their material and day are unknown as well, and predictors are compared with that one.
 """
 
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,8 @@
 
 A model is given the cloud and the planned grasp, but not how deep or hard the hand closes, which part of the pads makes
 contact, how far beside the plan the hand lands, and what temperature and noise add. These effects of a sample are drawn
-again from the simulator's own streams, and all else, object, pose and cloud, is kept. Attempts that fail (a finger slips or
-closes beside the object) are left out, as they are in a dataset.
+again from the simulator's own streams, and all else, object, pose and cloud, is kept. Attempts that fail (a finger
+slips or closes beside the object) are left out, as they are in a dataset.
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,11 @@ CAUSES: Final = {
     "placement": frozenset({"execution_error"}),
     "sensor": frozenset({"slip", "drift", "noise", "scan_hold"}),
 }
-"""Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads makes contact;
-where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
+"""Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads
+makes contact; where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
 
 NEW_OBJECT: Final = "stranger"
-"""Also unknown of an object that was never touched: its day, and its material, which each repeat takes from any object of
-the scene."""
+"""Also unknown of an object that was never touched: its day, and its material, that of any object of the scene."""
 
 _MATERIAL: Final = ("young_pa", "poisson", "thickness_m", "friction")
 _TRIES: Final = 10  # per requested repeat

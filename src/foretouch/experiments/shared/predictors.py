@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictors that the experiments compare, by name.
 
-A predictor is fitted to labelled grasps and then predicts others, without or after touches of the same object. A `Baseline`
-does not use such touches: `with_offset_correction` adds the simplest use of them. To add a predictor, add a line to
-`PREDICTORS`.
+A predictor is fitted to labelled grasps and then predicts others, without or after touches of the same object. A
+`Baseline` does not use such touches: `with_offset_correction` adds the simplest use of them. To add a predictor, add a
+line to `PREDICTORS`.
 
-The networks are those of the recipes of `foretouch train`; a recipe with one modality is trained once for each modality.
+The networks are those of the recipes of `foretouch train`; a recipe with one modality is trained once for each
+modality.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transfer from simulation: do simulated grasps improve predictions on real objects that were never touched?
 
-As in `unseen_object`, each real object is left out once and predicted without a touch and after some. Predictors that are
-trained on the other real objects alone are compared with those that also use trees trained on simulated grasps. The real
-object that is left out is used nowhere before it is touched.
+As in `unseen_object`, each real object is left out once and predicted without a touch and after some. Predictors that
+are trained on the other real objects alone are compared with those that also use trees trained on simulated grasps. The
+real object that is left out is used nowhere before it is touched.
 
-The trees learn the change from the tare, since simulated resting readings are not those of a real finger. For a real grasp
-x they predict f(x). With µ the mean of the real labels of the training objects and f̄ that of f over their grasps:
+The trees learn the change from the tare, since simulated resting readings are not those of a real finger. For a real
+grasp x they predict f(x). With µ the mean of the real labels of the training objects and f̄ that of f over their
+grasps:
 
     offset     µ + f(x) - f̄                                                                   (1)
     scaled     µ + b (f(x) - f̄),  b of each modality by least squares on the training grasps   (2)

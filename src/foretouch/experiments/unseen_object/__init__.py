@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leave each object out once and predict it without a touch, and after some touches of it.
 
-Without a touch, all grasps of the object are predicted; after k touches, all that were not touched, in `draws` random draws
-of the touched ones. The draws follow from the name of the object and the number of the draw alone: they are the same for
-every predictor, and 3 touches are the first of the 5. The reference of the skill is always the mean of the other objects'
-labels, so that the skill shows the effect of the touches.
+Without a touch, all grasps of the object are predicted; after k touches, all that were not touched, in `draws` random
+draws of the touched ones. The draws follow from the name of the object and the number of the draw alone: they are the
+same for every predictor, and 3 touches are the first of the 5. The reference of the skill is always the mean of the
+other objects' labels, so that the skill shows the effect of the touches.
 
 In these recordings a new object is also another day: touches correct for object and session together.
 """

@@ -106,8 +106,8 @@ class Dataset:
             seed: Seed of the choice of the validation samples.
 
         Raises:
-            DatasetError: If the dataset has no such split, the split has several parts, no training sample is labelled, or
-                the validation share amounts to no sample.
+            DatasetError: If the dataset has no such split, the split has several parts, no training sample is labelled,
+                or the validation share amounts to no sample.
         """
         train = np.array([k for k, sample in enumerate(self.samples) if sample.touch is not None], np.intp)
         unlabelled = np.setdiff1d(np.arange(len(self.samples), dtype=np.intp), train)

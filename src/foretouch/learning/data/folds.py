@@ -7,7 +7,8 @@ Three splits answer three questions:
   time are in training and test, so the model has seen drift and session: the easiest question.
 - `time_folds`: how well is a later (or earlier) grasp of the same objects predicted? Each object's recording is
   cut into consecutive blocks.
-- `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each object
+- `group_folds`: how well is a new object predicted? In the public recordings this is also another day, since each
+object
   was recorded on different days.
 """
 

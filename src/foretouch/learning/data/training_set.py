@@ -44,8 +44,8 @@ class TrainingSet:
             unlabelled: Whether samples without a label are accepted.
 
         Raises:
-            DatasetError: If there is no sample, a label is missing or is not a reading of a working sensor, or a cloud is
-                unusable or lacks a channel of the network; names the sample.
+            DatasetError: If there is no sample, a label is missing or is not a reading of a working sensor, or a cloud
+                is unusable or lacks a channel of the network; names the sample.
         """
         if not samples:
             raise DatasetError("training set: no sample")

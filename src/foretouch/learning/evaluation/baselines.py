@@ -2,8 +2,8 @@
 """Baselines: predictors without a cloud, or with a few geometric features of it, that a model has to beat.
 
 With few objects, each recorded on different days, object, time and sensor drift are confounded: a model may seem to
-predict touch from shape while it only recognises the recording session. The object mean and the trees on object and time
-show how far that alone goes.
+predict touch from shape while it only recognises the recording session. The object mean and the trees on object and
+time show how far that alone goes.
 """
 
 from collections.abc import Sequence

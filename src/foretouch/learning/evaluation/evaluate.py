@@ -2,8 +2,8 @@
 """Score touch models and baselines on the same samples.
 
 `cross_validate` trains a model and the baselines on each fold. `evaluate_model` takes a trained model and fits only the
-baselines, to the training side of each part of a split; where the model was trained on these very samples, its scores are
-training scores, which `same_data` reports.
+baselines, to the training side of each part of a split; where the model was trained on these very samples, its scores
+are training scores, which `same_data` reports.
 """
 
 from collections.abc import Mapping, Sequence
@@ -88,9 +88,9 @@ def evaluate_model(
         baselines: By name.
 
     Returns:
-        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None without
-        intervals). `samples`: their number. `unfamiliar`: how many of them the model flags as out of distribution.
-        `same_data`: whether the model's card names this dataset as its training data.
+        `scores`: by `model` and each baseline, by modality: `rmse` [counts], `nrmse`, `skill`, `coverage90` (None
+        without intervals). `samples`: their number. `unfamiliar`: how many of them the model flags as out of
+        distribution. `same_data`: whether the model's card names this dataset as its training data.
 
     Raises:
         DatasetError: If the parts test no sample, or a sample is unlabelled.

@@ -17,16 +17,16 @@ the skill of a draw with object o taken w_o times is (pooled over folds and seed
 Two predictors are compared by the difference of their skills in the *same* draws, so that an object which is difficult
 for both favours neither.
 
-With few objects, percentiles of a bootstrap are too narrow. With 8, plain 95 % percentiles contain the true value in 89 %
-of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t requires 2.365).
+With few objects, percentiles of a bootstrap are too narrow. With 8, plain 95 % percentiles contain the true value in 89
+% of cases (for a mean of normals: half width 1.96 √(7/8) of a standard error where Student's t requires 2.365).
 So the percentiles are expanded (Hesterberg 2015, "What Teachers Should Know About the Bootstrap", The
 American Statistician 69, section 4): the tail is
 
     Φ(-√(O / (O - 1)) t_{O-1, 1-α/2})                                                        (2)
 
 instead of α/2, 0.6 % instead of 2.5 % for 8 objects. No draw leaves the range that the objects span, which
-contains the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no interval
-is given. In every case the interval is valid for objects *like these*: 8 household objects, each recorded on
+contains the median of a population with probability 1 - 2^(1-O) only: below 6 objects that is under 95 %, and no
+interval is given. In every case the interval is valid for objects *like these*: 8 household objects, each recorded on
 different days, guarantee nothing about another hand, camera or kind of object.
 """
 
@@ -42,6 +42,8 @@ from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64
+
+_MOST_COUNTS: Final = 1e12  # a reading has at most 4095
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def score(
         modalities: Modalities to score; the other columns must be finite, too.
 
     Raises:
-        DatasetError: If a shape is wrong, there is no sample, a value is not finite, or the training
+        DatasetError: If a shape is wrong, there is no sample, a value is not finite or beyond 1e12, or the training
             mean is exact, which leaves the skill undefined.
     """
     _check(predicted, actual, reference)
@@ -99,6 +101,8 @@ def _check(predicted: Float64, actual: Float64, reference: Float64) -> None:
             raise DatasetError(f"{name}: shape {values.shape} is not (S, {TOUCH_SIZE}) with S of at least 1")
         if not np.isfinite(values).all():
             raise DatasetError(f"{name}: holds a value that is not finite")
+        if np.abs(values).max() > _MOST_COUNTS:
+            raise DatasetError(f"{name}: {np.abs(values).max():g} exceeds {_MOST_COUNTS:g} counts")
 
 
 LEAST_OBJECTS: Final = 6

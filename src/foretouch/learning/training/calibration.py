@@ -6,9 +6,10 @@ Two conditions, distinguished in prediction by the `unfamiliar` flag:
     known   objects in the training data, at another time: residuals of time-blocked folds
     new     objects outside the training data: residuals of objects left out
 
-Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation of all
-calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects. With few
-objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample guarantee is given.
+Half widths are conformal with objects as the unit [Dunn, Wasserman and Ramdas 2022]: the scores |residual| / deviation
+of all calibration objects are pooled, each object weighing the same, and cut at level (1 - α)(1 + 1/G) of G objects.
+With few objects that level exceeds what their scores can show; it is capped at 0.95, and then no finite-sample
+guarantee is given.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ COVERAGE: Final = 0.9
 _HIGHEST_LEVEL: Final = 0.95
 _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors of different values are uncorrelated
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
+_LEAST_DEVIATION: Final = 12.0**-0.5  # [counts] of errors and half widths: that of rounding to whole counts
+_MOST_COUNTS: Final = 4e4  # of a residual, beyond which B + W/n may be singular; a reading has at most 4095
 _PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 Names = npt.NDArray[np.str_]
@@ -95,7 +98,7 @@ def rest_level(samples: Sequence[GraspSample]) -> tuple[Float64, bool]:
 
 
 def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float64) -> Float64:
-    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by each sample's tare, if it has one."""
+    """(S, 50) labels as sensors at rest level `rest` would have read them: shifted by the sample's tare, if any."""
     shifted = labels.copy()
     for k, sample in enumerate(samples):
         if sample.tare is not None:
@@ -142,17 +145,31 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     lasting part cannot be separated: then all of the error counts as new with each grasp, and touches do not narrow the
     intervals.
 
-    With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects only.
+    With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects
+    only.
+
+    Raises:
+        DatasetError: If there is no sample, or a residual is not finite or beyond 40,000 counts.
     """
-    shrinkage = _shrinkage(held_out.objects)
+    if len(held_out.labels) == 0:
+        raise DatasetError("calibration: there is no sample")
     residuals = held_out.labels - held_out.predicted
+    if not np.isfinite(residuals).all():
+        raise DatasetError("calibration: a residual is not finite")
+    if np.abs(residuals).max() > _MOST_COUNTS:
+        raise DatasetError(f"calibration: a residual of {np.abs(residuals).max():g} counts exceeds {_MOST_COUNTS:g}")
+    shrinkage = _shrinkage(held_out.objects)
     owners = [held_out.sessions == name for name in np.unique(held_out.sessions)]
     differences = _centred(held_out.predicted, owners)
     actual = _centred(held_out.labels, owners)
     worth = _slopes(differences, actual) * (shrinkage if new else 1.0)
-    spread = np.maximum((residuals**2).mean(axis=0), 1e-6)
+    spread = np.maximum((residuals**2).mean(axis=0), _LEAST_DEVIATION**2)
     freedom = len(residuals) - len(owners)
-    within = np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, 1e-6) if freedom else spread
+    within = (
+        np.maximum(((actual - worth * differences) ** 2).sum(axis=0) / freedom, _LEAST_DEVIATION**2)
+        if freedom
+        else spread
+    )
     means = np.array([residuals[mine].mean(axis=0) for mine in owners])
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
@@ -169,7 +186,7 @@ def _centred(values: Float64, owners: Sequence[npt.NDArray[np.bool_]]) -> Float6
 
 
 def _slopes(predicted: Float64, actual: Float64) -> Float64:
-    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, within [0, 1].
+    """(50,) least-squares slope of actual over predicted differences in standard units, one per modality, in [0, 1].
 
     It is 1 where no difference was predicted.
     """
@@ -215,7 +232,7 @@ def _half_widths(residuals: Float64, names: Names, deviation: Float64) -> Float6
     for modality in MODALITIES:
         column = columns([modality])
         half[column] = deviation[column] * _quantile_by_object(scores[:, column], names, level)
-    return half
+    return np.maximum(half, _LEAST_DEVIATION)  # where almost all residuals are zero, so is the quantile
 
 
 def _quantile_by_object(scores: Float64, names: Names, level: float) -> float:
@@ -236,8 +253,8 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
         held_out: By name of the group: `known` or `new`, with `_tare` behind it where a tare is used.
 
     Returns:
-        The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out of
-        the calibration, by modality and by object.
+        The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out
+        of the calibration, by modality and by object.
     """
     regimes = {name: fit_group(one, new=name.startswith("new")) for name, one in held_out.items()}
     facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}

@@ -47,7 +47,10 @@ class ContactConfig(Settings):
 
 
 def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(FEATURES)) float64 features of each sample's grasp; raises `DatasetError` for a cloud that cannot be used."""
+    """(S, len(FEATURES)) float64 features of each sample's grasp.
+
+    Raises `DatasetError` for a cloud that cannot be used.
+    """
     return np.concatenate([_scene(sample).describe([sample.grasp]) for sample in samples])
 
 

@@ -164,7 +164,10 @@ class TrainingDevice:
         return cls(_local_device(config.resolved_device), precision, context)
 
     def prepare(self, module: nn.Module) -> None:
-        """Move a network to the device and set the precision and the context of its layers; its weights do not change."""
+        """Move a network to the device and set the precision and the context of its layers.
+
+        Its weights do not change.
+        """
         module.to(self.device)
         for part in module.modules():
             if isinstance(part, PointNetFeatures | InputTransform):

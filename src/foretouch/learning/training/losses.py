@@ -114,16 +114,21 @@ def labeled_loss(
     """Root mean square error, eq. 2, averaged over the modalities, so that 24 electrodes do not outweigh one pressure.
 
     Args:
-        scaled: (B, M) predictions.
+        scaled: (B, M) predictions, floating; half precision is computed in float32.
         target: (B, M) labels on the same scale.
         sizes: Number of values of each modality; they add up to M. P2 has one modality per network.
         kind: `rmse`, or `mse` without the root.
-        context: The processes that share the batch. Squares and their number are summed over all of them before the root:
-            the mean of each process's own root is a different loss.
+        context: The processes that share the batch. Squares and their number are summed over all of them before the
+            root: the mean of each process's own root is a different loss.
         epsilon: Added to the mean square under the root, as in P1's public code; 0 for `safe_root`.
+
+    Raises:
+        DatasetError: If there is no sample, or a tensor is not floating.
     """
+    if len(scaled) == 0:
+        raise DatasetError("losses: there is no sample")
     means = []
-    for part in torch.split(scaled - target, list(sizes), dim=1):
+    for part in torch.split(_wide(scaled) - _wide(target), list(sizes), dim=1):
         count = context.sum(torch.tensor(float(part.numel()), dtype=part.dtype, device=part.device))
         means.append(context.shared_sum(part.square().sum()) / count)
     stacked = torch.stack(means)
@@ -232,11 +237,19 @@ def _contrast(features: Features, config: SrganLossConfig, context: DistributedC
 
 def _difference(a: Tensor, b: Tensor, config: SrganLossConfig, context: DistributedContext) -> Tensor:
     """(B, F) in pairs, or (1, F) of the batches' means."""
+    a, b = _wide(a), _wide(b)
     if config.pairs:
         if a.shape != b.shape:
             raise DatasetError(f"losses: batches of {len(a)} and {len(b)} samples cannot be compared in pairs")
         return a - b
     return _mean(a, context) - _mean(b, context)
+
+
+def _wide(values: Tensor) -> Tensor:
+    """In float32 or wider: squares and sums of half precision overflow from 256 on, and underflow below 2e-4."""
+    if not values.is_floating_point():
+        raise DatasetError(f"losses: dtype {values.dtype} is not floating")
+    return values.float() if values.dtype in (torch.bfloat16, torch.float16) else values
 
 
 def _mean(features: Tensor, context: DistributedContext) -> Tensor:

@@ -53,10 +53,11 @@ def train_run(
         Path of the model's card. Killed at any time and resumed, the weights are those of an uninterrupted run.
 
     Raises:
-        FileError: If `out` holds a run and `resume` is off, its state is damaged or of another architecture, or it cannot be
-            written.
+        FileError: If `out` holds a run and `resume` is off, its state is damaged or of another architecture, or it
+            cannot be written.
         ConfigError: If the run in `out` has other settings or other data.
-        DatasetError: If the dataset does not fit the settings, or a loss becomes infinite or NaN. The last good state stays.
+        DatasetError: If the dataset does not fit the settings, or a loss becomes infinite or NaN. The last good state
+            stays.
     """
     learner = make_learner(config, data)
     folder = RunFolder(out, report)
@@ -99,8 +100,8 @@ def compare_splits(
         workers: Number of processes.
 
     Returns:
-        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50) held-out
-        predictions [counts], as far as the splits give them.
+        By split, the scores of the model and the baselines by modality; by condition of the calibration, (S, 50)
+        held-out predictions [counts], as far as the splits give them.
     """
     seed = learner.config.seed
     results, predicted = {}, {}

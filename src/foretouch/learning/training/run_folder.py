@@ -4,24 +4,28 @@
 RUN/config.yaml        resolved settings
 RUN/log.jsonl          one line per epoch
 RUN/state.safetensors  state of the last epoch that was finite, from which --resume continues
-RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end; RUN/<name>.trust.safetensors its calibration
+RUN/<name>.safetensors, RUN/<name>.json  the model and its card, at the end
+RUN/<name>.trust.safetensors             its calibration
 RUN/tensorboard        the log for TensorBoard, only with the setting `tensorboard`
 
-The state is one safetensors file, tensors and JSON, that is replaced as a whole or not at all.
+The state is one safetensors file, tensors and JSON with their checksum, that is replaced as a whole or not at all.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import torch
 import yaml
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from foretouch.checked_files import open_regular, parse_json
 from foretouch.config import load_yaml
-from foretouch.errors import ConfigError, FileError, ModelError
+from foretouch.errors import ConfigError, FileError, ModelError, shown
 from foretouch.learning.training.trainer import Trainer
 from foretouch.models.card import write_text
 from foretouch.models.files import replace_files
@@ -32,25 +36,50 @@ TENSORBOARD_FOLDER: Final = "tensorboard"
 STATE_FILE: Final = "state.safetensors"
 
 _KEY: Final = "foretouch-training"
+_SEAL: Final = "sha256"
 _BEST: Final = "best/"
 
 
 def write_state(path: Path, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-    """Replace the state on disk by tensors and plain data; raises `FileError`, and keeps the previous state, on failure."""
-    replace_files({path: save(dict(tensors), {_KEY: json.dumps(plain)})})
+    """Replace the state on disk by tensors and plain data, with a checksum over both.
+
+    Raises:
+        FileError: If it cannot be written; the previous state is kept.
+    """
+    sealed = {**plain, _SEAL: _digest(tensors, plain)}
+    replace_files({path: save(dict(tensors), {_KEY: json.dumps(sealed)})})
 
 
 def read_state(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and plain data of `write_state`; raises `FileError` if there are none, or they are damaged."""
+    """Tensors and plain data of `write_state`; a state of an older version has no checksum.
+
+    Raises:
+        FileError: If there is no state, or it is damaged or was changed.
+    """
     try:
+        open_regular(path).close()
         with safe_open(path, framework="pt") as file:
-            plain = json.loads(file.metadata()[_KEY])
+            plain = parse_json(file.metadata()[_KEY])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError as err:
-        raise FileError(path, "does not exist: there is nothing to resume") from err
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as err:
+        seal = plain.pop(_SEAL, None)
+    except FileError as err:
+        if isinstance(err.__cause__, FileNotFoundError):
+            raise FileError(path, "does not exist: there is nothing to resume") from err
+        raise
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError) as err:
         raise FileError(path, f"is no state of training: {' '.join(str(err).split())}") from err
+    if seal is not None and seal != (found := _digest(tensors, plain)):
+        raise FileError(path, f"{found} is not {shown(seal)}: the file was changed", field=_SEAL)
     return tensors, plain
+
+
+def _digest(tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> str:
+    """SHA-256 over the plain data and over name, type, shape and bytes of each tensor, hexadecimal."""
+    digest = hashlib.sha256(json.dumps(plain).encode())
+    for name, value in sorted(tensors.items()):
+        digest.update(json.dumps([name, str(value.dtype), list(value.shape)]).encode())
+        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 class RunFolder:

@@ -5,8 +5,8 @@ P2's own recipe (Adam, constant rate 0.01, RMSE on labels scaled by their ranges
 optimise on the public recordings. The defaults depart from it: AdamW at 1e-3 with a cosine schedule, mean
 squared error, labels standardised per value.
 
-The augmentation turns object and hand together. For a camera that looks down, the viewing axis is normal to the table, so
-gravity and contact stay the same and so does the touch. This does not hold for a camera that looks from the side.
+The augmentation turns object and hand together. For a camera that looks down, the viewing axis is normal to the table,
+so gravity and contact stay the same and so does the touch. This does not hold for a camera that looks from the side.
 """
 
 from collections.abc import Iterator, Mapping

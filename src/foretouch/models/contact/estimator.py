@@ -8,7 +8,8 @@
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises.
 
-Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests, kernel and novelty detector; `<name>.trust.safetensors` the calibration.
+Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
+kernel and novelty detector; `<name>.trust.safetensors` the calibration.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class ContactEstimator:
         forests: One for all 50 values together, and one for each modality; a value is the mean of its two.
         kernel: Of all 50 values.
         novelty: Fitted to the training objects.
-        mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and kernel.
+        mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and
+            kernel.
         ranges: Ranges outside which a predicted value is flagged.
     """
 

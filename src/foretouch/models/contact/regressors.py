@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two regressors of the contact model: a forest and a kernel ridge regression, stored as tensors.
 
-The forest consists of extremely randomised trees as plain arrays, fitted by scikit-learn and evaluated by numpy: scikit-learn can save a forest only as a pickle, which the files of this package must not contain.
+The forest consists of extremely randomised trees as plain arrays, fitted by scikit-learn and evaluated by numpy:
+scikit-learn can save a forest only as a pickle, which the files of this package must not contain.
 
-The kernel ridge regression has a Laplacian kernel and fades to the mean far from the training data. It is the mean of a Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised columns [Rasmussen and
-Williams 2006, eq. 2.25], whose samples are as rough as tactile readings.
+The kernel ridge regression has a Laplacian kernel and fades to the mean far from the training data. It is the mean of a
+Gaussian process with k(x, y) = exp(-γ/F · Σ|x_f - y_f|) over standardised columns [Rasmussen and Williams 2006, eq.
+2.25], whose samples are as rough as tactile readings.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ def _all_sum(value: Tensor, total: Total) -> Tensor:
 
 
 def freeze(net: nn.Module) -> None:
-    """Training mode for all but batch norm, which keeps its statistics: samples of a batch do not influence each other."""
+    """Training mode for all but batch norm, which keeps its statistics: samples of a batch stay independent."""
     net.train()
     for norm in _norms(net):
         norm.eval()

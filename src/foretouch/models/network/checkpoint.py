@@ -73,7 +73,10 @@ class NetworkEstimator:
         self.ranges = TactileRanges(**limits)
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
-        """See `Estimator.estimate`; out of distribution where a length leaves its range or the object's sizes are novel."""
+        """See `Estimator.estimate`.
+
+        Out of distribution where a length leaves its range or the object's sizes are novel.
+        """
         counts, in_distribution = np.zeros((len(grasps), TOUCH_SIZE)), np.ones(len(grasps), np.bool_)
         for member in self._members:
             prepared = prepare_cloud(cloud, member.config)

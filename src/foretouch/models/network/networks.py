@@ -125,8 +125,8 @@ class GeneratorConfig(Settings):
 class CloudGenerator(nn.Module):
     """Noise to fake clouds.
 
-    The fake cloud has six channels in P2, whatever the inputs of the network. A network of three channels uses the first
-    three; `unused_channels` names the others, which receive no gradient.
+    The fake cloud has six channels in P2, whatever the inputs of the network. A network of three channels uses the
+    first three; `unused_channels` names the others, which receive no gradient.
 
     Args:
         config: Its architecture.

@@ -9,8 +9,8 @@ In evaluation each batch norm is an affine map that `foretouch.models.network.fo
 
 The last shared layer takes most of the time, 128 to 1024 values at each of 750 points, and the maximum discards all but
 one value of each feature. In training `pooled_affine` therefore searches the winning points without a graph, in blocks
-that fit the cache, and computes each feature once more at its winner, with a graph. Value and gradient equal those of the
-plain computation except for rounding; the gradient costs F products a cloud instead of F N.
+that fit the cache, and computes each feature once more at its winner, with a graph. Value and gradient equal those of
+the plain computation except for rounding; the gradient costs F products a cloud instead of F N.
 
 Shapes: B clouds, N points, C channels of the cloud, K inputs of a layer, F features.
 """
@@ -43,8 +43,8 @@ def pooled_affine(
         x: (B, N, K) floating.
         weight: (F, K).
         bias: (F,).
-        precision: Of the search, if lower than that of `x`. A point that wins by less than the rounding may then lose to
-            a near equal one; values and gradients are those of the selected point, in the dtype of `x`.
+        precision: Of the search, if lower than that of `x`. A point that wins by less than the rounding may then lose
+            to a near equal one; values and gradients are those of the selected point, in the dtype of `x`.
         relu: Whether the layer ends in a ReLU.
     """
     winner = winners(x, weight, precision)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preparation of clouds and grasps as inputs of a network: the same code in training and in prediction.
 
-The cloud is sampled to a fixed number of points and mapped to the unit sphere at its centroid, and the contacts with it.
-The rotation of the hand is the same in both frames.
+The cloud is sampled to a fixed number of points and mapped to the unit sphere at its centroid, and the contacts with
+it. The rotation of the hand is the same in both frames.
 """
 
 from collections.abc import Sequence

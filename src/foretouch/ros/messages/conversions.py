@@ -101,7 +101,10 @@ def pose_stamped(grasp: GraspMsg, header: Header) -> PoseStamped:
 
 
 def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Header) -> TouchPredictionMsg:
-    """Convert the prediction for one grasp, with the header of the cloud; the node adds model, age and further flags."""
+    """Convert the prediction for one grasp, with the header of the cloud.
+
+    The node adds model, age and further flags.
+    """
     if prediction.value is None:
         status = Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED
         return refusal_to_msg(grasp, header, status, prediction.reason)

@@ -44,7 +44,7 @@ def object_markers(message: ObjectArray) -> MarkerArray:
 def touch_markers(
     prediction: TouchPrediction, ranges: TactileRanges, *, thumb_takes_g1: bool = True, touches: int = 0
 ) -> MarkerArray:
-    """Draw contacts, hand frame and the 48 electrodes of one prediction, and write its pressures and what it is based on.
+    """Draw contacts, hand frame and the 48 electrodes of one prediction, with its pressures and what it is based on.
 
     Args:
         prediction: A refused one gives no marker.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs from other nodes: read, or refused with the status that the answer gets; and the plan of grasps that answers."""
+"""Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
 
 from collections.abc import Sequence
 

@@ -210,11 +210,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         memory: ObjectMemory | HandMemory = ObjectMemory(predictor.model)
         if predictor.model.calibration.tracker is not None:
             self._keeper = HistoryKeeper(
-                predictor.model,
-                self.config.hand,
-                self.config.history_folder,
-                say=self._say,
-                warn=self._warn,
+                predictor.model, self.config.hand, self.config.history_folder, say=self._say, warn=self._warn
             )
             memory = HandMemory(self._keeper.history, self._now_ns)
         self._adapter = predictor.adapter = OnlineAdapter(

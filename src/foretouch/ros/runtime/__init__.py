@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node is built on. Nothing is imported here, since `environment` must run before NumPy and rclpy are loaded.
+"""What every node is built on. Nothing is imported here, since `environment` must run before NumPy and rclpy load.
 
 environment          environment variables that are set before anything else is imported
 lifecycle_node       ForetouchNode: lifecycle, parameters, QoS and diagnostics

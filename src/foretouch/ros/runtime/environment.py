@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Environment variables that must be set before NumPy and rclpy are imported. What the user has set is never changed."""
+"""Environment variables that must be set before NumPy and rclpy are imported. The user's own are never changed."""
 
 import os
 import sys
 from pathlib import Path
 
+from foretouch.processes import ONE_THREAD
+
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 """Fast DDS with a 64 MB segment: with the default of 0.5 MB most clouds between processes are lost."""
 
 _PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def prepare_environment() -> None:
@@ -22,5 +23,5 @@ def prepare_environment() -> None:
         os.environ["AMENT_PREFIX_PATH"] = sys.prefix
     if not any(name in os.environ for name in _PROFILE_VARIABLES):
         os.environ[_PROFILE_VARIABLES[0]] = str(SHARED_MEMORY_PROFILE)
-    for name in _THREAD_VARIABLES:
-        os.environ.setdefault(name, "1")
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)

@@ -102,8 +102,8 @@ class InternalErrors:
 class GuardedCallbacks:
     """A mixin for rclpy's `Node`, before it in the list of bases: no callback of the node raises.
 
-    A service that fails answers with `success` false and a `message`, or with the status FAILED and a `reason`, as far as
-    its response has such fields; a change of parameters is refused.
+    A service that fails answers with `success` false and a `message`, or with the status FAILED and a `reason`, as far
+    as its response has such fields; a change of parameters is refused.
 
     Attributes:
         internal_errors: Counts of the errors.

@@ -146,7 +146,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def subscribe(
         self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
     ) -> None:
-        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
+        """Subscribe with sensor-data QoS.
+
+        At most `depth` messages wait. Callbacks of a node never run at the same time.
+        """
         subscription = self.create_subscription(
             message,
             topic,

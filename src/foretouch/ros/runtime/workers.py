@@ -2,8 +2,9 @@
 """Threads for slow work, so that one executor thread can deliver messages all the time.
 
 `Worker` serves topics: callbacks only store, and when the work does not keep up, the oldest input is dropped, so
-that answers are as recent as possible. `ThreadPool` serves services and actions, whose callbacks await it as coroutines. A
-multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a message.
+that answers are as recent as possible. `ThreadPool` serves services and actions, whose callbacks await it as
+coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
+message.
 """
 
 import threading

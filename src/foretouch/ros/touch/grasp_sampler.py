@@ -63,8 +63,8 @@ class GraspSampler:
             goal: `SampleGrasps.Goal`.
             latest: The latest cloud of the graph, for a goal without a cloud.
             feedback: Called with a `SampleGrasps.Feedback` after each object, and after every 100 grasps.
-            cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that are
-                predicted so far.
+            cancelled: Called before each object and after every 100 grasps; if true, the result holds the grasps that
+                are predicted so far.
 
         Returns:
             `SampleGrasps.Result`, lowest cost first; grasps without a prediction are last, at infinite cost.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the online adaptation remembers: the tare of the hand, and the touches of the current object. No node, no thread.
+"""What the online adaptation remembers: tare of the hand, touches of the current object. No node, no thread.
 
-The tare is taken from the readings while the hand touches nothing. A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `lag_s`: a contact is
-detected a moment after it has begun. The tare is the median over the last `window_s` of rest; during a grasp, the tare
-from before is kept, and ages.
+The tare is taken from the readings while the hand touches nothing. A reading is at rest if neither finger is in
+contact, by the contact detector, nor will be within `lag_s`: a contact is detected a moment after it has begun. The
+tare is the median over the last `window_s` of rest; during a grasp, the tare from before is kept, and ages.
 
 Ids of objects are valid within one cloud only. Therefore the current object is identified by its position and size: the
 mean and the standard deviation of its points along each axis. An object in the same frame is the same if no mean and

@@ -2,8 +2,8 @@
 """Two fingers on opposite sides of one object, how they share its weight, and the choice of the contact level.
 
 Statics of a rigid body on two points: with a the unit vector from g1 to g2, L their distance, w the weight (a force
-vector) and c the centre of mass, the forces of the fingers on the object balance w, and their moments balance (c - m) x w about the
-midpoint m:
+vector) and c the centre of mass, the forces of the fingers on the object balance w, and their moments balance (c - m) x
+w about the midpoint m:
 
     along a:    F1 - F2 + w·a = 0, hence the second finger carries w·a more than the first;
     across a:   T1 + T2 = -w_t and (L/2) a x (T2 - T1) = -[(c - m) x w]_t, the rule of the lever and the

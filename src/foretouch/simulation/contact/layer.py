@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact of elastic layers or half-spaces: influence coefficients and constrained conjugate gradients.
 
-Influence coefficients state how far a pressed cell pushes the surface in, at every distance from it. The half-space has Love's closed form for a uniformly pressed rectangle (Love 1929; Johnson 1985, eq. 3.25).
-A bonded layer of thickness h differs from it by a smooth function of r/h, found from its answer to a
-wave of pressure, wave number q, t = q h (Carbone & Mangialardi 2008, as after Johnson 1985, section 5.8):
+Influence coefficients state how far a pressed cell pushes the surface in, at every distance from it. The half-space has
+Love's closed form for a uniformly pressed rectangle (Love 1929; Johnson 1985, eq. 3.25). A bonded layer of thickness h
+differs from it by a smooth function of r/h, found from its answer to a wave of pressure, wave number q, t = q h
+(Carbone & Mangialardi 2008, as after Johnson 1985, section 5.8):
 
     C(q) = 2 / (E* q) · M(t),
     M(t) = ((3 - 4ν) sinh 2t - 2t) / ((3 - 4ν) cosh 2t + 2t² + 5 - 12ν + 8ν²).

@@ -30,14 +30,20 @@ class PadConfig(Settings):
     up to 0.4 mm inside). Modulus and Poisson's ratio are those of published finite-element models of the skin.
     """
 
-    core_half_length_m: float = setting(0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4)
-    core_radius_m: float = setting(0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4)
-    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5)
-    modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0)
+    core_half_length_m: float = setting(
+        0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4, maximum=1.0
+    )
+    core_radius_m: float = setting(
+        0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4, maximum=1.0
+    )
+    layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5, maximum=1.0)
+    modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0, maximum=1e12)
     poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
-    friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0)
-    window_m: float = setting(0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4)
-    soft_window_m: float = setting(0.02, "The same for a soft object", unit="m", minimum=1e-4)
+    friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0, maximum=100.0)
+    window_m: float = setting(
+        0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4, maximum=1.0
+    )
+    soft_window_m: float = setting(0.02, "The same for a soft object", unit="m", minimum=1e-4, maximum=1.0)
     cells: int = setting(24, "Cells a side of that square", minimum=3, maximum=512)
 
     @property

@@ -23,7 +23,7 @@ class ContactConfig(Settings):
     tolerance: float = setting(
         1e-4, "Elastic layer: change of pressure in a step over the force", minimum=1e-12, maximum=1e-2
     )
-    max_iterations: int = setting(300, "Elastic layer: steps before it is refused", minimum=1)
+    max_iterations: int = setting(300, "Elastic layer: steps before it is refused", minimum=1, maximum=1_000_000)
     max_strain: float = setting(0.95, "Deepest compression of a layer over its thickness", minimum=0.01, maximum=1.0)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the actual positions of the fingers with their execution error."""
+"""Where and how hard the hand grasps: GeoGrasp on the simulated cloud, then the error of its execution."""
 
 from dataclasses import replace
 

@@ -72,7 +72,8 @@ def _timeline(job: Job, state: SampleState) -> None:
 def _slip(job: Job, state: SampleState) -> None:
     """The object slides down through the fingers during the hold.
 
-    The contact is solved once more where the slip ends, and the readings change from one solution to the other along the path.
+    The contact is solved once more where the slip ends, and the readings change from one solution to the other along
+    the path.
     """
     config, timeline = job.scene.fingers.slip, job.scene.fingers.timeline
     if config is None or timeline is None:

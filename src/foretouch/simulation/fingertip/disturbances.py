@@ -25,10 +25,10 @@ from foretouch.types import Float64
 class NoiseConfig(Settings):
     """Noise of the channels."""
 
-    electrode_counts: float = setting(4.2, "White noise of an electrode (std)", unit="counts", minimum=0.0)
-    pdc_counts: float = setting(0.3, "White noise of PDC (std)", unit="counts", minimum=0.0)
-    wander_counts: float = setting(1.9, "Slow wander of an electrode (std)", unit="counts", minimum=0.0)
-    wander_s: float = setting(0.4, "Time over which the wander forgets itself", unit="s", minimum=1e-3)
+    electrode_counts: float = setting(4.2, "White noise of an electrode (std)", unit="counts", minimum=0.0, maximum=1e6)
+    pdc_counts: float = setting(0.3, "White noise of PDC (std)", unit="counts", minimum=0.0, maximum=1e6)
+    wander_counts: float = setting(1.9, "Slow wander of an electrode (std)", unit="counts", minimum=0.0, maximum=1e6)
+    wander_s: float = setting(0.4, "Time over which the wander forgets itself", unit="s", minimum=1e-3, maximum=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,9 @@ class ScanConfig(Settings):
     """The ring of electrodes."""
 
     fresh_per_row: float = setting(16.8, "Electrodes sampled between two messages", minimum=1.0, maximum=24.0)
-    jitter: float = setting(1.0, "Standard deviation of where a message cuts the ring", unit="electrodes", minimum=0.0)
+    jitter: float = setting(
+        1.0, "Standard deviation of where a message cuts the ring", unit="electrodes", minimum=0.0, maximum=1e3
+    )
 
 
 def white_noise(shape: tuple[int, ...], counts: float, rng: np.random.Generator) -> Float64:
@@ -162,7 +164,7 @@ class CreepConfig(Settings):
     """The skin as a standard linear solid."""
 
     share: float = setting(0.08, "Part of the answer that comes late", minimum=0.0, maximum=1.0)
-    time_s: float = setting(1.5, "Time in which the late part comes", unit="s", minimum=1e-3)
+    time_s: float = setting(1.5, "Time in which the late part comes", unit="s", minimum=1e-3, maximum=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,18 +174,22 @@ class TemperatureConfig(Settings):
     The coefficients are orders of magnitude, not measurements: they differ from sensor to sensor.
     """
 
-    body_kelvin: float = setting(3.0, "How much warmer than at power-up the liquid gets", unit="K")
-    warming_s: float = setting(600.0, "Time constant of the warming", unit="s", minimum=1e-3)
-    electrode_counts_per_kelvin: float = setting(12.0, "Rise of an electrode", unit="counts/K")
-    pdc_counts_per_kelvin: float = setting(8.0, "Rise of PDC", unit="counts/K")
+    body_kelvin: float = setting(
+        3.0, "How much warmer than at power-up the liquid gets", unit="K", minimum=-1e3, maximum=1e3
+    )
+    warming_s: float = setting(600.0, "Time constant of the warming", unit="s", minimum=1e-3, maximum=1e9)
+    electrode_counts_per_kelvin: float = setting(
+        12.0, "Rise of an electrode", unit="counts/K", minimum=-1e4, maximum=1e4
+    )
+    pdc_counts_per_kelvin: float = setting(8.0, "Rise of PDC", unit="counts/K", minimum=-1e4, maximum=1e4)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlipConfig(Settings):
     """Sliding of the object over the skin, in sticks and slips."""
 
-    speed_m_s: float = setting(0.005, "Mean speed", unit="m/s", minimum=0.0)
-    stick_m: float = setting(0.0005, "Mean length of one slip", unit="m", minimum=1e-6)
+    speed_m_s: float = setting(0.005, "Mean speed", unit="m/s", minimum=0.0, maximum=10.0)
+    stick_m: float = setting(0.0005, "Mean length of one slip", unit="m", minimum=1e-6, maximum=1.0)
 
 
 def creep(config: CreepConfig, series: Float64, rate_hz: float, start: Float64 | None = None) -> Float64:

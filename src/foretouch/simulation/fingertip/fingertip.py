@@ -11,8 +11,9 @@ manual). With u the skin's displacement, b the depth at which skin meets core an
 c = (n · pad)^k, the share of liquid pressure where the skin is free: its rim is clamped to the nail side.
 The electrodes do not enter: where the contact lies decides them, and hardly V.
 
-**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core conducts;
-where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls (BioTac product manual, Syntouch). Here:
+**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core
+conducts; where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls
+(BioTac product manual, Syntouch). Here:
 
     s_e = Σ_cells w_e u (n · n_e)+ - V / A          how much closer the skin is at electrode e [m]
     Z_e = Z_rest,e · exp(gain_e · s_e / thinning)   a layer that thins ever more slowly
@@ -47,14 +48,14 @@ class FingerConfig(Settings):
     """Rest and gain of a kind of fingertip; a spread of 0 makes all its electrodes equal."""
 
     pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
-    pdc_gain: float = setting(1.0, "Factor on the rise of PDC", minimum=0.0)
+    pdc_gain: float = setting(1.0, "Factor on the rise of PDC", minimum=0.0, maximum=1e3)
     electrode_rest: float = setting(3450.0, "Electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0)
     electrode_rest_spread: float = setting(
-        70.0, "Standard deviation of that from electrode to electrode", unit="counts", minimum=0.0
+        70.0, "Standard deviation of that from electrode to electrode", unit="counts", minimum=0.0, maximum=1e4
     )
-    electrode_gain: float = setting(1.0, "Factor on the approach of the skin", minimum=0.0)
+    electrode_gain: float = setting(1.0, "Factor on the approach of the skin", minimum=0.0, maximum=1e3)
     electrode_gain_spread: float = setting(
-        0.1, "Standard deviation of its logarithm from electrode to electrode", minimum=0.0
+        0.1, "Standard deviation of its logarithm from electrode to electrode", minimum=0.0, maximum=10.0
     )
 
 
@@ -86,10 +87,16 @@ def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
 class FluidConfig(Settings):
     """How the liquid answers."""
 
-    bottoming_m: float = setting(3e-4, "Displacement at which the skin meets the core", unit="m", minimum=1e-6)
-    saturation_m3: float = setting(8.5e-10, "Volume at which the pressure levels off", unit="m^3", minimum=1e-12)
-    span_counts: float = setting(220.0, "Rise of PDC where it levels off", unit="counts", minimum=0.0)
-    rim_power: float = setting(2.0, "How fast the answer falls from the pad's middle to its rim", minimum=0.0)
+    bottoming_m: float = setting(
+        3e-4, "Displacement at which the skin meets the core", unit="m", minimum=1e-6, maximum=1.0
+    )
+    saturation_m3: float = setting(
+        8.5e-10, "Volume at which the pressure levels off", unit="m^3", minimum=1e-12, maximum=1.0
+    )
+    span_counts: float = setting(220.0, "Rise of PDC where it levels off", unit="counts", minimum=0.0, maximum=1e6)
+    rim_power: float = setting(
+        2.0, "How fast the answer falls from the pad's middle to its rim", minimum=0.0, maximum=100.0
+    )
 
 
 def displaced_volume(config: FluidConfig, displacement: Float64, cell_m2: float) -> float:
@@ -126,11 +133,15 @@ _MAX_EXPONENT: Final = 50.0  # beyond, E rounds to 0 from any rest
 class ElectrodeConfig(Settings):
     """How far an electrode looks and how strongly it answers."""
 
-    kernel_m: float = setting(0.003, "Standard deviation of an electrode's field on the skin", unit="m", minimum=1e-4)
-    thinning_m: float = setting(
-        3.1e-5, "Approach of the skin that raises the impedance by a factor e", unit="m", minimum=1e-6
+    kernel_m: float = setting(
+        0.003, "Standard deviation of an electrode's field on the skin", unit="m", minimum=1e-4, maximum=1.0
     )
-    bulge_area_m2: float = setting(2.3e-4, "Area of skin that displaced liquid lifts evenly", unit="m^2", minimum=1e-6)
+    thinning_m: float = setting(
+        3.1e-5, "Approach of the skin that raises the impedance by a factor e", unit="m", minimum=1e-6, maximum=1.0
+    )
+    bulge_area_m2: float = setting(
+        2.3e-4, "Area of skin that displaced liquid lifts evenly", unit="m^2", minimum=1e-6, maximum=1.0
+    )
 
 
 def electrode_weights(config: ElectrodeConfig, pad: PadConfig, frame: ContactFrame, skin_points: Float64) -> Float64:

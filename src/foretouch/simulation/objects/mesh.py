@@ -64,15 +64,32 @@ class TriangleMesh:
         Raises:
             SimulationError: Names the mesh and what is wrong.
         """
+        self._require_corners(name)
         if not self.is_closed():
             raise SimulationError(f"{name}: the mesh has an edge that is not shared by two faces", "mesh")
         if not self.volume() > 0.0:
             raise SimulationError(f"{name}: the mesh encloses {self.volume():g} m³", "mesh")
 
     def in_unit_box(self) -> TriangleMesh:
-        """Moved and scaled, each axis by itself, to [-0.5, 0.5]³."""
+        """Moved and scaled, each axis by itself, to [-0.5, 0.5]³.
+
+        Raises:
+            SimulationError: If the mesh has no face, is flat, or a vertex is absent or not finite.
+        """
+        self._require_corners("mesh")
         low, high = self.bounds
+        if not (high > low).all():
+            raise SimulationError(f"mesh: has no extent along {'xyz'[int(np.argmin(high - low))]}", "mesh")
         return TriangleMesh((self.vertices - (low + high) / 2.0) / (high - low), self.faces)
+
+    def _require_corners(self, name: str) -> None:
+        """Refuse a mesh without faces, and faces whose vertices are absent or not finite."""
+        if len(self.faces) == 0:
+            raise SimulationError(f"{name}: the mesh has no face", "mesh")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices):
+            raise SimulationError(f"{name}: a face of the mesh names no vertex of the {len(self.vertices)}", "mesh")
+        if not np.isfinite(self.vertices).all():
+            raise SimulationError(f"{name}: a vertex of the mesh is not finite", "mesh")
 
 
 Directions = tuple[Float64, npt.NDArray[np.int64]]

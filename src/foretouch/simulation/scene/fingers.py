@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fingertips of a scene (pad, posture, sensor), and how it is grasped (grasps by GeoGrasp, force or depth by the hand)."""
+"""Fingertips of a scene (pad, posture, sensor), and its grasps (by GeoGrasp, with force or depth by the hand)."""
 
 from dataclasses import dataclass
 
@@ -53,8 +53,12 @@ class DriftConfig(Settings):
     """Counts drift with the liquid's temperature, so a tare grows old."""
 
     temperature: sensor.TemperatureConfig = sensor.TemperatureConfig()
-    session_s: tuple[float, ...] = setting((0.0, 1800.0), "Time since power-up, low and high", unit="s", minimum=0.0)
-    tare_age_s: tuple[float, ...] = setting((2.0, 30.0), "Age of the tare at the touch", unit="s", minimum=0.0)
+    session_s: tuple[float, ...] = setting(
+        (0.0, 1800.0), "Time since power-up, low and high", unit="s", minimum=0.0, maximum=1e9
+    )
+    tare_age_s: tuple[float, ...] = setting(
+        (2.0, 30.0), "Age of the tare at the touch", unit="s", minimum=0.0, maximum=1e9
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,16 +68,20 @@ class DriftConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SessionsConfig(Settings):
-    """Each object was recorded on another day, and the rest level of a fingertip differs from day to day (inflation, wear).
+    """Each object was recorded on another day; the rest level of a fingertip differs by the day (inflation, wear).
 
     Between the eight objects of the public recordings, which have no tare, the lower end of PDC varies by 54 counts
     and the upper end of the electrodes by 50 to 80. That holds the touches of the objects too and so bounds the rest
     from above; the defaults stay well below, so that an object's mean explains about as much as it does there.
     """
 
-    pdc_counts: float = setting(20.0, "Standard deviation of PDC between sessions", unit="counts", minimum=0.0)
-    finger_counts: float = setting(20.0, "The same of all electrodes of a finger in common", unit="counts", minimum=0.0)
-    electrode_counts: float = setting(10.0, "The same of each electrode alone", unit="counts", minimum=0.0)
+    pdc_counts: float = setting(
+        20.0, "Standard deviation of PDC between sessions", unit="counts", minimum=0.0, maximum=1e6
+    )
+    finger_counts: float = setting(
+        20.0, "The same of all electrodes of a finger in common", unit="counts", minimum=0.0, maximum=1e6
+    )
+    electrode_counts: float = setting(10.0, "The same of each electrode alone", unit="counts", minimum=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +161,11 @@ class GraspsConfig(Settings):
         False, "Whether the initial points are grasped, as in the data of P1, in place of the best ranked pair"
     )
     insertion_m: float = setting(
-        0.0, "How far below the planned points the fingers close, along the table's normal", unit="m", minimum=0.0
+        0.0,
+        "How far below the planned points the fingers close, along the table's normal",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
     )
     max_width_m: float = setting(0.13, "Widest opening of the hand", unit="m", minimum=0.001, maximum=0.5)
     control: str = setting("force", "What the hand controls", choices=("force", "depth"))

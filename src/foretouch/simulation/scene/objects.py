@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects on the table: pose, material, clutter around them, and families of many objects.
 
-A family asks in one line for K objects whose shape, size and stiffness are drawn. It is drawn when the scene is read, so the scene itself holds each object in full, its hash
-covers them all, and an object keeps what it drew however many grasps it gets.
+A family asks in one line for K objects whose shape, size and stiffness are drawn. It is drawn when the scene is read,
+so the scene itself holds each object in full, its hash covers them all, and an object keeps what it drew however many
+grasps it gets.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,10 @@ RESTS = ("upright", "side", "any")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig(Settings):
-    """Pose of an object on the table; each value is drawn uniformly from its range. The world's origin is on the table, z up."""
+    """Pose of an object on the table.
+
+    Each value is drawn uniformly from its range. The world's origin is on the table, z up.
+    """
 
     x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
     y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
@@ -91,7 +95,7 @@ class ObjectConfig(Settings):
 class TableConfig(Settings):
     """The table top about the world's origin."""
 
-    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m")
+    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m", maximum=100.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -104,8 +108,10 @@ class ClutterConfig(Settings):
     """Other objects around the one that is grasped; they hide it in part but are not touched."""
 
     count: int = setting(4, "How many", minimum=1, maximum=20)
-    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m")
-    distance_m: tuple[float, ...] = setting((0.1, 0.25), "Between the axes of object and clutter", unit="m")
+    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m", maximum=10.0)
+    distance_m: tuple[float, ...] = setting(
+        (0.1, 0.25), "Between the axes of object and clutter", unit="m", maximum=10.0
+    )
     variants: int = setting(16, "Members of the family of random shapes that are used", minimum=1, maximum=10_000)
 
     def __post_init__(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of a training method: settings of a run, and a learner that fits, predicts, calibrates, saves and loads."""
+"""The interface of a training method: settings of a run, and a learner that fits, predicts, calibrates and saves."""
 
 import copy
 import dataclasses
@@ -154,7 +154,10 @@ class Learner(ABC, Generic[_C]):
 
     @abstractmethod
     def predict(self, index: Indices) -> Float64:
-        """(T, 50) predictions of training samples by the model of the last `fit` [counts]; NaN for absent modalities."""
+        """(T, 50) predictions of training samples by the model of the last `fit` [counts].
+
+        NaN for absent modalities.
+        """
 
     @abstractmethod
     def save(
@@ -168,7 +171,10 @@ class Learner(ABC, Generic[_C]):
         return load_model(card)
 
     def predict_fold(self, fold: Fold) -> Float64:
-        """(T, 50) predictions of a fold's test side by a model fitted to its training side [counts]; changes nothing."""
+        """(T, 50) predictions of a fold's test side by a model fitted to its training side [counts].
+
+        Changes nothing.
+        """
         learner = copy.copy(self)
         learner.fit(fold.train)
         return learner.predict(fold.test)
