@@ -86,3 +86,12 @@ def test_quaternion_of_a_half_turn_has_its_first_component_positive(axis):
 def test_quaternion_of_no_rotation_is_refused(matrix):
     with pytest.raises(GraspError, match="is not a rotation matrix"):
         quaternion_xyzw(matrix)
+
+
+@pytest.mark.parametrize("scale", [1e-323, 1e-161, 1e-155, 1e155])
+def test_lengths_whose_squares_are_no_normal_numbers_have_the_same_rotation(scale):
+    g1, axis = np.array([2.0, 4.0, -4.0]), np.array([1.0, 0.5, 0.25])
+    expected = hand_rotation(g1, np.zeros(3), axis)
+    np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
+    assert not is_parallel(scale * g1, np.zeros(3), axis)
+    np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)
