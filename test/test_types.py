@@ -56,7 +56,7 @@ def test_plane_of_any_scale_is_normalised(scale: float) -> None:
 
 @pytest.mark.parametrize("normal", [1e-10, 1e-200])
 def test_plane_refuses_an_offset_that_is_not_finite(normal: float) -> None:
-    with pytest.raises(CloudError, match="plane: the offset of .* is not finite"):
+    with pytest.raises(CloudError, match=r"plane: the offset of .* is not finite"):
         Plane.from_coefficients([0.0, 0.0, normal, 1e300])
 
 
