@@ -48,6 +48,18 @@ def test_plane_refuses_what_is_no_plane(bad: list[float]) -> None:
         Plane.from_coefficients(bad)
 
 
+@pytest.mark.parametrize("scale", [5e-324, 1e-310, 1e-161, 1e-155, 1e155, 1e200, 3e307])
+def test_plane_of_any_scale_is_normalised(scale: float) -> None:
+    plane = Plane.from_coefficients(np.array([1.0, -2.0, 2.0, 3.0]) * scale)
+    np.testing.assert_allclose(plane.coefficients, np.array([1.0, -2.0, 2.0, 3.0]) / 3.0, rtol=1e-13)
+
+
+@pytest.mark.parametrize("normal", [1e-10, 1e-200])
+def test_plane_refuses_an_offset_that_is_not_finite(normal: float) -> None:
+    with pytest.raises(CloudError, match=r"plane: the offset of .* is not finite"):
+        Plane.from_coefficients([0.0, 0.0, normal, 1e300])
+
+
 def test_grasp_midpoint_and_width() -> None:
     grasp = Grasp(np.array([0.0, 0.0, 1.0]), np.array([0.03, 0.04, 1.0]), np.eye(3))
     np.testing.assert_allclose(grasp.midpoint, [0.015, 0.02, 1.0])

@@ -24,6 +24,9 @@ Reference = Literal["none", "tare", "touches", "history"]
 ELECTRODES = 24  # per BioTac SP
 TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 
+SQUARABLE = (1e-145, 1e150)
+"""Numbers between these have squares of full precision; a vector with a larger or smaller one is scaled before its norm."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
@@ -76,14 +79,20 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
-        """A plane from (a, b, c, d) of any scale; a `CloudError` if they are not finite or (a, b, c) is zero."""
+        """A plane from (a, b, c, d) of any scale; a `CloudError` if they or the offset are not finite or (a, b, c) is zero."""
         abcd = np.asarray(coefficients, dtype=np.float64)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")
-        length = float(np.linalg.norm(abcd[:3]))
-        if length == 0.0:
+        largest = float(np.abs(abcd[:3]).max())
+        if largest == 0.0:
             raise CloudError("plane: the normal has zero length")
-        return cls(abcd[:3] / length, float(abcd[3]) / length)
+        with np.errstate(over="ignore"):
+            if not SQUARABLE[0] < largest < SQUARABLE[1]:
+                abcd = abcd / largest
+            abcd = abcd / float(np.linalg.norm(abcd[:3]))
+        if not np.isfinite(abcd[3]):
+            raise CloudError(f"plane: the offset of {coefficients!r} is not finite")
+        return cls(abcd[:3], float(abcd[3]))
 
     @property
     def coefficients(self) -> Float64:

@@ -52,6 +52,13 @@ def test_a_model_without_an_inverse_is_named(rs: Any) -> None:
         lens_of(_intrinsics(rs, "kannala_brandt4", [0.1, 0.0, 0.0, 0.0, 0.0]))
 
 
+@pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
+@pytest.mark.parametrize("coefficients", [[-0.3, -0.3, 0.0, 0.0, -0.3], [-2.0, 0.0, 0.0, 0.0, 0.0], [1e300] * 5])
+def test_a_distortion_that_the_iteration_does_not_undo_is_refused(model: str, coefficients: list[float]) -> None:
+    with pytest.raises(CameraError, match=r"distortion \[.*\]: is not undone by 10 iterations"):
+        Deprojector.of_lens(pinhole_matrix(64, 48), 64, 48, model, coefficients)
+
+
 def test_a_pixel_by_hand() -> None:
     matrix = np.array([[100.0, 0.0, 2.0], [0.0, 50.0, 1.0], [0.0, 0.0, 1.0]])
     depth = np.zeros((3, 5), np.uint16)

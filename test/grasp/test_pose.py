@@ -91,3 +91,12 @@ def test_quaternion_of_no_rotation_is_refused(matrix):
 @pytest.mark.parametrize("length", [1e-300, 1e-200, 1e160, 1e300])
 def test_contacts_whose_squared_distance_is_out_of_range_have_a_direction(length):
     np.testing.assert_allclose(hand_rotation(length * X, -length * X, Y), hand_rotation(X, -X, Y), atol=1e-15)
+
+
+@pytest.mark.parametrize("scale", [1e-323, 1e-161, 1e-155, 1e155])
+def test_lengths_whose_squares_are_no_normal_numbers_have_the_same_rotation(scale):
+    g1, axis = np.array([2.0, 4.0, -4.0]), np.array([1.0, 0.5, 0.25])
+    expected = hand_rotation(g1, np.zeros(3), axis)
+    np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
+    assert not is_parallel(scale * g1, np.zeros(3), axis)
+    np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)

@@ -19,6 +19,7 @@ from foretouch.types import Float32, Float64
 
 _MODELS = ("brown_conrady", "inverse_brown_conrady")
 _ITERATIONS = 10  # as in librealsense
+_UNDONE = 1e-3  # largest change of x/z and y/z in the last iteration: 1 mm at 1 m
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
@@ -55,7 +56,7 @@ class Deprojector:
             coefficients: k1, k2, p1, p2, k3 of Brown's model.
 
         Raises:
-            CameraError: If another model has coefficients that are not zero.
+            CameraError: If another model has coefficients that are not zero, or the distortion is too strong to be undone.
         """
         x = np.broadcast_to((np.arange(width) - matrix[0, 2]) / matrix[0, 0], (height, width))
         y = np.broadcast_to(((np.arange(height) - matrix[1, 2]) / matrix[1, 1])[:, None], (height, width))
@@ -99,14 +100,32 @@ def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tup
         k: (5,) float64, k1, k2, p1, p2, k3.
         scaled_shift: Whether the tangential shift is computed from the point times its radial factor. This is the
             only difference between the library's two models.
+
+    Raises:
+        CameraError: If the iteration does not converge, which the library does not notice.
     """
-    straight_x, straight_y = x, y
-    for _ in range(_ITERATIONS):
-        r2 = straight_x * straight_x + straight_y * straight_y
-        radial = 1.0 + ((k[4] * r2 + k[1]) * r2 + k[0]) * r2
-        scale = radial if scaled_shift else 1.0
-        at_x, at_y = straight_x * scale, straight_y * scale
-        shift_x = 2.0 * k[2] * at_x * at_y + k[3] * (r2 + 2.0 * at_x * at_x)
-        shift_y = 2.0 * k[3] * at_x * at_y + k[2] * (r2 + 2.0 * at_y * at_y)
-        straight_x, straight_y = (x - shift_x) / radial, (y - shift_y) / radial
+    straight_x, straight_y = last_x, last_y = x, y
+    with np.errstate(all="ignore"):  # a diverging iteration overflows
+        for _ in range(_ITERATIONS):
+            last_x, last_y = straight_x, straight_y
+            straight_x, straight_y = _undistort_once(x, y, straight_x, straight_y, k, scaled_shift=scaled_shift)
+        change = float(np.maximum(np.abs(straight_x - last_x), np.abs(straight_y - last_y)).max(initial=0.0))
+    if not change <= _UNDONE:
+        raise CameraError(
+            f"distortion {k.tolist()}: is not undone by {_ITERATIONS} iterations: the last changes a ray by {change:.3g}, "
+            f"{_UNDONE:g} is allowed"
+        )
     return straight_x, straight_y
+
+
+def _undistort_once(
+    x: Float64, y: Float64, straight_x: Float64, straight_y: Float64, k: Float64, *, scaled_shift: bool
+) -> tuple[Float64, Float64]:
+    """One iteration, from the last estimate of the straight coordinates."""
+    r2 = straight_x * straight_x + straight_y * straight_y
+    radial = 1.0 + ((k[4] * r2 + k[1]) * r2 + k[0]) * r2
+    scale = radial if scaled_shift else 1.0
+    at_x, at_y = straight_x * scale, straight_y * scale
+    shift_x = 2.0 * k[2] * at_x * at_y + k[3] * (r2 + 2.0 * at_x * at_x)
+    shift_y = 2.0 * k[3] * at_x * at_y + k[2] * (r2 + 2.0 * at_y * at_y)
+    return (x - shift_x) / radial, (y - shift_y) / radial

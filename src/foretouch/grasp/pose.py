@@ -4,7 +4,7 @@
 import numpy as np
 
 from foretouch.errors import GraspError
-from foretouch.types import Float64
+from foretouch.types import SQUARABLE, Float64
 
 PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 
@@ -87,11 +87,9 @@ def check_rotation(rotation: Float64) -> None:
 
 
 def _unit(vector: Float64, name: str) -> Float64:
-    with np.errstate(over="ignore"):
-        length = float(np.linalg.norm(vector))
-        if length in (0.0, np.inf) and 0.0 < np.abs(vector).max() < np.inf:  # the squares are out of range
-            vector = vector / np.abs(vector).max()
-            length = float(np.linalg.norm(vector))
-    if not np.isfinite(length) or length == 0.0:
+    largest = float(np.abs(vector).max())
+    if not np.isfinite(largest) or largest == 0.0:
         raise GraspError(f"{name}: {np.asarray(vector).tolist()} has no direction")
-    return np.asarray(vector / length, np.float64)
+    if not SQUARABLE[0] < largest < SQUARABLE[1]:
+        vector = vector / largest
+    return np.asarray(vector / float(np.linalg.norm(vector)), np.float64)

@@ -10,7 +10,7 @@ from calibrated_models import REST, save_calibrated_network
 from foretouch.errors import TactileError
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.ros.touch.tactile_state import ObjectMemory
+from foretouch.ros.touch.tactile_state import ObjectMemory, _Extent
 from foretouch.types import Cloud, Grasp, Touch
 
 NEAR_M = 0.02
@@ -87,3 +87,10 @@ def test_a_refused_reading_leaves_the_memory_as_it_was(memory: ObjectMemory) -> 
         memory.add(can(0.5), GRASP, Touch(-22072.0, 1700.0, REST[2:26], REST[26:]), None, 101.0, NEAR_M)
     assert memory.count == 1
     assert memory.of(can(), NEAR_M) is not None
+
+
+def test_position_and_size_of_a_large_cloud_are_computed_in_double() -> None:
+    points = (np.random.default_rng(0).normal(size=(1_000_000, 3)) * 0.03 + [0.1, 0.05, 1.2]).astype(np.float32)
+    exact = points.astype(np.float64)
+    expected = np.concatenate([exact.mean(axis=0), exact.std(axis=0)])
+    np.testing.assert_allclose(_Extent.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm

@@ -74,3 +74,13 @@ def test_edge_through_first_touch_is_refused():
 def test_line_contact_is_refused():
     with pytest.raises(ContactError, match="a line rather than an ellipse"):
         solve_hertz(paraboloid(25, 0.012, ratio=1e4), Command(force_n=1.0))
+
+
+@pytest.mark.parametrize("force", [1e-12, 1e-20, 1e-29])
+def test_beside_a_tiny_footprint_the_surface_moves_as_under_a_point_load(force):
+    x, y, step = grid(25, 0.006)
+    problem = paraboloid(25, 0.006)
+    displacement = solve_hertz(problem, Command(force_n=force)).displacement[0]
+    away = np.hypot(x, y) > 1.5 * step
+    point_load = force / (math.pi * half_space().plane_modulus_pa * np.hypot(x, y)[away])  # Johnson 1985, eq. 3.22b
+    assert_allclose(displacement[away], point_load, rtol=1e-5)

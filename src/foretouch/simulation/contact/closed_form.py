@@ -31,6 +31,7 @@ from foretouch.types import Float64
 
 _REACH = 3  # cells on each side of first touch that its curvature is fitted on
 _MIN_RATIO = 0.01  # smallest b / a that is resolved
+_FAR_RADII = 1e4  # of the footprint, beyond which the series of the displacement is exact to double precision
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,11 @@ def _pressure(rho: Float64, total: float) -> Float64:
 
 def _displacement(rho: Float64, depth: float) -> Float64:
     """Depth · (1 - ρ²/2) under pressure, eq. 3.42a beside it."""
-    outer = np.maximum(rho, 1.0)
+    outer = np.clip(rho, 1.0, _FAR_RADII)
     beside = ((2.0 - outer**2) * np.arcsin(1.0 / outer) + np.sqrt(outer**2 - 1.0)) / math.pi
+    if (rho > _FAR_RADII).any():  # where the terms, each about ρ, cancel: the first two terms of the series in 1/ρ
+        far = 1.0 / np.maximum(rho, _FAR_RADII)
+        beside = np.where(rho > _FAR_RADII, far * (4.0 / 3.0 + 2.0 / 15.0 * far**2) / math.pi, beside)
     return np.asarray(depth * np.where(rho <= 1.0, 1.0 - rho**2 / 2.0, beside))
 
 

@@ -1,0 +1,651 @@
+# SPDX-License-Identifier: Apache-2.0
+"""References of the kernels of the models: features, regressors, novelty, calibration, networks, losses, scores."""
+
+import mpmath
+import numpy as np
+import torch
+from reference import (
+    EPS32,
+    Exact,
+    Float64,
+    covariance,
+    eigen,
+    exact,
+    exp,
+    far_or_round,
+    float32_cloud,
+    gap,
+    gap_up_to_sign,
+    kernel,
+    norm,
+    real,
+    relative_gap,
+    rotation,
+    solve,
+    span,
+    spread_points,
+    sqrt,
+)
+
+from foretouch.cloud.geometry.sampling import UnitSphereFrame
+from foretouch.learning.evaluation.metrics import ObjectErrors, score, skills
+from foretouch.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
+from foretouch.learning.training.contact import _ridge_weights
+from foretouch.learning.training.losses import (
+    Features,
+    SrganLossConfig,
+    discriminator_loss,
+    generator_loss,
+    labeled_loss,
+)
+from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.contact.features import FEATURES, ContactScene
+from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
+from foretouch.models.network.batch_norm import batch_affine, update_statistics
+from foretouch.models.network.config import ModelConfig
+from foretouch.models.network.folding import fold
+from foretouch.models.network.length_check import grasp_lengths
+from foretouch.models.network.networks import TouchNet
+from foretouch.models.network.preparation import PreparedCloud
+from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
+from foretouch.models.touch_model import ObjectResiduals
+from foretouch.simulation.fingertip.disturbances import steady_noise
+from foretouch.tactile import MODALITIES, columns
+from foretouch.types import Cloud, Grasp, Touch
+
+_COLUMN = {name: k for k, name in enumerate(FEATURES)}
+
+
+def _scene(t: float, rng: np.random.Generator) -> tuple[Float64, Grasp]:
+    """An object far away, or with two nearly equal eigenvalues, and a grasp on it."""
+    far, difference = far_or_round(t, rng, 1e4)
+    shape = spread_points(rng, 40, [0.008, 0.03 * (1.0 - difference), 0.03])
+    place = far * np.array([0.1, -0.1, 1.0])
+    points = float32_cloud(shape @ rotation(rng).T + place).astype(np.float64)
+    hand = rotation(rng)
+    middle = points.mean(axis=0) + 0.005
+    return points, Grasp(middle + 0.03 * hand[:, 2], middle - 0.03 * hand[:, 2], hand)
+
+
+def _sizes(points: Float64) -> tuple[Exact, Exact, Float64]:
+    """Mean, eigenvectors and eigenvalues."""
+    mean, spread = covariance(exact(points))
+    values, vectors = eigen(spread)
+    return mean, vectors, real(values)
+
+
+def _quantile(values: Exact, share: float) -> Exact:
+    ordered = np.sort(values)
+    at = exact(share) * (len(ordered) - 1)
+    k = min(int(at), len(ordered) - 2)
+    return ordered[k] + (at - k) * (ordered[k + 1] - ordered[k])
+
+
+@kernel(
+    "features: lengths",
+    of="models.contact.features.ContactScene",
+    error="of all lengths / √λ3",
+    condition="max|p| / √λ3 · √(λ3 / λ1)",
+    constant=0.5,
+)
+def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    points, grasp = _scene(t, rng)
+    row = ContactScene(points).describe([grasp])[0]
+    mean, _, values = _sizes(points)
+    p, hand, size = exact(points), exact(grasp.rotation), np.sqrt(values[2])
+    away = norm(p - mean)
+    middle = (exact(grasp.g1) + exact(grasp.g2)) / 2
+    in_hand = (p - middle) @ hand
+    _, exact_values = covariance(p)
+    wanted: dict[str, Exact] = {
+        **{f"spread_{k + 1}": value for k, value in enumerate(sqrt(eigen(exact_values)[0]))},
+        **{f"extent_{axis}": p[:, k].max() - p[:, k].min() for k, axis in enumerate("xyz")},
+        "radius": away.max(),
+        **{f"radius_q{round(100 * q)}": _quantile(away, q) for q in (0.25, 0.5, 0.75)},
+        "width": norm(exact(grasp.g1) - exact(grasp.g2)),
+        "offset": norm(middle - mean),
+        **{f"g1_from_centre_{axis}": exact(grasp.g1)[k] - mean[k] for k, axis in enumerate("xyz")},
+        **{f"low_hand_{axis}": _quantile(in_hand[:, k], 0.01) for k, axis in enumerate("xyz")},
+        **{f"high_hand_{axis}": _quantile(in_hand[:, k], 0.99) for k, axis in enumerate("xyz")},
+        **{f"centre_hand_{axis}": in_hand[:, k].sum() / 40 for k, axis in enumerate("xyz")},
+    }
+    kappa = float(np.abs(points).max()) / size * np.sqrt(values[2] / values[0])
+    return kappa, max(gap(row[_COLUMN[name]], value) for name, value in wanted.items()) / size
+
+
+@kernel(
+    "features: axis",
+    of="models.contact.features.ContactScene",
+    error="|a - a*|",
+    condition="λ3 / (λ3 - λ2)",
+    constant=5.0,
+)
+def _feature_axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    points, _ = _scene(t, rng)
+    _, vectors, values = _sizes(points)
+    axis = ContactScene(points).object_features[[OBJECT_FEATURES.index(f"axis_{k}") for k in "xyz"]]
+    return values[2] / (values[2] - values[1]), gap_up_to_sign(axis, vectors[:, 2])
+
+
+@kernel(
+    "features: slope at the contact",
+    of="models.contact.features._slope",
+    error="|n - n*|",
+    condition="λ3 / (λ2 - λ1)",
+    constant=5.0,
+)
+def _slopes(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The surface around a contact, an ever narrower strip at up to 10 km."""
+    hand = rotation(rng)
+    flat = rng.uniform(-1.0, 1.0, (20, 3)) * [0.006, 0.006 * span(t, 0.9, 0.02), 1e-5]
+    place = span(t, 0.3, 1e4) * np.array([0.1, -0.1, 1.0])
+    points = flat @ rotation(rng).T + place
+    contact = points.mean(axis=0)
+    row = ContactScene(points).describe([Grasp(contact, contact + 0.05 * hand[:, 2], hand)])[0]
+    near = norm(exact(points) - exact(contact)) < exact(0.008)
+    _, vectors, values = _sizes(points[near.astype(np.bool_)])
+    along = hand[:, 0] if hand[:, 0] @ points.mean(axis=0) >= 0.0 else -hand[:, 0]
+    frame = np.stack([along, np.cross(-hand[:, 2], along), -hand[:, 2]], axis=1)
+    wanted = vectors[:, 0] @ exact(frame)
+    low, middle, high = values
+    found = row[[_COLUMN[f"g1_slope_8mm_{axis}"] for axis in "xyz"]]
+    return high / (middle - low), gap_up_to_sign(found, wanted)
+
+
+@kernel(
+    "standardisation",
+    of="models.novelty.standardisation",
+    error="max(|m - m*|, |s - s*|) / s*",
+    condition="max|x| / s",
+    constant=5.0,
+)
+def _standardisation(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """A column whose deviation vanishes against its mean, down to 2e-8 of it."""
+    rows = 0.5 + span(t, 0.5, 2e-8) * rng.normal(size=(30, 1))
+    mean, deviation = standardisation(rows)
+    x = exact(rows[:, 0])
+    centre = x.sum() / 30
+    wanted = mpmath.sqrt(((x - centre) ** 2).sum() / 30)
+    kappa = float(np.abs(rows).max() / wanted)
+    return kappa, max(gap(mean[0], centre), gap(deviation[0], wanted)) / float(wanted)
+
+
+@kernel(
+    "novelty score",
+    of="models.novelty.SizeNoveltyDetector",
+    error="|score - score*|",
+    condition="distance / span of the score",
+    constant=5.0,
+)
+def _novelty(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Distances at the middle of an ever narrower span."""
+    centre, scale = rng.random(8), rng.uniform(0.5, 2.0, 8)
+    known = rng.normal(size=(12, 8)).astype(np.float32)
+    features = rng.normal(size=len(OBJECT_FEATURES))
+    sizes = (exact(features[3:11]) - exact(centre)) / exact(scale)
+    distance = np.sort(np.abs(exact(known) - sizes).sum(axis=1))[:3].sum() / 3
+    low = float(distance) * (1.0 - span(t, 0.5, 1e-9) * rng.uniform(0.2, 0.8))
+    high = low + float(distance) * span(t, 0.5, 1e-9)
+    wanted = np.clip((exact(high) - distance) / (exact(high) - exact(low)), mpmath.mpf(0), mpmath.mpf(1))
+    found = SizeNoveltyDetector(centre, scale, known, np.array([low, high])).in_distribution_score(features)
+    return float(distance) / (high - low), gap(found, wanted)
+
+
+@kernel(
+    "forest mean", of="models.contact.regressors.Forest.predict", error="|y - y*| / |y*|", condition="1", constant=2.0
+)
+def _forest(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Trees that contradict each other more and more: numbers of half precision add up exactly in double."""
+    count = 150
+    value = rng.normal(size=(count, 1)).astype(np.float16)
+    value[1::2] = -value[::2]
+    value[0] += np.float16(span(t, 1.0, 1e-3)) + np.float16(0.002)
+    index = np.arange(count, dtype=np.int32)
+    pair = np.stack([index, index], axis=1)
+    forest = Forest(index, np.full(count, -1, np.int16), np.zeros(count), pair, index, value)
+    v = exact(value[:, 0])
+    return 1.0, relative_gap(forest.predict(np.zeros((1, 2)))[0, 0], v.sum() / count)
+
+
+@kernel(
+    "kernel regression",
+    of="models.contact.regressors.KernelRegression.predict",
+    error="|y - y*| / Σ k |w|",
+    condition="1 + γ/F Σ |z - z_known|",
+    constant=2.0,
+)
+def _regression(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Rows farther and farther from the training rows, down to kernel values of 1e-300."""
+    centre, scale = rng.normal(size=6), rng.uniform(0.1, 2.0, 6)
+    known = rng.normal(size=(10, 6)).astype(np.float32)
+    weight = rng.normal(size=(10, 3)).astype(np.float32)
+    row = centre + scale * span(t, 1.0, 600.0) * rng.uniform(0.5, 1.0, 6)
+    decay = 1.2
+    found = KernelRegression(centre, scale, known, weight, np.array(decay)).predict(row[None])[0]
+    z = (exact(row) - exact(centre)) / exact(scale)
+    exponent = exact(decay) / 6 * np.abs(z - exact(known)).sum(axis=1)
+    k = exp(-exponent)
+    size = k @ np.abs(exact(weight))
+    return 1.0 + float(exponent.max()), float(np.max(np.abs(exact(found) - k @ exact(weight)) / size))
+
+
+@kernel(
+    "kernel ridge weights",
+    of="learning.training.contact._ridge_weights",
+    error="|w - w*| / |w*|",
+    condition="cond(K + ridge I)",
+    constant=2.0,
+)
+def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Training rows that almost coincide, and a vanishing ridge."""
+    rows = rng.normal(size=(5, 4)).repeat(2, axis=0) + span(t, 1.0, 1e-9) * rng.normal(size=(10, 4))
+    matrix = laplacian(rows, rows, 1.0)
+    labels, ridge = rng.normal(size=(10, 2)), span(t, 1.0, 1e-9)
+    wanted = solve(exact(matrix) + exact(ridge) * exact(np.eye(10)), exact(labels))
+    error = gap(_ridge_weights(matrix, labels, ridge), wanted) / float(np.abs(wanted).max())
+    return float(np.linalg.cond(matrix + ridge * np.eye(10))), error
+
+
+def _group(t: float, rng: np.random.Generator) -> tuple[CalibrationGroup, int, Exact, float]:
+    """A calibration of 8 values whose W vanishes against B, a number of touches, B (B + W/n)^-1, and the condition."""
+    factors = rng.normal(size=(8, 2))
+    between = 100.0 * (factors @ factors.T) + 1e-9 * np.eye(8)
+    within = span(t, 100.0, 1e-5) * rng.uniform(0.5, 1.0, 8)
+    count = int(span(t, 1.0, 1000.0))
+    group = CalibrationGroup(between, within, rng.uniform(0.0, 1.0, 8), rng.uniform(1e3, 1e4, 8), np.full(8, 60.0))
+    total = exact(between) + np.diag(exact(within) / count)
+    return group, count, solve(total, exact(between)).T, float(np.linalg.cond(real(total)))
+
+
+@kernel(
+    "adaptation to touches",
+    of="models.calibration.CalibrationGroup.counts_after",
+    error="|y - y*| / max|residual|",
+    condition="cond(B + W/n) + max|y| / max|residual|",
+    constant=1.0,
+)
+def _adaptation(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    group, count, gain, condition = _group(t, rng)
+    expected, mean = rng.uniform(1e3, 4e3, (2, 8)), rng.uniform(1e3, 4e3, 8)
+    reading = mean + span(t, 100.0, 1.0) * rng.normal(size=8)
+    residual = exact(reading) - exact(mean)
+    wanted = exact(mean) + gain @ residual + exact(group.worth) * (exact(expected) - exact(mean))
+    size = float(np.abs(residual).max())
+    return condition + 4e3 / size, gap(group.counts_after(expected, mean, reading, count), wanted) / size
+
+
+@kernel(
+    "half width after touches",
+    of="models.calibration.CalibrationGroup.half_width_after",
+    error="|h - h*| / h before any touch",
+    condition="√(cond(B + W/n) max B / spread)",
+    constant=0.5,
+)
+def _half_width(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    group, count, gain, condition = _group(t, rng)
+    between = exact(group.between)
+    lasting = np.diag(between) - np.diag(gain @ between)
+    left = np.minimum((np.maximum(lasting, exact(0.0)) + exact(group.within)) / exact(group.spread), exact(1.0))
+    kappa = np.sqrt(condition * group.between.max() / group.spread.min()) + 1.0
+    return float(kappa), gap(group.half_width_after(count), 60 * sqrt(left)) / 60.0
+
+
+@kernel(
+    "calibration: W, slope, spread",
+    of="learning.training.calibration.fit_group",
+    error="relative, of W, slope and spread",
+    condition="1",
+    constant=50.0,
+)
+def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Readings that vary less and less about 3000 counts: they are centred first."""
+    sessions = np.repeat(["a", "b", "c"], 4)
+    noise = span(t, 100.0, 0.02)  # below, the floors of 1e-6 counts² take over
+    predicted = 3000.0 + noise * rng.normal(size=(12, 50))
+    labels = predicted + noise * (0.3 * rng.normal(size=(12, 50)))
+    group = fit_group(HeldOutPredictions(predicted, labels, sessions, sessions))
+    x, y = exact(predicted), exact(labels)
+    spread = ((y - x) ** 2).sum(axis=0) / 12
+    for k in range(3):
+        mine = slice(4 * k, 4 * k + 4)
+        x[mine], y[mine] = (v[mine] - v[mine].sum(axis=0) / 4 for v in (x, y))
+    unit = sqrt((y**2).sum(axis=0) / 12)
+    slope = exact(np.empty(50))
+    for name in MODALITIES:
+        column = columns([name])
+        a, b = x[:, column] / unit[column], y[:, column] / unit[column]
+        slope[column] = min((a * b).sum() / (a * a).sum(), mpmath.mpf(1))
+    within = ((y - slope * x) ** 2).sum(axis=0) / 9
+    error = max(
+        relative_gap(group.within, within), relative_gap(group.worth, slope), relative_gap(group.spread, spread)
+    )
+    return 1.0, error
+
+
+@kernel(
+    "calibration: B",
+    of="learning.training.calibration._shrunk",
+    error="|B - B*| / (deviation · deviation)",
+    condition="1",
+    constant=10.0,
+)
+def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Moments of 25 pairs of values: from covariances to what has a negative eigenvalue, or almost no variance."""
+    diagonal = rng.uniform(0.5, 1.0, (25, 2)) * span(t, 1.0, 1e-9) * 1e4
+    product = rng.uniform(-1.0, 1.0, 25) * (0.5 + 2.0 * t) * np.sqrt(diagonal.prod(axis=1))
+    within, shrinkage = rng.uniform(50.0, 500.0, 50), 0.2
+    order = rng.permutation(50).reshape(25, 2)
+    moments = np.zeros((50, 50))
+    for (i, j), (a, b), c in zip(order, diagonal, product, strict=True):
+        moments[i, i], moments[j, j], moments[i, j], moments[j, i] = a, b, c, c
+    found = _shrunk(moments, within, shrinkage)
+    error = 0.0
+    for pair in order:
+        part = exact(moments[np.ix_(pair, pair)])
+        deviation = sqrt(np.maximum(np.diag(part), exact(0.05) * exact(within[pair])))
+        values, vectors = eigen(part / np.outer(deviation, deviation))
+        clipped = (vectors * np.maximum(values, exact(0.0))) @ vectors.T
+        size = sqrt(np.maximum(np.diag(clipped), exact(1.0)))
+        correlation = exact(shrinkage) * clipped / np.outer(size, size)
+        np.fill_diagonal(correlation, exact(1.0).item())
+        error = max(error, gap(exact(found[np.ix_(pair, pair)]) / np.outer(deviation, deviation), correlation))
+    return 1.0, error
+
+
+@kernel(
+    "conformal quantile",
+    of="learning.training.calibration._quantile_by_object",
+    error="distance of the level from those for which the returned score is the quantile",
+    condition="number of scores",
+    constant=0.1,
+)
+def _conformal(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Objects with very different numbers of samples, at the level where the weights add up exactly."""
+    counts = np.sort(rng.integers(1, int(span(t, 3.0, 300.0)), 4))
+    names = np.repeat(list("abcd"), counts)
+    scores = rng.random((len(names), 1))
+    weight = exact(1.0) / (4 * exact(np.repeat(counts, counts)))
+    order = np.argsort(scores[:, 0])
+    reached = np.cumsum(weight[order])
+    k = int(rng.integers(0, len(order)))
+    level = float(reached[k])  # a tie up to its own rounding
+    found = int(np.flatnonzero(scores[order, 0] == _quantile_by_object(scores, names, level))[0])
+    below = reached[found - 1] if found else mpmath.mpf(0)
+    # The score is the quantile of all levels above the weight below it, up to the weight with it.
+    return len(order), float(max(below - level, level - reached[found], mpmath.mpf(0)))
+
+
+@kernel(
+    "touches of an object",
+    of="models.touch_model.ObjectResiduals",
+    error="|m - m*| / max|m*|",
+    condition="number of touches",
+    constant=0.5,
+)
+def _residuals(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The running sums of up to 300 touches."""
+    count = int(span(t, 1.0, 300.0))
+    readings, expected = rng.uniform(100.0, 4000.0, (2, count, 50))
+    model = _Expected(expected)
+    residuals = ObjectResiduals(model)  # type: ignore[arg-type]
+    cloud, grasp = Cloud(np.zeros((1, 3), np.float32)), Grasp(np.zeros(3), np.ones(3), np.eye(3))
+    for reading in readings:
+        residuals.add(cloud, grasp, Touch.from_vector(reading))
+    found = residuals.means()
+    wanted = [exact(rows[:, :4]).sum(axis=0) / count for rows in (expected, readings)]
+    return count, max(gap(a[:4], b) for a, b in zip(found, wanted, strict=True)) / 4000.0
+
+
+class _Expected:
+    """Gives the expected readings one after the other, in the place of a model."""
+
+    def __init__(self, rows: Float64) -> None:
+        self._rows = iter(rows)
+
+    def expect(self, *_: object) -> Float64:
+        return np.asarray(next(self._rows))[None]
+
+
+def _network(seed: int) -> TouchNet:
+    torch.manual_seed(seed)
+    config = ModelConfig(
+        n_points=16, trunk_widths=(8, 16), tnet_widths=(6, 8, 12, 8, 6), head_widths=(12,), head_norm=True
+    )
+    return TouchNet(config).eval()
+
+
+@kernel(
+    "network, folded",
+    of="models.network.folding.fold",
+    error="|y - y*| / max|y*|, against the unfolded network in float64",
+    condition="1",
+    constant=5.0,
+    epsilon=EPS32,
+)
+def _folded(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Batch norms whose running mean outweighs their deviation by up to 1e4: folding in double cancels it."""
+    net = _network(int(rng.integers(1 << 30)))
+    far = span(t, 0.1, 1e4)
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, torch.nn.Linear) and module.weight.abs().sum() == 0:
+                module.weight.normal_(0.0, 0.05)  # the matrix of the T-Net starts at zero
+        for layer in [m for m in net.modules() if getattr(m, "norm", None) is not None]:
+            shift = torch.full_like(layer.linear.bias, far) * torch.sign(torch.randn(len(layer.linear.bias)))
+            layer.linear.bias.add_(shift)
+            layer.norm.running_mean.copy_(shift)
+            layer.norm.running_var.uniform_(0.3, 1.0)
+    points = torch.from_numpy(rng.uniform(-0.6, 0.6, (16, 3)).astype(np.float32))
+    grasps = torch.from_numpy(rng.uniform(-1.0, 1.0, (2, 15)).astype(np.float32))
+    folded = fold(net)
+    found = folded.regress(folded.features(points), grasps).numpy()
+    with torch.no_grad():
+        wanted = net.double().counts(points.double()[None].expand(2, -1, -1), grasps.double()).numpy()
+    return 1.0, float(np.abs(found - wanted).max() / np.abs(wanted).max())
+
+
+@kernel(
+    "batch norm by moments",
+    of="models.network.batch_norm.batch_affine",
+    error="|W' - W'*| / max|W'*|, against torch's batch norm in float64",
+    condition="1",
+    constant=2.0,
+    epsilon=EPS32,
+)
+def _batch_norm(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Inputs that vary less and less about their mean, down to 3e-4 of it: they are centred first."""
+    x = torch.from_numpy((1.0 + span(t, 1.0, 3e-4) * rng.normal(size=(4, 40, 3))).astype(np.float32))
+    torch.manual_seed(int(rng.integers(1 << 30)))
+    linear, norm_ = torch.nn.Linear(3, 5), torch.nn.BatchNorm1d(5, eps=1e-12)
+    both = [batch_affine(x, linear, norm_, total) for total in (None, lambda value: value)]  # alone, and as if shared
+    with torch.no_grad():
+        wide = x.double().flatten(0, 1)
+        z = wide @ linear.weight.double().T + linear.bias.double()
+        deviation = (z.var(dim=0, unbiased=False) + 1e-12).sqrt()
+        wanted = linear.weight.double() / deviation[:, None]
+        wanted_bias = (linear.bias.double() - z.mean(dim=0)) / deviation
+    error = 0.0
+    for weight, bias in both:
+        for found, one in ((weight.detach(), wanted), (bias.detach(), wanted_bias)):
+            error = max(error, float((found.double() - one).abs().max() / one.abs().max()))
+    return 1.0, error
+
+
+@kernel(
+    "running statistics",
+    of="models.network.batch_norm.update_statistics",
+    error="|m - m*| / max|m|, after all updates",
+    condition="number of updates",
+    constant=0.5,
+    epsilon=EPS32,
+)
+def _statistics(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The plain mean over up to 500 batches (momentum None)."""
+    count = int(span(t, 1.0, 500.0))
+    norm_ = torch.nn.BatchNorm1d(3, momentum=None)
+    norm_.running_var.zero_()  # type: ignore[union-attr]
+    means = torch.from_numpy((5.0 + rng.normal(size=(count, 3))).astype(np.float32))
+    for mean in means:
+        update_statistics(norm_, mean, mean, 1e9)
+    wanted = exact(means.double().numpy()).sum(axis=0) / count
+    found = [norm_.running_mean.numpy(), norm_.running_var.numpy()]  # type: ignore[union-attr]
+    return count, max(gap(one, wanted) for one in found) / float(means.abs().max())
+
+
+@kernel(
+    "labelled loss (eq. 2)",
+    of="learning.training.losses.labeled_loss",
+    error="|l - l*| / l*",
+    condition="1",
+    constant=2.0,
+    epsilon=EPS32,
+)
+def _labelled(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Errors of 1 down to 1e-9, through the chord below 1e-6."""
+    error = torch.from_numpy((span(t, 1.0, 1e-9) * rng.normal(size=(8, 50))).astype(np.float32))
+    found = labeled_loss(error, torch.zeros_like(error), [1, 1, 24, 24])
+    e = exact(error.numpy())
+    roots = []
+    for name in MODALITIES:
+        mean = (e[:, columns([name])] ** 2).sum() / e[:, columns([name])].size
+        roots.append(mpmath.sqrt(mean) if mean > 1e-12 else mean / exact(1e-6))
+    return 1.0, relative_gap(float(found), sum(roots) / 4)
+
+
+@kernel(
+    "feature matching (eqs. 3, 5)",
+    of="learning.training.losses.generator_loss",
+    error="|l - l*| / l*, distance of the batches' means",
+    condition="max|f| / |Δ|",
+    constant=2.0,
+    epsilon=EPS32,
+)
+def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Batches whose mean features agree more and more."""
+    a = rng.uniform(0.5, 1.0, (8, 16)).astype(np.float32)
+    b = (a + span(t, 0.5, 1e-4) * rng.uniform(0.5, 1.0, a.shape)).astype(np.float32)
+    config = SrganLossConfig(reading="as_printed", distance="batch_mean")
+    found = float(generator_loss(torch.from_numpy(a), torch.from_numpy(b), config).total)
+    delta = (exact(a) - exact(b)).sum(axis=0) / 8
+    wanted = (delta**2).sum()
+    return float(np.abs(b).max() / float(np.abs(delta).min())), relative_gap(found, wanted)
+
+
+@kernel(
+    "contrast (eq. 4)",
+    of="learning.training.losses.discriminator_loss",
+    error="|l - l*| / max(|l*|, 1), of all four forms",
+    condition="1",
+    constant=5.0,
+    epsilon=EPS32,
+)
+def _contrast(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Differences of features of 1e-9 to 1e9."""
+    a = np.zeros((8, 16), np.float32)
+    b = (span(t, 1e-9, 1e9) * rng.normal(size=a.shape)).astype(np.float32)
+    features = Features(torch.from_numpy(a), torch.from_numpy(a), torch.from_numpy(b))
+    far = np.abs(exact(b))
+    worst = 0.0
+    forms = {
+        "sqrt": lambda x: -mpmath.sqrt(x + 1),
+        "log": lambda x: -mpmath.log1p(x),
+        "abs": lambda x: -x,
+        "ratio": lambda x: -x / (x + 1),
+    }
+    for name, form in forms.items():
+        loss = discriminator_loss(torch.zeros(()), features, SrganLossConfig(contrast=name))
+        wanted = np.frompyfunc(form, 1, 1)(far).sum() / far.size
+        worst = max(worst, gap(float(loss.parts["fake"]), wanted) / max(abs(float(wanted)), 1.0))
+    return 1.0, worst
+
+
+def _labels(t: float, rng: np.random.Generator) -> tuple[Float64, Float64, Float64]:
+    """Predictions that approach the labels' mean, which has almost the same errors."""
+    actual = 3000.0 + 100.0 * rng.normal(size=(12, 50))
+    reference = np.tile(actual.mean(axis=0), (12, 1))
+    return reference + span(t, 50.0, 1e-6) * rng.normal(size=actual.shape), actual, reference
+
+
+@kernel(
+    "RMSE and skill (R²)",
+    of="learning.evaluation.metrics.score",
+    error="max(|rmse - rmse*| / rmse*, |skill - skill*|)",
+    condition="1 + MSE / MSE of the mean",
+    constant=5.0,
+)
+def _score(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    predicted, actual, reference = _labels(t, rng)
+    found = score(predicted, actual, reference)
+    own, base = ((exact(v) - exact(actual)) ** 2 for v in (predicted, reference))
+    error, kappa = 0.0, 1.0
+    for name in MODALITIES:
+        column = columns([name])
+        rmse = mpmath.sqrt(own[:, column].sum() / own[:, column].size)
+        shares = own[:, column].sum(axis=0) / base[:, column].sum(axis=0)
+        kappa = max(kappa, 1.0 + float(shares.max()))
+        error = max(
+            error, relative_gap(found[name].rmse, rmse), gap(found[name].skill, (1 - shares).sum() / len(shares))
+        )
+    return kappa, error
+
+
+@kernel(
+    "skill over objects (eq. 1)",
+    of="learning.evaluation.metrics.skills",
+    error="|skill - skill*|",
+    condition="1 + S / R",
+    constant=5.0,
+)
+def _skills(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Models up to 1e6 times worse than the mean of the labels."""
+    reference = rng.uniform(1e3, 1e6, (5, 50))
+    squared = reference * span(t, 0.1, 1e6) * rng.uniform(0.5, 1.0, (5, 50))
+    found = skills(ObjectErrors(tuple("abcde"), np.full(5, 10.0), squared, reference))
+    per_value = 1 - exact(squared).sum(axis=0) / exact(reference).sum(axis=0)
+    wanted = [per_value[columns([name])].sum() / len(columns([name])) for name in MODALITIES]
+    error = max(gap(found[name].value, one) for name, one in zip(MODALITIES, wanted, strict=True))
+    return 1.0 + float(np.max(squared.sum(axis=0) / reference.sum(axis=0))), error
+
+
+@kernel(
+    "correlation at one row",
+    of="simulation.fingertip.disturbances.steady_noise",
+    error="max(|r - r*|, |sd - sd*| / sd*)",
+    condition="max|counts| / deviation from the straight line",
+    constant=0.2,
+)
+def _lag1(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Counts that vary less and less about a drifting mean."""
+    time = np.arange(20.0)
+    series = 3000.0 + 2.0 * time[:, None] + span(t, 50.0, 1e-6) * rng.normal(size=(20, 1))
+    found = steady_noise([series])
+    x, at = exact(series[:, 0]), exact(time) - exact(9.5)
+    rest = x - x.sum() / 20
+    rest = rest - at * (at @ rest / (at @ at))
+    steps = x[1:] - x[:-1]
+    sd = mpmath.sqrt((steps**2).sum() / 19 / 2)
+    deviation = mpmath.sqrt(rest @ rest / 20)
+    kappa = float(np.abs(series).max() / deviation)
+    return kappa, max(gap(found.lag1, rest[1:] @ rest[:-1] / (rest @ rest)), relative_gap(found.sd, sd))
+
+
+@kernel(
+    "gap of the range check",
+    of="models.network.length_check._nearest",
+    error="|d - d*| / radius of the cloud",
+    condition="min((1 + |t|²) / d, √((1 + |t|²) / ε)), in radii",
+    constant=2.0,
+    epsilon=EPS32,
+)
+def _range_gap(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """A contact nearer and nearer to a point of the cloud."""
+    cloud = float32_cloud(rng.uniform(-0.05, 0.05, (30, 3)))
+    frame = UnitSphereFrame.fit(cloud)
+    points = frame.apply_points(cloud).astype(np.float32)
+    g1 = frame.invert_points(points[:1])[0] + span(t, 0.5, 1e-6) * frame.scale * rotation(rng)[0]
+    grasp = Grasp(g1, g1 + 1e-9, np.eye(3))
+    found = grasp_lengths(PreparedCloud(points, frame), [grasp])[0, 4] / frame.scale
+    targets = (exact(np.stack([grasp.g1, grasp.g2])) - exact(frame.centre)) / exact(frame.scale)
+    wanted = norm(targets[:, None] - exact(points)[None]).min(axis=1).max()
+    size = 1.0 + float((targets**2).sum(axis=1).max())
+    return min(size / float(wanted), np.sqrt(size / EPS32)), gap(found, wanted)

@@ -1,0 +1,684 @@
+# SPDX-License-Identifier: Apache-2.0
+"""References of the tactile conversions and of the simulator: contact, grip, fingertip, rays."""
+
+import math
+
+import mpmath
+import numpy as np
+from reference import (
+    EPS,
+    EPS32,
+    Exact,
+    Float64,
+    exact,
+    exp,
+    gap,
+    kernel,
+    norm,
+    real,
+    relative_gap,
+    rotation,
+    solve,
+    span,
+)
+from scipy.integrate import quad
+from scipy.special import j0
+
+from foretouch.simulation.contact import Command, ContactConfig, ContactProblem, Layer, PadConfig, solve_grip
+from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, bed_stiffness, solve_winkler
+from foretouch.simulation.contact.grip import weigh
+from foretouch.simulation.contact.layer import (
+    _smooth_part,
+    convolve,
+    influence_spectrum,
+    layer_influence,
+    layer_transfer,
+    love_influence,
+    solve_layer,
+)
+from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
+from foretouch.simulation.effects.meeting import _slope
+from foretouch.simulation.fingertip.disturbances import CreepConfig, creep
+from foretouch.simulation.fingertip.fingertip import (
+    ElectrodeConfig,
+    FluidConfig,
+    displaced_volume,
+    electrode_counts,
+    electrode_weights,
+    pdc_counts,
+    skin_approach,
+)
+from foretouch.simulation.solids import Body, Sphere
+from foretouch.tactile import (
+    P2_RANGES,
+    electrode_normals,
+    electrode_positions,
+    offsets,
+    restore,
+    to_celsius,
+    to_kohm,
+    to_kpa,
+)
+from foretouch.tactile.contact_detector import contact_scores
+from foretouch.types import Touch
+
+SKIN = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
+GEL = Layer(modulus_pa=1e6, poisson=0.3)
+
+
+@kernel("pressure [kPa]", of="tactile.readings.to_kpa", error="|p - p*| / |p*|", condition="1", constant=1.0)
+def _kpa(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Readings nearer and nearer to the tare."""
+    tare = rng.uniform(1000.0, 3000.0)
+    pdc = tare + span(t, 500.0, 1e-9)
+    return 1.0, relative_gap(to_kpa(pdc, tare), (exact(pdc) - exact(tare)) * exact(0.0365))
+
+
+@kernel(
+    "impedance [kOhm]",
+    of="tactile.readings.to_kohm",
+    error="|Z - Z*| / Z*",
+    condition="4095 / (4095 - E)",
+    constant=2.0,
+)
+def _kohm(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Counts nearer and nearer to full scale."""
+    counts = 4095.0 - span(t, 4000.0, 1e-6) * rng.uniform(0.5, 1.0)
+    return 4095.0 / (4095.0 - counts), relative_gap(to_kohm(counts), (4095 / exact(counts) - 1) * 10)
+
+
+@kernel(
+    "temperature [°C]",
+    of="tactile.readings.to_celsius",
+    error="|T - T*| / 1 °C",
+    condition="T + 273.15 °C",
+    constant=2.0,
+)
+def _celsius(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Counts of 1 to full scale."""
+    counts = span(t, 1.0, 4095.0) * rng.uniform(0.99, 1.0)
+    x = exact(counts) / 4095
+    kelvin = 4025 / mpmath.log((155183 - 46555 * x) / x)
+    return float(kelvin), gap(to_celsius(counts), kelvin - exact(273.15))
+
+
+@kernel(
+    "offsets and restore",
+    of="tactile.readings.offsets, restore",
+    error="of both ways / |touch|",
+    condition="(|touch| + |tare|) / |touch|",
+    constant=1.0,
+)
+def _offsets(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Readings that are small against the tare."""
+    touch, tare = rng.uniform(0.5, 1.0, 50) * span(t, 4000.0, 1e-6), rng.uniform(1000.0, 4095.0, 50)
+    rest = Touch.from_vector(tare)
+    offset = offsets(Touch.from_vector(touch), rest)
+    error = max(gap(offset, exact(touch) - exact(tare)), gap(restore(offset, rest).vector(), touch)) / touch.min()
+    return float((touch.min() + tare.max()) / touch.min()), error
+
+
+@kernel(
+    "scaling by the ranges",
+    of="tactile.channels.TactileRanges",
+    error="|s - s*|, and |c - c*| / width on the way back",
+    condition="1 + max|count| / width of the range",
+    constant=1.0,
+)
+def _ranges(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Counts of up to 1e9."""
+    counts = rng.uniform(-1.0, 1.0, 50) * span(t, 100.0, 1e9)
+    low, width = exact(P2_RANGES.low), exact(P2_RANGES.high) - exact(P2_RANGES.low)
+    scaled = P2_RANGES.scale(counts)
+    back = float(np.max(np.abs(exact(P2_RANGES.unscale(scaled)) - (exact(scaled) * width + low)) / width))
+    kappa = 1.0 + float(np.max(np.abs(counts) + P2_RANGES.high) / 700.0)
+    return kappa, max(gap(scaled, (exact(counts) - low) / width), back)
+
+
+@kernel(
+    "contact score", of="tactile.contact_detector.contact_scores", error="|s - s*| / s*", condition="1", constant=2.0
+)
+def _contact_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Changes of 1000 down to 1e-6 counts."""
+    rest = rng.integers(1000, 3000, (1, 50)) + np.zeros((5, 1))
+    counts = rest[:1] + span(t, 1000.0, 1e-6) * rng.normal(size=(1, 50))
+    change = exact(counts[0]) - exact(rest[0])
+    found = contact_scores(counts, rest)[0]
+    wanted = []
+    for pdc, first in ((0, 2), (1, 26)):
+        electrodes = change[first : first + 24] / exact(4.4)
+        wanted.append(max(mpmath.sqrt((electrodes**2).sum() / 24) / 3, abs(change[pdc]) / exact(0.4) / 12))
+    return 1.0, relative_gap(found, np.array(wanted, object))
+
+
+@kernel(
+    "Hertz: ellipse",
+    of="simulation.contact.closed_form._ellipse",
+    error="of b/a, K and D, relative, against the root of eq. 4.26",
+    condition="1 + h²/ε, h the step of the table in log b/a, 2.3e-3",
+    constant=0.5,
+)
+def _hertz_ellipse(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """From a circle to an ellipse of 1 : 100."""
+    ratio = mpmath.mpf(span(t, 1.0 - 1e-6, 0.0102)) ** rng.uniform(0.95, 1.0)
+    m = 1 - ratio**2
+    k, e = mpmath.ellipk(m), mpmath.ellipe(m)
+    found = _ellipse(float((e / ratio**2 - k) / (k - e)))
+    return 1.0 + (np.log(100.0) / 1999.0) ** 2 / EPS, relative_gap(found, np.array([ratio, k, (k - e) / m], object))
+
+
+@kernel(
+    "Hertz: curvature of the gap",
+    of="simulation.contact.closed_form._fit",
+    error="of both curvatures / the larger",
+    condition="max gap / (larger curvature · step²)",
+    constant=1.0,
+)
+def _hertz_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """A flatter and flatter paraboloid."""
+    n, step = 9, 1e-4
+    offset = (np.arange(n) - (n - 1) / 2.0) * step
+    x, y = np.meshgrid(offset, offset)
+    curvature = span(t, 200.0, 1e-6)
+    gap_field = curvature * (x**2 + rng.uniform(0.1, 0.9) * y**2)
+    problem = ContactProblem(gap_field, step, (GEL,))
+    found = _fit(problem)
+    patch = exact(gap_field[1:8, 1:8].ravel())
+    i, j = np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0))
+    design = exact(
+        np.column_stack([np.ones(49), i.ravel(), j.ravel(), i.ravel() ** 2, (i * j).ravel(), j.ravel() ** 2])
+    )
+    fit = solve(design.T @ design, design.T @ patch) / exact(step) ** 2
+    mean, half = (fit[3] + fit[5]) / 2, mpmath.sqrt(((fit[3] - fit[5]) / 2) ** 2 + (fit[4] / 2) ** 2)
+    large = float(mean + half)
+    error = gap([found.a, found.b], np.array([mean - half, mean + half], object)) / large
+    return float(np.abs(real(patch)).max()) / (large * step**2), error
+
+
+@kernel(
+    "Hertz: displacement",
+    of="simulation.contact.closed_form._displacement",
+    error="|u - u*| / u*",
+    condition="max(1, ρ²) up to ρ = 1e4, 1 beyond",
+    constant=2.0,
+)
+def _hertz_displacement(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """From the middle of the footprint to 1e12 of its radii."""
+    rho = span(t, 0.1, 1e12) * rng.uniform(0.5, 1.0)
+    r = mpmath.mpf(rho)
+    wanted = 1 - r**2 / 2 if rho <= 1.0 else ((2 - r**2) * mpmath.asin(1 / r) + mpmath.sqrt(r**2 - 1)) / mpmath.pi
+    kappa = 1.0 if rho > 1e4 else max(1.0, rho**2)
+    return kappa, relative_gap(_displacement(np.array([[rho]]), 1.0), wanted)
+
+
+def _bowl(n: int, side: float, radius: float = 0.01) -> ContactProblem:
+    offset = (np.arange(n) - (n - 1) / 2.0) * side / n
+    x, y = np.meshgrid(offset, offset)
+    field = (x**2 + 0.7 * y**2) / (2.0 * radius)
+    return ContactProblem(field - field.min(), side / n, (SKIN,))
+
+
+@kernel(
+    "Winkler: depth and pressure",
+    of="simulation.contact.closed_form.solve_winkler",
+    error="of depth, and of pressure / its maximum",
+    condition="Σ (d + gap) / Σ (d - gap) over the cells in contact",
+    constant=5.0,
+)
+def _winkler(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Forces of 10 N to 1e-20 N."""
+    problem = _bowl(7, 0.004 * rng.uniform(0.5, 1.0))
+    force = span(t, 10.0, 1e-20)
+    found = solve_winkler(problem, Command(force_n=force))
+    nu = exact(SKIN.poisson)
+    k = exact(SKIN.modulus_pa) * (1 - nu) / ((1 + nu) * (1 - 2 * nu)) / exact(SKIN.thickness_m)
+    total = exact(force) / (k * exact(problem.step_m) ** 2)
+    gaps = np.sort(exact(problem.gap).ravel())
+    depths = [(total + gaps[: n + 1].sum()) / (n + 1) for n in range(len(gaps))]
+    n = next(n for n, depth in enumerate(depths) if n + 1 == len(gaps) or depth <= gaps[n + 1])
+    depth = depths[n]
+    pressure = k * np.maximum(depth - exact(problem.gap), mpmath.mpf(0))
+    kappa = float((depth * (n + 1) + gaps[: n + 1].sum()) / (depth * (n + 1) - gaps[: n + 1].sum()))
+    return kappa, max(relative_gap(found.depth_m, depth), gap(found.pressure, pressure) / float(pressure.max()))
+
+
+@kernel(
+    "bed stiffness",
+    of="simulation.contact.closed_form.bed_stiffness",
+    error="|k - k*| / k*",
+    condition="1 / (1 - 2ν)",
+    constant=5.0,
+)
+def _bed(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Poisson's ratio up to its cap of 0.45."""
+    nu = span(t, 0.01, 0.45)
+    layer = Layer(modulus_pa=rng.uniform(1e4, 1e9), poisson=nu, thickness_m=rng.uniform(1e-5, 1.0))
+    n = exact(nu)
+    wanted = exact(layer.modulus_pa) * (1 - n) / ((1 + n) * (1 - 2 * n)) / exact(layer.thickness_m)
+    return 1.0 / (1.0 - 2.0 * nu), relative_gap(bed_stiffness(layer), wanted)
+
+
+@kernel(
+    "layer: transfer function",
+    of="simulation.contact.layer.layer_transfer",
+    error="|M - M*|",
+    condition="1",
+    constant=1.0,
+)
+def _transfer(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Waves of 1e-9 to 300 thicknesses, up to ν = 0.5."""
+    at, nu = span(t, 1e-9, 300.0), float(rng.choice([0.0, 0.3, 0.5]))
+    q, n = mpmath.mpf(at), mpmath.mpf(nu)
+    top = (3 - 4 * n) * mpmath.sinh(2 * q) - 2 * q
+    below = (3 - 4 * n) * mpmath.cosh(2 * q) + 2 * q**2 + 5 - 12 * n + 8 * n**2
+    return 1.0, gap(layer_transfer(at, nu), top / below)
+
+
+@kernel(
+    "layer: Love's rectangle",
+    of="simulation.contact.layer.love_influence",
+    error="|u - u*| / u*",
+    condition="1 + (r / step)²",
+    constant=10.0,
+)
+def _love(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """From the cell itself to 1000 cells away."""
+    step, cells = 10.0 ** rng.uniform(-9.0, 0.0), np.floor(span(t, 1.0, 1000.0) * rng.uniform(0.5, 1.0, 2))
+    x, y = np.array([cells[0] * step]), np.array([cells[1] * step])
+    s, a, b = exact(step) / 2, exact(x)[0], exact(y)[0]
+
+    def corner(u: Exact, v: Exact) -> Exact:
+        return u * mpmath.asinh(v / abs(u)) + v * mpmath.asinh(u / abs(v))
+
+    wanted = corner(a + s, b + s) + corner(a - s, b - s) - corner(a + s, b - s) - corner(a - s, b + s)
+    kappa = 1.0 + float((cells**2).sum())
+    return kappa, relative_gap(love_influence(x, y, step, 1e6)[0], wanted / (mpmath.pi * 1000000))
+
+
+@kernel(
+    "layer: smooth part",
+    of="simulation.contact.layer._smooth_part",
+    error="|s - s*| / |s*(0)|, against the Hankel transform",
+    condition="1 + h²/ε, h the step of the table in r/thickness, 5e-3",
+    constant=0.5,
+)
+def _smooth(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Distances of 0 to 20 thicknesses; the adaptive quadrature is exact to 1e-13."""
+    rho, n = 20.0 * t * rng.uniform(0.97, 1.0), float(rng.choice([0.0, 0.316, 0.5]))
+
+    def less(q: float) -> float:  # M - 1, with all powers of exp(-2q) written out
+        d = math.exp(-2.0 * q)
+        below = (3.0 - 4.0 * n) * (1.0 + d * d) + 2.0 * d * (2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2)
+        return -2.0 * d * (2.0 * q + (3.0 - 4.0 * n) * d + 2.0 * q**2 + 5.0 - 12.0 * n + 8.0 * n**2) / below
+
+    wanted, middle = (
+        quad(lambda q, at=at: less(q) * j0(q * at), 0.0, 30.0, epsabs=1e-13, epsrel=1e-13, limit=400)[0]
+        for at in (rho, 0.0)
+    )
+    return 1.0 + 5e-3**2 / EPS, abs(float(_smooth_part(np.array([rho]), n)[0]) - wanted) / abs(middle)
+
+
+@kernel(
+    "layer: convolution",
+    of="simulation.contact.layer.convolve",
+    error="|u - u*| / max u*, against the double sum",
+    condition="log2 of the padded cells",
+    constant=1.0,
+)
+def _convolution(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Windows of 4 to 8 cells, pressures that differ by up to 1e12."""
+    n = int(span(t, 4.0, 8.9))
+    pressure = 10.0 ** rng.uniform(0.0, 12.0 * t, (n, n))
+    quarter = layer_influence(SKIN, n, 5e-4)
+    i, j = np.indices((n, n)).reshape(2, -1)
+    matrix = quarter[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
+    wanted = exact(matrix) @ exact(pressure.ravel())
+    found = convolve(pressure, influence_spectrum(SKIN, n, 5e-4))
+    return 2.0 * np.log2(2.0 * n), gap(found.ravel(), wanted) / float(max(wanted))
+
+
+def _pressed(problem: ContactProblem, force: float) -> Float64:
+    """Pressure of the linear complementarity problem by an active set, solved densely in float64."""
+    n = problem.gap.shape[0]
+    quarter = sum(layer_influence(layer, n, problem.step_m) for layer in problem.layers)
+    i, j = np.indices((n, n)).reshape(2, -1)
+    influence = np.asarray(quarter)[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
+    gap_, wet = problem.gap.ravel(), problem.gap.ravel() <= np.quantile(problem.gap, 0.5)
+    for _ in range(100):
+        k = np.flatnonzero(wet)
+        system = np.block([[influence[np.ix_(k, k)], -np.ones((len(k), 1))], [np.ones((1, len(k))), np.zeros((1, 1))]])
+        scale = influence[0, 0]
+        system[:-1, :-1] /= scale
+        answer = np.linalg.solve(system, np.append(-gap_[k] / scale, force / problem.cell_m2))
+        pressure, depth = np.zeros(n * n), answer[-1] * scale
+        pressure[k] = answer[:-1]
+        overlap = (influence @ pressure + gap_ < depth - 1e-15) & ~wet
+        if not (pressure < 0.0).any() and not overlap.any():
+            return pressure.reshape(n, n)
+        wet = (wet & (pressure >= 0.0)) | (overlap if not (pressure < 0.0).any() else False)
+    raise AssertionError
+
+
+def _solved(t: float, rng: np.random.Generator, layer: Layer) -> tuple[float, float]:
+    n, tolerance = 14, span(t, 1e-2, 1e-11)
+    problem = _bowl(n, 0.004, rng.uniform(0.004, 0.03))
+    problem = ContactProblem(problem.gap, problem.step_m, (layer,))
+    force = 10.0 ** rng.uniform(-1.0, 0.0)
+    config = ContactConfig(tolerance=tolerance, max_iterations=3000, max_strain=1.0)
+    found = solve_layer(problem, Command(force_n=force), config).pressure
+    wanted = _pressed(problem, force)
+    return tolerance / EPS, float(np.abs(found - wanted).sum() / wanted.sum())
+
+
+@kernel(
+    "layer: pressure, thin skin",
+    of="simulation.contact.layer.solve_layer",
+    error="Σ|p - p*| / Σ p*, against an active set solved densely",
+    condition="tolerance / ε, tolerance of 1e-2 to 1e-11",
+    constant=5.0,
+)
+def _layer_skin(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    return _solved(t, rng, SKIN)
+
+
+@kernel(
+    "layer: pressure, half-space",
+    of="simulation.contact.layer.solve_layer",
+    error="Σ|p - p*| / Σ p*, against an active set solved densely",
+    condition="tolerance / ε, tolerance of 1e-2 to 1e-11",
+    constant=5.0,
+)
+def _layer_half_space(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    return _solved(t, rng, GEL)
+
+
+@kernel(
+    "pad: place of a direction",
+    of="simulation.contact.pad.contact_frame",
+    error="max(|o - o*| / 1 cm, |R - R*|)",
+    condition="1 / √(1 - n_x²)",
+    constant=5.0,
+)
+def _pad_frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Directions nearer and nearer to the tip."""
+    config = PadConfig()
+    direction = pad_direction(np.pi / 2.0 - span(t, 1.5, 1e-7), rng.uniform(-1.0, 1.0)) * rng.uniform(0.1, 10.0)
+    found = contact_frame(config, direction)
+    n = exact(direction) / norm(exact(direction))
+    axes = exact(config.skin_axes)
+    origin = axes**2 * n / norm(axes * n)
+    x = exact([1.0, 0.0, 0.0]) - n[0] * n
+    length = norm(x)
+    x = x / length
+    wanted = np.column_stack([x, np.cross(n, x), n])
+    return 1.0 / float(length), max(gap(found.origin, origin) / 0.01, gap(found.rotation, wanted))
+
+
+@kernel(
+    "pad: depth of the skin",
+    of="simulation.contact.pad.pad_depth",
+    error="|s - s*| / s*",
+    condition="1 + 1 cm / s + min(b / √Δ, 1 / √ε), b and Δ of the quadratic in s",
+    constant=2.0,
+)
+def _pad_depth(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Cells nearer and nearer to the place of touch, and to the rim of the pad."""
+    config = PadConfig()
+    frame = contact_frame(config, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
+    x, y = np.array([span(t, 5e-3, 1e-8), 0.0]), np.array([0.0, 0.0])
+    inverse = 1 / exact(config.skin_axes)
+    turn, origin = exact(frame.rotation), exact(frame.origin)
+    n = turn[:, 2] * inverse
+
+    def quadratic(across: float) -> tuple[Exact, Exact, Exact]:
+        o = (origin + exact(across) * turn[:, 1]) * inverse
+        return o @ n, o @ o - 1, (o @ n) ** 2 - (n @ n) * (o @ o - 1)
+
+    low, high = 0.0, 0.05  # the rim across the finger, by bisection
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if quadratic(middle)[2] > 0 else (low, middle)
+    y[1] = low * (1.0 - span(t, 0.5, 1e-13))
+    found = pad_depth(config, frame, x, y)
+    o = (origin + exact(x)[0] * turn[:, 0]) * inverse
+    half, c = o @ n, o @ o - 1
+    near = c / (half + mpmath.sqrt(half**2 - (n @ n) * c))
+    half, c, discriminant = quadratic(y[1])
+    rim = c / (half + mpmath.sqrt(discriminant))
+    kappa = 1.0 + 0.01 / float(near) + min(float(half / mpmath.sqrt(discriminant)), EPS**-0.5)
+    return kappa, relative_gap(found, np.array([near, rim], object))
+
+
+@kernel(
+    "slope at first touch",
+    of="simulation.effects.meeting._slope",
+    error="|s - s*|",
+    condition="1 / s + s",
+    constant=1.0,
+)
+def _touch_slope(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Cosines of nearly 0 to nearly 1."""
+    slope = span(t, 1e4, 1e-6) * rng.uniform(0.5, 1.0)
+    cosine = float(1.0 / np.sqrt(1.0 + slope**2))
+    wanted = mpmath.sqrt(1 / mpmath.mpf(cosine) ** 2 - 1)
+    return 1.0 / float(wanted) + float(wanted), gap(_slope(cosine), wanted)
+
+
+@kernel(
+    "grip: shares of the weight",
+    of="simulation.contact.grip.weigh",
+    error="of all forces / weight, of the moment / (weight · L)",
+    condition="1 + (|g1| + |g2| + |c|) / L",
+    constant=0.5,
+)
+def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Contacts that approach each other, far from the origin."""
+    place = rng.normal(size=3) * span(t, 0.1, 1e3)
+    g1 = place + span(t, 0.05, 1e-5) * rng.normal(size=3)
+    g2, centre, weight = place - 1e-5 * rng.normal(size=3), place + 1e-5 * rng.normal(size=3), rng.normal(size=3)
+    found = weigh(weight, g1, g2, centre)
+    a, b, c, w = map(exact, (g1, g2, centre, weight))
+    length = norm(b - a)
+    axis = (b - a) / length
+    moment = np.cross(c - (a + b) / 2, w)
+    across = w - (w @ axis) * axis
+    couple = -np.cross(moment, axis) / (length / 2)
+    size = float(norm(w))
+    error = max(
+        gap(found.axial_n, w @ axis),
+        gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
+        gap(found.torsion_nm, moment @ axis) / float(length),
+    )
+    return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
+
+
+@kernel(
+    "grip: equilibrium at a closing",
+    of="simulation.contact.grip.solve_grip",
+    error="|F - F*| / F*, against the root by bisection",
+    condition="1 / (power of the depth over the force), at most 2 for beds of springs",
+    constant=1.0,
+    epsilon=1e-5,
+)
+def _grip(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """A sharp and a blunt finger on one object; ε is the solver's tolerance of the closing."""
+    problems = [_bowl(12, 0.012, 0.004), _bowl(12, 0.012, rng.uniform(0.01, 0.03))]
+    closing = span(t, 6e-4, 1e-7)
+    found = solve_grip(problems, [Command(depth_m=closing / 2)] * 2, balanced=True, level="winkler")
+    low, high = 1e-12, 1e3
+    for _ in range(100):
+        force = (low * high) ** 0.5
+        depth = sum(_bed_depth(problem, force) for problem in problems)
+        low, high = (force, high) if depth < closing else (low, force)
+    return 2.0, abs(found.first.force_n - low) / low
+
+
+def _bed_depth(problem: ContactProblem, force: float) -> float:
+    """Depth of a bed of springs under a force."""
+    k = bed_stiffness(problem.layers[0]) * problem.cell_m2
+    gaps = np.sort(problem.gap, axis=None)
+    depths = (force / k + np.cumsum(gaps)) / np.arange(1, gaps.size + 1)
+    reached = np.flatnonzero(np.append(depths[:-1] <= gaps[1:], True))
+    return float(depths[reached[0]])
+
+
+@kernel(
+    "electrodes: weights",
+    of="simulation.fingertip.fingertip.electrode_weights",
+    error="|w - w*| / largest weight",
+    condition="max|p|² / kernel²",
+    constant=2.0,
+)
+def _electrode_weights(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Fields of 10 mm down to 0.1 mm."""
+    config = ElectrodeConfig(kernel_m=span(t, 0.01, 1e-4))
+    pad = PadConfig(cells=3)
+    window = pad_window(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
+    points = window.points.reshape(-1, 3)
+    points[:4] = electrode_positions()[:4] + pad.layer_m * electrode_normals()[:4]  # some right at an electrode
+    found = electrode_weights(config, pad, window.frame, points.reshape(3, 3, 3))
+    places = exact(electrode_positions()) + exact(pad.layer_m) * exact(electrode_normals())
+    squares = ((places[:, None] - exact(points)[None]) ** 2).sum(axis=2)
+    facing = np.maximum(exact(electrode_normals()) @ exact(window.frame.rotation[:, 2]), mpmath.mpf(0))
+    scale = exact(pad.step_m) ** 2 / (2 * mpmath.pi * exact(config.kernel_m) ** 2)
+    wanted = scale * facing[:, None] * exp(-squares / (2 * exact(config.kernel_m) ** 2))
+    return float((points**2).sum(axis=1).max()) / config.kernel_m**2, gap(found, wanted) / float(wanted.max())
+
+
+@kernel(
+    "electrodes: approach of the skin",
+    of="simulation.fingertip.fingertip.skin_approach, displaced_volume",
+    error="|s - s*| / |s*|",
+    condition="(Σ w |u| + V/A) / |s|",
+    constant=2.0,
+)
+def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Indentation and bulge that cancel more and more."""
+    config, fluid = ElectrodeConfig(), FluidConfig()
+    u = rng.uniform(0.0, 5e-4, (6, 6))
+    volume = displaced_volume(fluid, u, 2.5e-7)
+    reference = np.minimum(exact(u), exact(fluid.bottoming_m)).sum() * exact(2.5e-7)
+    weights = rng.random((1, 36))
+    bulge = float(reference) / config.bulge_area_m2
+    weights *= bulge * (1.0 + span(t, 1.0, 1e-9)) / (weights @ u.ravel())
+    wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(config.bulge_area_m2)
+    kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
+    return kappa, relative_gap(skin_approach(config, weights, u, volume)[0], wanted)
+
+
+@kernel(
+    "electrodes: counts",
+    of="simulation.fingertip.fingertip.electrode_counts",
+    error="|E - E*| / E*",
+    condition="1 + |exponent| + 4095 / (4095 - rest)",
+    constant=1.0,
+)
+def _electrode_counts(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Rests near full scale, and approaches up to where the exponent is clipped."""
+    config = ElectrodeConfig()
+    rest = 4095.0 - span(t, 3000.0, 0.1)
+    exponent = span(t, 1e-3, 49.0) * float(rng.choice([-1.0, 1.0]))
+    approach = exponent * config.thinning_m
+    impedance = (4095 / exact(rest) - 1) * 10 * mpmath.exp(exact(approach) / exact(config.thinning_m))
+    found = electrode_counts(config, np.array([approach]), np.array([rest]))
+    kappa = 1.0 + abs(exponent) + 4095.0 / (4095.0 - rest)
+    return kappa, relative_gap(found[0], 4095 / (1 + impedance / 10))
+
+
+@kernel(
+    "pressure of the liquid",
+    of="simulation.fingertip.fingertip.pdc_counts",
+    error="|PDC - PDC*| / PDC*",
+    condition="1",
+    constant=1.0,
+)
+def _pdc(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Volumes of 1e-20 to 1e-6 m³."""
+    config, pad = FluidConfig(), PadConfig()
+    frame = contact_frame(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
+    volume = span(t, 1e-20, 1e-6)
+    rise = exact(config.span_counts) * (-exact(frame.rotation[2, 2])) ** 2
+    wanted = 1676 + rise * mpmath.tanh(exact(volume) / exact(config.saturation_m3))
+    return 1.0, relative_gap(pdc_counts(config, frame, volume, 1676.0), wanted)
+
+
+@kernel(
+    "creep of the skin",
+    of="simulation.fingertip.disturbances.creep",
+    error="|y - y*| / max|y*|",
+    condition="number of rows",
+    constant=1.0,
+)
+def _creep(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Up to 1000 rows, and time constants of up to 1e6 s."""
+    rows, config = int(span(t, 2.0, 1000.0)), CreepConfig(time_s=span(t, 0.1, 1e6))
+    series = rng.uniform(1000.0, 4000.0, (rows, 1))
+    pull = 1 - mpmath.exp(-1 / (100 * exact(config.time_s)))
+    late, wanted, share = exact(series[0, 0]), [], exact(config.share)
+    for value in exact(series[:, 0]):
+        late = late + pull * (value - late)
+        wanted.append((1 - share) * value + share * late)
+    return rows, gap(creep(config, series, 100.0)[:, 0], np.array(wanted, object)) / 4000.0
+
+
+@kernel(
+    "ray meets a ball",
+    of="simulation.solids._ball",
+    error="|t - t*| / t*",
+    condition="1 + |o|² / (r² sin θ), θ the angle between ray and surface",
+    constant=1.0,
+)
+def _ray_ball(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Rays that graze more and more, from farther and farther."""
+    radius, far = 0.05, span(t, 0.2, 100.0)
+    turn = rotation(rng)
+    sine = span(t, 0.9, 1e-3)
+    lateral = radius * np.sqrt(1.0 - sine**2)
+    origin = turn @ [lateral, 0.0, -far]
+    direction = turn[:, 2] * rng.uniform(0.5, 2.0)
+    found = Sphere(position=np.zeros(3), radius=radius).cast(origin, direction[None])[0]
+    o, d = exact(origin), exact(direction)
+    a, b, c = d @ d, d @ o, o @ o - exact(radius) ** 2
+    wanted = (-b - mpmath.sqrt(b * b - a * c)) / a
+    return 1.0 + float(origin @ origin) / (radius**2 * sine), relative_gap(found, wanted)
+
+
+@kernel(
+    "oriented box: corners",
+    of="simulation.solids.Body.corners",
+    error="|c - c*| / longest side",
+    condition="max|c| / longest side",
+    constant=1.0,
+)
+def _corners(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Boxes of 5 cm at up to 10 km."""
+    size, place, turn = rng.uniform(0.01, 0.05, 3), rng.normal(size=3) * span(t, 0.1, 1e4), rotation(rng)
+    found = Body("box", 0, size, place, turn).corners()
+    signs = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)])
+    wanted = exact(place) + (exact(signs) * exact(size)) @ exact(turn).T
+    return float(np.abs(found).max() / size.max()), gap(found, wanted) / size.max()
+
+
+@kernel(
+    "ray meets a mesh",
+    of="simulation.solids.Body.cast",
+    error="|t - t*| / longest side",
+    condition="(distance + longest side) / shortest side / cos θ, θ the angle to the normal",
+    constant=0.5,
+    epsilon=EPS32,
+)
+def _ray_mesh(t: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The flat top of a box, from 0.2 m to 1 km and at ever flatter angles."""
+    size, turn = np.array([0.2, 0.2, 0.1]), rotation(rng)
+    body = Body("box", 0, size, rng.normal(size=3), turn)
+    cosine = span(t, 1.0, 0.05)
+    local = np.array([np.sqrt(1.0 - cosine**2), 0.0, -cosine])
+    target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.05])
+    direction = turn @ local
+    origin = body.position + turn @ target - span(t, 0.2, 1e3) * direction
+    found = body.cast(origin, direction[None]).t[0]
+    start = (exact(origin) - exact(body.position)) @ exact(turn)
+    along = exact(direction) @ exact(turn)
+    wanted = (exact(0.05) - start[2]) / along[2]
+    distance = float(norm(start))
+    return (distance + 0.2) / 0.1 / cosine, gap(found, wanted) / 0.2
