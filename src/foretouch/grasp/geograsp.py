@@ -24,7 +24,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.hold import held_or_new
+from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import (
@@ -117,7 +117,7 @@ def plan_grasps(
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
     limits: ObjectLimits = DEFAULT_LIMITS,
-    held: Grasp | None = None,
+    held: HeldGrasp | None = None,
     hold: float = 0.0,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
@@ -135,7 +135,7 @@ def plan_grasps(
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
         held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the new
-            one is better by more than `hold`.
+            one is better by more than `hold`. Its own axis counts if it is as good an axis of the present cloud.
         hold: In units of the score.
 
     Returns:
@@ -251,7 +251,7 @@ def _plan_stable(
     rng: np.random.Generator | None,
     builder: _PlanBuilder,
     limits: ObjectLimits,
-    held: tuple[Grasp, float] | None,
+    held: tuple[HeldGrasp, float] | None,
 ) -> GraspPlan:
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = builder.counts
@@ -284,10 +284,11 @@ def _plan_stable(
     with builder.stage("pose"):
         best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
         if held is not None:
-            held_score, held_passes = ranking.score(in_order_of_sides(held[0].g1, held[0].g2, frame))
-            if held_passes >= passes:
-                best = held_or_new(held[0], held_score, best, held[1])
-                passes = held_passes if best.g1 is held[0].g1 else passes
+            last, margin = held
+            ends = in_order_of_sides(last.grasp.g1, last.grasp.g2, frame)
+            held_score, held_passes = ranking.score(ends, frame.axis_near(last.axis))
+            best = held_or_new(last.grasp, held_score, best, margin)
+            passes = held_passes if best.g1 is last.grasp.g1 else passes
         others = []
         if passes:
             order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
