@@ -59,6 +59,15 @@ def test_jitter_moves_the_grasp_little(
         assert np.linalg.norm(after - before, axis=1).max() * 1e3 < limit_mm
 
 
+@pytest.mark.parametrize("offset", [[0.25, 0.0, 0.0], [0.0, -0.2, 0.1], [0.0, 0.0, -0.3]])
+def test_a_far_point_does_not_move_the_grasp(box_cloud: Cloud, top_view: Plane, offset: list[float]) -> None:
+    before = plan_grasps(box_cloud, top_view, STABLE)
+    far = box_cloud.xyz.mean(axis=0) + np.float32(offset)
+    after = plan_grasps(Cloud(np.vstack([box_cloud.xyz, far]).astype(np.float32)), top_view, STABLE)
+    assert (before.counts["n_isolated"], after.counts["n_isolated"]) == (0, 1)
+    np.testing.assert_allclose(contacts(after), contacts(before), atol=1e-6)
+
+
 @pytest.mark.parametrize("degrees", [1.0, 90.0, 180.0, 217.0])
 def test_a_turned_object_is_grasped_at_the_same_place(wedge_cloud: Cloud, top_view: Plane, degrees: float) -> None:
     before = plan_grasps(wedge_cloud, top_view, STABLE)

@@ -261,6 +261,7 @@ def _plan_stable(
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
+        counts["n_isolated"] = weighted.n_isolated
     with builder.stage("axis"):
         frame = object_frame(weighted, plane)
         builder.axis, builder.centroid, builder.axis_ratio = frame.axis, frame.centroid, frame.ratio

@@ -25,6 +25,7 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Float32, Float64, Plane
 
+_ISOLATED = 20.0  # medians of the distance to the neighbours beyond which a point is isolated; recorded ones reach 10
 _FADE = 0.25  # standard deviations on either side of the outlier limit, over which points fade out
 _UPRIGHT = (0.45, 0.65)  # |axis · table normal| over which the sides turn from across the table to across the view
 _EXTREME_M = 0.001  # depth over which points count as extreme [m]
@@ -54,6 +55,7 @@ class WeightedPoints:
     xyz: Float64  # (N, 3) float64 [m]
     inlier: Float64  # (N,) float64, 0 for an outlier ... 1
     area: Float64  # (N,) float64, proportional to the surface that each point covers, 0 for an outlier
+    n_isolated: int  # points far from all others
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +103,21 @@ def smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Flo
 def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConfig) -> WeightedPoints:
     """Weights of the points by their mean distance to their neighbours.
 
+    Isolated points do not count at all, since a single one far away would move the outlier limit for all others.
+
     Args:
         xyz: (N, 3) float32 [m], finite, in an order that does not depend on the input's.
         neighbour_distance: (N,) float32 [m], see `mean_neighbour_distance`.
         config: Settings.
     """
     d = neighbour_distance.astype(np.float64)
-    spread = float(d.std(ddof=1)) if len(d) > 1 else 0.0
-    limit = float(d.mean()) + config.outlier_deviations * spread
+    isolated = d > _ISOLATED * max(float(np.median(d)), _EPSILON)
+    near = d[~isolated] if isolated.any() else d
+    spread = float(near.std(ddof=1)) if len(near) > 1 else 0.0
+    limit = float(near.mean()) + config.outlier_deviations * spread
     fade = _FADE * spread + 1e-9
-    inlier = 1.0 - smoothstep(d, limit - fade, limit + fade)
-    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d)
+    inlier = np.where(isolated, 0.0, 1.0 - smoothstep(d, limit - fade, limit + fade))
+    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
 def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
