@@ -21,7 +21,7 @@ def contacts(plan: GraspPlan) -> Float64:
 
 
 def best(plan: GraspPlan) -> HeldGrasp:
-    return HeldGrasp(plan.grasps[0], plan.axis)
+    return HeldGrasp(plan.grasps[0], plan.axis, plan.outdone)
 
 
 def turned(xyz: np.ndarray, degrees: float) -> tuple[np.ndarray, Float64]:
@@ -133,8 +133,20 @@ def test_a_held_grasp_is_kept_until_another_is_better_by_the_margin(box_cloud: C
     kept = plan_grasps(box_cloud, top_view, STABLE, held=best(second), hold=100.0)
     np.testing.assert_array_equal(contacts(kept), contacts(second))
     assert kept.grasps[0].score < new.grasps[0].score  # on this cloud, not that of its own plan
-    left = plan_grasps(box_cloud, top_view, STABLE, held=best(second), hold=0.0)
+    held = second
+    for outdone in (1, 2):
+        held = plan_grasps(box_cloud, top_view, STABLE, held=best(held), hold=0.0)
+        np.testing.assert_array_equal(contacts(held), contacts(second))
+        assert held.outdone == outdone
+    left = plan_grasps(box_cloud, top_view, STABLE, held=best(held), hold=0.0)
     np.testing.assert_array_equal(contacts(left), contacts(new))
+
+
+def test_a_single_cloud_on_which_another_grasp_is_better_does_not_count(box_cloud: Cloud, top_view: Plane) -> None:
+    second = plan_grasps(box_cloud, top_view, STABLE, slide_m=0.01)
+    outdone = plan_grasps(box_cloud, top_view, STABLE, held=best(second), hold=0.0)
+    assert outdone.outdone == 1
+    assert plan_grasps(box_cloud, top_view, STABLE, held=best(outdone), hold=100.0).outdone == 0
 
 
 def test_the_hold_ends_with_the_object(box_cloud: Cloud, top_view: Plane) -> None:
@@ -158,7 +170,7 @@ def test_small_motions_do_not_add_up(box_cloud: Cloud, top_view: Plane) -> None:
     moved = Cloud(box_cloud.xyz + np.float32([0.003, 0.0, 0.0]))
     hold.remember(moved, held)
     hold.next_cloud()
-    assert hold.find(moved) is held
+    assert hold.find(moved).grasp is held.grasp
     assert hold.find(Cloud(moved.xyz + np.float32([0.003, 0.0, 0.0]))) is None
 
 
@@ -206,8 +218,8 @@ def test_the_grasp_on_a_round_object_does_not_move(top_view: Plane, rng: np.rand
 
 def test_a_turned_object_is_grasped_anew(wedge_cloud: Cloud, top_view: Plane) -> None:
     centre = wedge_cloud.xyz.mean(axis=0)
-    clouds = [turned(wedge_cloud.xyz - centre, degrees)[0] + centre for degrees in (0.0, 40.0)]
-    assert moves_mm(clouds, top_view)[0] > 10.0
+    clouds = [turned(wedge_cloud.xyz - centre, degrees)[0] + centre for degrees in (0.0, 40.0, 40.0, 40.0)]
+    assert sum(moves_mm(clouds, top_view)) > 10.0
 
 
 @pytest.mark.real_data

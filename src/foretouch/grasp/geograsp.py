@@ -65,6 +65,7 @@ class GraspPlan:
         centroid: (3,) float64 [m], of the object; None if planning failed before.
         axis_ratio: Middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary. None as `axis`.
         slide_m: Shift of the grasp plane along the axis [m].
+        outdone: Number of clouds in a row on which another grasp was better than the held one.
         counts: Points, candidates and pairs after each stage, by name.
         ms: Wall time of each stage and their `total` [ms].
     """
@@ -77,6 +78,7 @@ class GraspPlan:
     centroid: Float64 | None
     axis_ratio: float | None
     slide_m: float
+    outdone: int
     counts: dict[str, int]
     ms: dict[str, float]
 
@@ -90,6 +92,7 @@ class _PlanBuilder:
     centroid: Float64 | None = None
     axis_ratio: float | None = None
     slide_m: float = 0.0
+    outdone: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     ms: dict[str, float] = field(default_factory=dict)
 
@@ -134,8 +137,8 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the new
-            one is better by more than `hold`. Its own axis counts if it is as good an axis of the present cloud.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless another
+            one is better by more than `hold`, on three clouds in a row. Its own axis counts if it is as good an axis of the present cloud.
         hold: In units of the score.
 
     Returns:
@@ -288,7 +291,7 @@ def _plan_stable(
             last, margin = held
             ends = in_order_of_sides(last.grasp.g1, last.grasp.g2, frame)
             held_score, held_passes = ranking.score(ends, frame.axis_near(last.axis))
-            best = held_or_new(last.grasp, held_score, best, margin)
+            best, builder.outdone = held_or_new(last, held_score, best, margin)
             passes = held_passes if best.g1 is last.grasp.g1 else passes
         others = []
         if passes:

@@ -7,6 +7,8 @@ import numpy as np
 
 from foretouch.types import Cloud, Float64, Grasp
 
+_OUTDONE = 3  # clouds in a row on which another grasp must be better
+
 
 @dataclass(frozen=True, eq=False)
 class HeldGrasp:
@@ -14,6 +16,7 @@ class HeldGrasp:
 
     grasp: Grasp
     axis: Float64  # (3,) float64, the object's axis for which it was planned
+    outdone: int = 0  # clouds in a row on which another grasp was better
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +49,11 @@ class GraspHold:
         return None if found is None else found.held
 
     def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
-        """Keep the best grasp of an object, and the object's axis in the present cloud, for the next cloud."""
+        """Keep the best grasp of an object for the next cloud, with the object's axis in the present one."""
         now = _measure(cloud)
         before = self._find(now)
         if before is not None and np.array_equal(_contacts(before.held.grasp), _contacts(best.grasp)):
-            self._fresh.append(before)
+            self._fresh.append(replace(before, held=replace(before.held, outdone=best.outdone)))
         else:
             self._fresh.append(_Object(*now, best))
 
@@ -66,9 +69,19 @@ class GraspHold:
         return None
 
 
-def held_or_new(held: Grasp, held_score: float, new: Grasp, margin: float) -> Grasp:
-    """The held grasp with its score on the present cloud, unless the new one is better by more than the margin."""
-    return new if not new.score <= held_score + margin else replace(held, score=held_score, id="")
+def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
+    """The held grasp with its score on the present cloud, unless another is better by more than the margin.
+
+    It must be better on several clouds in a row: in a single image, noise may join a part of the table to the object.
+
+    Returns:
+        The best grasp, and for how many clouds in a row it has been outdone.
+    """
+    if new.score <= held_score + margin:
+        return replace(held.grasp, score=held_score, id=""), 0
+    if held.outdone + 1 < _OUTDONE:
+        return replace(held.grasp, score=held_score, id=""), held.outdone + 1
+    return new, 0
 
 
 def _contacts(grasp: Grasp) -> Float64:

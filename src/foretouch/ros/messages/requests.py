@@ -155,7 +155,7 @@ def plan_targets(
         plan = pipeline.plan(target, held=before, hold=margin)
         plans.append((target, plan))
         if held is not None and plan.grasps and plan.axis is not None:
-            held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis))
+            held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
     if held is not None:
         held.next_cloud()
     grasps = []
