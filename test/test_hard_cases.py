@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import re
+import time
+import tracemalloc
 import warnings
 from collections.abc import Iterator
 
@@ -18,8 +20,8 @@ from foretouch.grasp.reach import check_reach
 from foretouch.models import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.selftest.clouds import ObjectCase, SceneCase, across, object_cases, scene_cases
-from foretouch.types import Cloud, Grasp, Plane, TouchPrediction
+from foretouch.selftest.clouds import MANY, ObjectCase, SceneCase, across, object_cases, scene_cases
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, TouchPrediction
 
 OBJECTS, SCENES = list(object_cases()), list(scene_cases())
 MODELS = ("contact-v1", "touchnet-v1")
@@ -127,6 +129,18 @@ def test_pipeline_of_a_scene(case: SceneCase, pipeline: Pipeline) -> None:
     for target in result.targets:
         assert target.predictions
         _check_predictions(list(target.predictions))
+
+
+def test_a_million_points_take_bounded_time_and_memory(model: TouchModel) -> None:
+    cloud = next(case.cloud for case in OBJECTS if case.cloud.size == MANY)
+    tracemalloc.start()
+    start = time.thread_time()
+    grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig(method="stable")).grasps
+    assert [one.status for one in model.predict(cloud, grasps)] == ["ok"]
+    seconds, peak = time.thread_time() - start, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 20.0
+    assert peak < 20 * cloud.xyz.nbytes
 
 
 def test_equal_contacts_are_refused() -> None:

@@ -30,6 +30,7 @@ from foretouch.types import Cloud, Float32, Float64, Plane
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
 ROUND = 0.9  # middle over major eigenvalue, above which the axis is arbitrary, and with it the original's score
 METHODS = ("original", "stable")
+TUNED_ON = 8  # each k-th recorded cloud served to tune `stable`
 MOVED_MM = 10.0
 CONTACT_M = 0.00625  # half a voxel: over which normal and curvature of a contact are averaged [m]
 CHANGES = (
@@ -48,13 +49,18 @@ def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
-    parser.add_argument("--every", type=int, default=1, help="use each k-th recorded cloud")
+    parser.add_argument(
+        "--all", action="store_true", help="also the recorded clouds that did not serve to tune `stable`"
+    )
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
     arguments = parser.parse_args()
     groups = {"made": list(made_clouds())}
     paths = sorted(Path(arguments.data).glob("vision2tactile/*/*/cloud-object.pcd")) if arguments.data else []
     if paths:
-        groups["real"] = [read_cloud(path).xyz.reshape(-1, 3) for path in paths[:: arguments.every]]
+        clouds = [read_cloud(path).xyz.reshape(-1, 3) for path in paths]
+        groups["real, tuned on"] = clouds[::TUNED_ON]
+        if arguments.all:
+            groups["real, others"] = [cloud for i, cloud in enumerate(clouds) if i % TUNED_ON]
     else:
         print("no recordings: --data or FORETOUCH_DATA; only made objects are measured")
     rows = [row for name, clouds in groups.items() for row in measure(name, clouds)]
@@ -64,7 +70,7 @@ def main() -> None:
         writer.writerows(rows)
     for row in rows:
         print(
-            f"{row['clouds']:5} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}"
+            f"{row['clouds']:14} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}"
         )
 
 

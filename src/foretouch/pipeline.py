@@ -18,7 +18,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET, TargetConfig, select_targets
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.config import Settings, setting
-from foretouch.grasp import GeoGraspConfig, GraspPlan, hand_rotation, object_axis, plan_grasps
+from foretouch.grasp import GeoGraspConfig, GraspPlan, HeldGrasp, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
 from foretouch.models.touch_model import History, ObjectResiduals
@@ -128,7 +128,7 @@ class Pipeline:
         *,
         slide_m: float = 0.0,
         rng: np.random.Generator | None = None,
-        held: Grasp | None = None,
+        held: HeldGrasp | None = None,
         hold: float = 0.0,
     ) -> GraspPlan:
         """Grasps for one object, best first (see `foretouch.grasp.plan_grasps`).

@@ -4,13 +4,14 @@
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig
 from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps, random_slide
-from foretouch.grasp.hold import GraspHold
+from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 
 __all__ = [
     "GeoGraspConfig",
     "GraspHold",
     "GraspPlan",
+    "HeldGrasp",
     "LiveGeoGraspConfig",
     "PlanStatus",
     "hand_rotation",

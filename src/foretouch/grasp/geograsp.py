@@ -24,7 +24,7 @@ from foretouch.cloud.geometry.pcl_filters import count_without_normal
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.axis import find_axis, side_coordinate
 from foretouch.grasp.config import GeoGraspConfig
-from foretouch.grasp.hold import held_or_new
+from foretouch.grasp.hold import HeldGrasp, held_or_new
 from foretouch.grasp.pose import hand_rotation, is_parallel
 from foretouch.grasp.preprocessing import FinitePoints, finite_points
 from foretouch.grasp.ranking import (
@@ -65,6 +65,7 @@ class GraspPlan:
         centroid: (3,) float64 [m], of the object; None if planning failed before.
         axis_ratio: Middle over major eigenvalue; near 1, as on a ball, the axis is arbitrary. None as `axis`.
         slide_m: Shift of the grasp plane along the axis [m].
+        outdone: Number of clouds in a row on which another grasp was better than the held one.
         counts: Points, candidates and pairs after each stage, by name.
         ms: Wall time of each stage and their `total` [ms].
     """
@@ -77,6 +78,7 @@ class GraspPlan:
     centroid: Float64 | None
     axis_ratio: float | None
     slide_m: float
+    outdone: int
     counts: dict[str, int]
     ms: dict[str, float]
 
@@ -90,6 +92,7 @@ class _PlanBuilder:
     centroid: Float64 | None = None
     axis_ratio: float | None = None
     slide_m: float = 0.0
+    outdone: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     ms: dict[str, float] = field(default_factory=dict)
 
@@ -117,7 +120,7 @@ def plan_grasps(
     pixels: npt.NDArray[np.integer] | None = None,
     image_shape: tuple[int, int] | None = None,
     limits: ObjectLimits = DEFAULT_LIMITS,
-    held: Grasp | None = None,
+    held: HeldGrasp | None = None,
     hold: float = 0.0,
 ) -> GraspPlan:
     """Plan two-finger contacts on an object, best first, with the pose of the hand at each.
@@ -134,8 +137,8 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless the
-            new one is better by more than `hold`.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless another
+            one is better by more than `hold`, on three clouds in a row. Its own axis counts if it is as good an axis of the present cloud.
         hold: In units of the score.
 
     Returns:
@@ -251,7 +254,7 @@ def _plan_stable(
     rng: np.random.Generator | None,
     builder: _PlanBuilder,
     limits: ObjectLimits,
-    held: tuple[Grasp, float] | None,
+    held: tuple[HeldGrasp, float] | None,
 ) -> GraspPlan:
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
     counts = builder.counts
@@ -261,6 +264,7 @@ def _plan_stable(
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
+        counts["n_isolated"] = weighted.n_isolated
     with builder.stage("axis"):
         frame = object_frame(weighted, plane)
         builder.axis, builder.centroid, builder.axis_ratio = frame.axis, frame.centroid, frame.ratio
@@ -284,10 +288,11 @@ def _plan_stable(
     with builder.stage("pose"):
         best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
         if held is not None:
-            held_score, held_passes = ranking.score(in_order_of_sides(held[0].g1, held[0].g2, frame))
-            if held_passes >= passes:
-                best = held_or_new(held[0], held_score, best, held[1])
-                passes = held_passes if best.g1 is held[0].g1 else passes
+            last, margin = held
+            ends = in_order_of_sides(last.grasp.g1, last.grasp.g2, frame)
+            held_score, held_passes = ranking.score(ends, frame.axis_near(last.axis))
+            best, builder.outdone = held_or_new(last, held_score, best, margin)
+            passes = held_passes if best.g1 is last.grasp.g1 else passes
         others = []
         if passes:
             order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")

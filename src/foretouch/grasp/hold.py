@@ -7,14 +7,25 @@ import numpy as np
 
 from foretouch.types import Cloud, Float64, Grasp
 
+_OUTDONE = 3  # clouds in a row on which another grasp must be better
+
 
 @dataclass(frozen=True, eq=False)
-class _Held:
-    """A grasp, and the object as it was when the grasp was planned."""
+class HeldGrasp:
+    """The best grasp of an object in an earlier cloud of a stream."""
+
+    grasp: Grasp
+    axis: Float64  # (3,) float64, the object's axis for which it was planned
+    outdone: int = 0  # clouds in a row on which another grasp was better
+
+
+@dataclass(frozen=True, eq=False)
+class _Object:
+    """An object as it was when its held grasp was planned."""
 
     centroid: Float64  # (3,) float64 [m]
-    spread: Float64  # (3,) float64, standard deviation of x, y, z [m]
-    grasp: Grasp
+    spread: Float64  # (3,) float64, mean deviation of x, y, z from the centroid [m]
+    held: HeldGrasp
 
 
 class GraspHold:
@@ -29,42 +40,63 @@ class GraspHold:
 
     def __init__(self, tolerance_m: float) -> None:
         self._tolerance_m = tolerance_m
-        self._held: list[_Held] = []
-        self._fresh: list[_Held] = []
+        self._last: list[_Object] = []
+        self._fresh: list[_Object] = []
 
-    def find(self, cloud: Cloud) -> Grasp | None:
+    def find(self, cloud: Cloud) -> HeldGrasp | None:
         """The grasp that was planned on this object, if the object is still the same."""
         found = self._find(_measure(cloud))
-        return None if found is None else found.grasp
+        return None if found is None else found.held
 
-    def remember(self, cloud: Cloud, grasp: Grasp) -> None:
-        """Keep the best grasp of an object for the next cloud."""
+    def remember(self, cloud: Cloud, best: HeldGrasp) -> None:
+        """Keep the best grasp of an object for the next cloud, with the object's axis in the present one."""
         now = _measure(cloud)
         before = self._find(now)
-        kept = before is not None and np.array_equal([before.grasp.g1, before.grasp.g2], [grasp.g1, grasp.g2])
-        self._fresh.append(before if before is not None and kept else _Held(*now, grasp))
+        if before is not None and np.array_equal(_contacts(before.held.grasp), _contacts(best.grasp)):
+            self._fresh.append(replace(before, held=replace(before.held, outdone=best.outdone)))
+        else:
+            self._fresh.append(_Object(*now, best))
 
     def next_cloud(self) -> None:
         """Forget the objects that the last cloud did not hold."""
-        self._held, self._fresh = self._fresh, []
+        self._last, self._fresh = self._fresh, []
 
-    def _find(self, now: tuple[Float64, Float64]) -> _Held | None:
-        for one in self._held:
+    def _find(self, now: tuple[Float64, Float64]) -> _Object | None:
+        for one in self._last:
             change = np.abs(np.concatenate([one.centroid - now[0], one.spread - now[1]])).max()
             if change <= self._tolerance_m:
                 return one
         return None
 
 
-def held_or_new(held: Grasp, held_score: float, new: Grasp, margin: float) -> Grasp:
-    """The held grasp with its score on the present cloud, unless the new one is better by more than the margin."""
-    return new if not new.score <= held_score + margin else replace(held, score=held_score, id="")
+def held_or_new(held: HeldGrasp, held_score: float, new: Grasp, margin: float) -> tuple[Grasp, int]:
+    """The held grasp with its score on the present cloud, unless another is better by more than the margin.
+
+    It must be better on several clouds in a row: in a single image, noise may join a part of the table to the object.
+
+    Returns:
+        The best grasp, and for how many clouds in a row it has been outdone.
+    """
+    if new.score <= held_score + margin:
+        return replace(held.grasp, score=held_score, id=""), 0
+    if held.outdone + 1 < _OUTDONE:
+        return replace(held.grasp, score=held_score, id=""), held.outdone + 1
+    return new, 0
+
+
+def _contacts(grasp: Grasp) -> Float64:
+    return np.stack([grasp.g1, grasp.g2])
 
 
 def _measure(cloud: Cloud) -> tuple[Float64, Float64]:
-    """Centroid and standard deviation of the finite points."""
+    """Centroid and mean deviation from it of the finite points.
+
+    At a few pixels of an object's outline the camera measures the table in some images and the object in others. They
+    change a standard deviation many times more than the mean deviation.
+    """
     xyz = cloud.xyz.reshape(-1, 3).astype(np.float64)
     xyz = xyz[np.isfinite(xyz).all(axis=1)]
     if len(xyz) == 0:
         return np.full(3, np.inf), np.full(3, np.inf)
-    return xyz.mean(axis=0), xyz.std(axis=0)
+    centroid = xyz.mean(axis=0)
+    return centroid, np.abs(xyz - centroid).mean(axis=0)

@@ -26,6 +26,7 @@ from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.types import Float32, Float64, Plane
 
+_ISOLATED = 20.0  # medians of the distance to the neighbours beyond which a point is isolated; recorded ones reach 10
 _FADE = 0.25  # standard deviations on either side of the outlier limit, over which points fade out
 _UPRIGHT = (0.45, 0.65)  # |axis · table normal| over which the sides turn from across the table to across the view
 _EXTREME_M = 0.001  # depth over which points count as extreme [m]
@@ -39,6 +40,7 @@ _EPSILON = 1e-9  # floor of a divisor
 # What an object without a main axis or without asymmetry leaves open follows one direction of the camera's frame.
 _PREFERRED = np.array([0.95, 0.3, 0.08])  # mostly the image's x; of length 1 within 0.1 %
 _AXIS_BIAS = 0.01  # of the major eigenvalue, added along it
+_AXIS_NOISE = 0.05  # of the major eigenvalue: what the noise of a depth camera 1.25 m away changes it by
 _SIGN_BIAS = 0.01  # of the normalised third moment; 0.1 mm of noise on a recorded cloud changes it by 0.002
 # Of the original's score.
 _FREE_COSINE = 0.2  # between grasp and object axis, without penalty
@@ -54,6 +56,7 @@ class WeightedPoints:
     xyz: Float64  # (N, 3) float64 [m]
     inlier: Float64  # (N,) float64, 0 for an outlier ... 1
     area: Float64  # (N,) float64, proportional to the surface that each point covers, 0 for an outlier
+    n_isolated: int  # points far from all others
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,12 @@ class ObjectFrame:
     axis: Float64  # (3,) float64, the object's main axis
     across: Float64  # (3,) float64, from the first to the second side, perpendicular to the axis
     ratio: float  # middle over major eigenvalue, 0 ... 1
+    covariance: Float64  # (3, 3) float64 [m²], of the visible surface
+
+    def axis_near(self, other: Float64) -> Float64:
+        """(3,) float64: another direction, if it is as good an axis as this frame's up to noise, else the frame's axis."""
+        moments = [float(one @ self.covariance @ one) for one in (other, self.axis)]
+        return other if moments[0] >= (1.0 - _AXIS_NOISE) * moments[1] else self.axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +104,21 @@ def smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Flo
 def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConfig) -> WeightedPoints:
     """Weights of the points by their mean distance to their neighbours.
 
+    Isolated points do not count at all, since a single one far away would move the outlier limit for all others.
+
     Args:
         xyz: (N, 3) float32 [m], finite, in an order that does not depend on the input's.
         neighbour_distance: (N,) float32 [m], see `mean_neighbour_distance`.
         config: Settings.
     """
     d = neighbour_distance.astype(np.float64)
-    spread = float(d.std(ddof=1)) if len(d) > 1 else 0.0
-    limit = float(d.mean()) + config.outlier_deviations * spread
+    isolated = d > _ISOLATED * max(float(np.median(d)), _EPSILON)
+    near = d[~isolated] if isolated.any() else d
+    spread = float(near.std(ddof=1)) if len(near) > 1 else 0.0
+    limit = float(near.mean()) + config.outlier_deviations * spread
     fade = _FADE * spread + 1e-9
-    inlier = 1.0 - smoothstep(d, limit - fade, limit + fade)
-    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d)
+    inlier = np.where(isolated, 0.0, 1.0 - smoothstep(d, limit - fade, limit + fade))
+    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
 def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
@@ -143,7 +156,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     skew = sum(_third_moment(weight, along) for along in (offset @ axis, offset @ across))
     if skew + _SIGN_BIAS * (across @ _PREFERRED) < 0.0:
         axis, across = -axis, -across
-    return ObjectFrame(centroid, axis, across, float(max(values[1], 0.0) / values[2]))
+    return ObjectFrame(centroid, axis, across, float(max(values[1], 0.0) / values[2]), covariance)
 
 
 def _third_moment(weight: Float64, along: Float64) -> float:
@@ -260,10 +273,10 @@ class StableRanking:
         normal_radius_m: float,
     ) -> None:
         self._points, self._sides, self._frame = points, sides, frame
-        self._plane_at = frame.centroid + slide_m * frame.axis
+        self._slide_m = slide_m
         self._normal_radius_m = normal_radius_m
         self._largest = [
-            (_soft_max(side.mass, self._plane_distance(side.xyz)), _soft_max(side.mass, side.curvature))
+            (_soft_max(side.mass, self._plane_distance(side.xyz, frame.axis)), _soft_max(side.mass, side.curvature))
             for side in sides
         ]
 
@@ -285,37 +298,45 @@ class StableRanking:
         weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
         return StablePairs(weight / weight.sum(), score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK))
 
-    def score(self, contacts: Float64) -> tuple[float, bool]:
+    def score(self, contacts: Float64, axis: Float64 | None = None) -> tuple[float, bool]:
         """Score of any two contacts, and whether both rankings reach their minimum.
 
         Args:
             contacts: (2, 3) float64 [m], on the first and the second side.
+            axis: (3,) float64, of the object, in place of that of its frame.
         """
         normals, curvature = local_planes(self._points, contacts, self._normal_radius_m)
         first, second = contacts[:1], contacts[1:]
-        r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]))
+        r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
         passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
         return float(_FIRST_WEIGHT * r1[0, 0] + r2[0, 0]), bool(passes)
 
     def _rank(
-        self, a: Float64, b: Float64, normals: tuple[Float64, Float64], curvatures: tuple[Float64, Float64]
+        self,
+        a: Float64,
+        b: Float64,
+        normals: tuple[Float64, Float64],
+        curvatures: tuple[Float64, Float64],
+        axis: Float64 | None = None,
     ) -> tuple[Float64, Float64]:
         """(A, B) float64 R1 and R2 of every pair of (A, 3) and (B, 3) places."""
+        axis = self._frame.axis if axis is None else axis
         (pd_a, k_a), (pd_b, k_b) = (
-            (self._plane_distance(xyz) / largest[0], curvature / largest[1])
+            (self._plane_distance(xyz, axis) / largest[0], curvature / largest[1])
             for xyz, curvature, largest in zip((a, b), curvatures, self._largest, strict=True)
         )
         apart = b[None] - a[:, None]
         unit = apart / np.maximum(_norm(apart), _EPSILON)[..., None]
         c_a = np.abs(np.einsum("abi,ai->ab", unit, normals[0]))
         c_b = np.abs(np.einsum("abi,bi->ab", unit, normals[1]))
-        aligned = np.abs(unit @ self._frame.axis) - _FREE_COSINE
+        aligned = np.abs(unit @ axis) - _FREE_COSINE
         r1 = 2.0 - pd_a[:, None] - pd_b[None] - _ALIGNMENT_WEIGHT * aligned
         r2 = 2.0 - k_a[:, None] - k_b[None] + c_a + c_b - np.abs(c_a - c_b)
         return r1, r2
 
-    def _plane_distance(self, xyz: Float64) -> Float64:
-        return np.asarray(np.abs((xyz - self._plane_at) @ self._frame.axis), np.float64)
+    def _plane_distance(self, xyz: Float64, axis: Float64) -> Float64:
+        plane_at = self._frame.centroid + self._slide_m * axis
+        return np.asarray(np.abs((xyz - plane_at) @ axis), np.float64)
 
 
 def _soft_max(mass: Float64, values: Float64) -> float:

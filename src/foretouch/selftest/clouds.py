@@ -15,6 +15,8 @@ from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
+MANY = 1_000_000  # points of the largest clouds
+
 _AWAY = np.array([0.02, -0.01, 1.2])  # where objects are [m]
 _FEW = "fewer than|finite points, GeoGrasp needs"
 _PLACE = "in one place|in 1 voxel"
@@ -137,8 +139,8 @@ def _shapes() -> Iterator[ObjectCase]:
     ):
         planned = {"thin sheet": _NO_PAIR, "two clusters": _NO_SLAB}.get(name, "ok")
         yield ObjectCase(name, _cloud(points + _AWAY), planned, "ok", across())
-    dense = np.concatenate([ball(200_000), 0.5 * ball(200_000)]) + _AWAY
-    yield ObjectCase("400,000 points", _cloud(dense), "ok", "ok", across())
+    dense = np.concatenate([ball(MANY // 2), 0.5 * ball(MANY // 2)]) + _AWAY
+    yield ObjectCase("a million points", _cloud(dense), "ok", "ok", across())
     outlier = np.concatenate([bar() + _AWAY, [[0.0, 0.0, 9.0]]])
     yield ObjectCase("far outlier", _cloud(outlier), "extends .* more than max_extent_m", "max_extent_m", across())
 
@@ -223,8 +225,9 @@ def _turn() -> Float64:
 
 
 def scene(tilt: float = 0.6, rise: float = 0.05, width: int = 320, height: int = 240) -> Float32:
-    """(H, W, 3) of a scene: a table, tilted by `tilt` rad about x, with a box of `rise` [m] height."""
-    u, v = np.meshgrid((np.arange(width) - width / 2) / 240.0, (np.arange(height) - height / 2) / 240.0)
+    """(H, W, 3): a table, tilted by `tilt` rad about x, with a box of `rise` [m] height."""
+    focal = 0.75 * width
+    u, v = np.meshgrid((np.arange(width) - width / 2) / focal, (np.arange(height) - height / 2) / focal)
     rays = np.stack([u, v, np.ones_like(u)], axis=-1)
     normal = np.array([0.0, -np.sin(tilt), -np.cos(tilt)])
     depth = 0.9 * np.cos(tilt) / -(rays @ normal)
@@ -243,6 +246,9 @@ def scene_cases() -> Iterator[SceneCase]:
     image = scene()
     shuffled = np.random.default_rng(0).permutation(image.reshape(-1, 3)).reshape(image.shape)
     yield SceneCase("shuffled pixels", Cloud(shuffled), "bad_cloud", "beside the rays")
+    large = scene(width=1280, height=800)  # 1,024,000 points
+    yield SceneCase("a million points, image", Cloud(large), "ok")
+    yield SceneCase("a million points, list", Cloud(large.reshape(-1, 3)), "ok")
     for tilt in (0.0, 1.0, 1.3):
         yield SceneCase(f"table at {tilt} rad", Cloud(scene(tilt)), "ok")
     yield SceneCase("bare table", Cloud(scene(rise=0.0)), "no_object", "nothing stands more")

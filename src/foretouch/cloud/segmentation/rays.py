@@ -64,9 +64,12 @@ class RayFilter:
 
     def __init__(self, sample: Float32, rows: Index, columns: Index, config: RayConfig) -> None:
         self._config = config
+        self._deviation = np.float32(config.max_deviation)
         self._dropped: list[Index] = []
-        pixels = np.stack([np.ones(len(rows)), columns, rows], axis=1)
+        pixels = np.ones((len(rows), 3))
+        pixels[:, 1], pixels[:, 2] = columns, rows
         self._rays = _fit_rays(sample, pixels, config.max_deviation)
+        self._slopes = self._rays.T.tolist()
         self.off_sample = self.beside(sample, sample[:, 2], rows, columns)
         self.reason = self._fault(pixels)
 
@@ -84,8 +87,9 @@ class RayFilter:
         """
         with np.errstate(invalid="ignore", over="ignore"):
             distance = _aside(xyz[..., 0], z, self._tangent(0, rows, columns))
-            np.maximum(distance, _aside(xyz[..., 1], z, self._tangent(1, rows, columns)), out=distance)
-            off = distance > z * np.float32(self._config.max_deviation)
+            other = _aside(xyz[..., 1], z, self._tangent(1, rows, columns))
+            np.maximum(distance, other, out=distance)
+            off = distance > np.multiply(z, self._deviation, out=other)
             if off.any():
                 off &= z > 0.0
         return off
@@ -103,11 +107,11 @@ class RayFilter:
 
     def _tangent(self, axis: int, rows: Index, columns: Index) -> Float32:
         """x/z (axis 0) or y/z (axis 1) of pixels; broadcast from one dimension where the other has no effect."""
-        offset, by_column, by_row = self._rays[:, axis]
-        along = [(slope, at) for slope, at in ((by_column, columns), (by_row, rows)) if abs(slope) > 1e-7]
-        tangent: Float64 = np.asarray(offset)
-        for slope, at in along:
-            tangent = tangent + slope * at
+        tangent, by_column, by_row = self._slopes[axis]
+        if abs(by_column) > 1e-7:
+            tangent = tangent + by_column * columns
+        if abs(by_row) > 1e-7:
+            tangent = tangent + by_row * rows
         return np.asarray(tangent, np.float32)
 
     def _fault(self, pixels: Float64) -> str:
@@ -132,6 +136,12 @@ def out_of_view(xyz: Float32, config: RayConfig) -> npt.NDArray[np.bool_]:
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
 
 
+def finite_rows(points: Float32) -> npt.NDArray[np.bool_]:
+    """(n,) bool: points (n, 3) with three finite coordinates; reductions along rows of three are slow."""
+    x, y, z = np.isfinite(points).T
+    return np.asarray(x & y & z, np.bool_)
+
+
 def _aside(lateral: Float32, z: Float32, tangent: Float32) -> Float32:
     """(...) distances from the ray along one axis [m]."""
     distance: Float32 = tangent * z
@@ -141,7 +151,7 @@ def _aside(lateral: Float32, z: Float32, tangent: Float32) -> Float32:
 
 def _fit_rays(sample: Float32, pixels: Float64, tolerance: float) -> Float64:
     """(3, 2) float64: x/z and y/z for 1, column and row. Robust: up to about half of the points may be damaged."""
-    usable = np.flatnonzero(np.isfinite(sample).all(axis=1))
+    usable = np.flatnonzero(finite_rows(sample))
     if len(usable) > _FITTED:
         usable = usable[np.linspace(0.0, len(usable) - 1.0, _FITTED).astype(np.intp)]
     points, pixels = sample[usable].astype(np.float64), pixels[usable]
@@ -165,10 +175,12 @@ def _inliers(pixels: Float64, tangents: Float64, rays: Float64, tolerance: float
 def _least_squares(pixels: Float64, tangents: Float64) -> Float64:
     if len(pixels) == 0:
         return np.zeros((3, 2))
-    # Pixels are small whole numbers: the normal equations are as exact as needed, in a third of the time of lstsq.
-    return np.asarray(
-        np.linalg.pinv(pixels.T @ pixels, rcond=1e-12, hermitian=True) @ (pixels.T @ tangents), np.float64
-    )
+    # Pixels are small whole numbers: the normal equations are as exact as needed, in a fraction of the time of lstsq.
+    values, vectors = np.linalg.eigh(pixels.T @ pixels)
+    inverse = np.where(
+        values > 1e-12 * values[-1], 1.0 / np.maximum(values, 1e-300), 0.0
+    )  # 0 if pixels are on one line
+    return np.asarray((vectors * inverse) @ (vectors.T @ (pixels.T @ tangents)), np.float64)
 
 
 def _degrees(tangent: float) -> str:

@@ -20,7 +20,7 @@ from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, out_of_view
+from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, finite_rows, out_of_view
 from foretouch.config import Settings, setting
 from foretouch.types import Cloud, Float32, Plane
 
@@ -176,7 +176,7 @@ def _sample(xyz: Float32, config: CropConfig) -> npt.NDArray[np.intp]:
 
 
 def _finite(points: Float32) -> Float32:
-    good = np.isfinite(points).all(axis=1)
+    good = finite_rows(points)
     return points if good.all() else points[good]
 
 

@@ -9,7 +9,7 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, ForetouchError
-from foretouch.grasp import GraspHold
+from foretouch.grasp import GraspHold, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg
@@ -154,8 +154,8 @@ def plan_targets(
         before = None if held is None else held.find(target.cloud)
         plan = pipeline.plan(target, held=before, hold=margin)
         plans.append((target, plan))
-        if held is not None and plan.grasps:
-            held.remember(target.cloud, plan.grasps[0])
+        if held is not None and plan.grasps and plan.axis is not None:
+            held.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
     if held is not None:
         held.next_cloud()
     grasps = []

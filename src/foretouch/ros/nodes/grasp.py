@@ -25,7 +25,7 @@ class GraspNodeConfig(ProcessingConfig):
     limits: ObjectLimits = ObjectLimits()
     grasp: LiveGeoGraspConfig = LiveGeoGraspConfig()
     grasp_hold: float = setting(
-        1.0,
+        2.0,
         "The last grasp of an object is kept until another is better by this score; 0 disables it, as grasp.method original",
         minimum=0.0,
         maximum=1000.0,

@@ -1,0 +1,492 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What does each step make of a changed cloud? A table of step x change: exact, bounded, or jumps. See README.md."""
+
+import argparse
+import csv
+import os
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from table import write_table
+
+from foretouch.cloud.geometry.limits import check_object
+from foretouch.cloud.io.files import read_cloud
+from foretouch.cloud.segmentation.segment import segment
+from foretouch.errors import ForetouchError
+from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
+from foretouch.grasp.reach import check_reach
+from foretouch.models import load_model
+from foretouch.models.contact.features import ContactScene
+from foretouch.models.touch_model import ObjectResiduals, TouchModel
+from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
+from foretouch.simulation.depth_scene import random_scene
+from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+
+MODELS = ("contact-v1", "touchnet-v1")
+HERE = Path(__file__).parent
+COLUMNS = ("step", "change", "n", "refused", "unit", "median", "largest", "limit", "over")
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is compared, and from where on a difference counts as a jump."""
+
+    unit: str
+    limit: float
+
+
+STEPS = {
+    "segmentation: labels": Step("% of the objects' pixels", 5.0),
+    "segmentation: table plane": Step("mm at 1 m", 5.0),
+    "segmentation: clusters": Step("objects", 0.5),
+    "GeoGrasp original: best grasp": Step("mm", 10.0),
+    "GeoGrasp stable: best grasp": Step("mm", 10.0),
+    "reach and limits": Step("other verdicts", 0.5),
+    "contact features": Step("% of the spread over objects, rms", 25.0),
+    "contact-v1: prediction": Step("counts", 50.0),
+    "touchnet-v1: prediction": Step("counts", 50.0),
+    "novelty flag": Step("other flags", 0.5),
+    "calibration after 3 touches": Step("counts", 50.0),
+    "contact simulator: force per cell": Step("% of the largest", 10.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of a cloud: p -> scale · linear @ p + shift, and what else happens to the points."""
+
+    name: str
+    linear: Float64  # (3, 3) float64
+    shift: Float64  # (3,) float64 [m]
+    more: Callable[[Float64, np.random.Generator], Float64] | None = None  # (N, 3) to (M, 3) of a list
+    in_image: Callable[[Float64, np.random.Generator], Float64] | None = (
+        None  # the same for an image; None: not possible
+    )
+
+    def points(self, xyz: Float32, rng: np.random.Generator) -> Float32:
+        """The changed list of points (N, 3), or image (H, W, 3)."""
+        moved = xyz.astype(np.float64) @ self.linear.T + self.shift
+        after = self.in_image if xyz.ndim == 3 else self.more
+        return (moved if after is None else after(moved, rng)).astype(np.float32)
+
+    def carry(self, point: Float64) -> Float64:
+        """Where a point (..., 3) is carried."""
+        return np.asarray(point @ self.linear.T + self.shift)
+
+    def plane(self, plane: Plane) -> Plane:
+        """Where a plane is carried; the linear part is a rotation, a mirror or a scale."""
+        normal = np.linalg.inv(self.linear).T @ plane.normal
+        at = self.carry(-plane.offset * plane.normal)
+        return Plane.from_coefficients([*normal, -normal @ at])
+
+
+def changes() -> Iterator[Change]:
+    """All changes of clouds."""
+    one, still = np.eye(3), np.zeros(3)
+
+    def turn(degrees: float) -> Float64:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def noise(sigma: float) -> Callable[[Float64, np.random.Generator], Float64]:
+        return lambda xyz, rng: xyz + rng.normal(0.0, sigma, xyz.shape)
+
+    yield Change("order of points", one, still, lambda xyz, rng: rng.permutation(xyz))
+    for name, shift in (("shift 1 mm", 0.001), ("shift 1 m", 1.0)):
+        yield Change(name, one, np.array([shift, 0.0, 0.0]))
+    for degrees in (1.0, 90.0):
+        yield Change(f"turn {degrees:g}°", turn(degrees), still)
+    yield Change("scale 1.25", 1.25 * one, still)
+    yield Change("mirror", np.diag([-1.0, 1.0, 1.0]), still)
+    yield Change("points twice", one, still, lambda xyz, _: np.concatenate([xyz, xyz]))
+    yield Change("half the points", one, still, lambda xyz, rng: xyz[rng.random(len(xyz)) < 0.5], _half_image)
+    yield Change("one far outlier", one, still, _far_point, _far_pixel)
+    yield Change("5 % flying points", one, still, _flying, _flying)
+    for name, sigma in (("jitter 1 µm", 1e-6), ("jitter 0.1 mm", 1e-4), ("jitter 0.5 mm", 5e-4)):
+        yield Change(name, one, still, noise(sigma), noise(sigma))
+
+
+LIST_ONLY = ("order of points", "points twice")
+OTHERS = ("1 grasp or 100", "threads 1 or 2", "offline or live")
+
+
+def _half_image(xyz: Float64, rng: np.random.Generator) -> Float64:
+    xyz[rng.random(xyz.shape[:2]) < 0.5] = np.nan
+    return xyz
+
+
+def _far_point(xyz: Float64, _: np.random.Generator) -> Float64:
+    return np.vstack([xyz, np.nanmean(xyz, axis=0) + np.array([0.25, 0.0, -0.05])])
+
+
+def _far_pixel(xyz: Float64, rng: np.random.Generator) -> Float64:
+    rows, columns = np.nonzero(np.isfinite(xyz[..., 2]))
+    chosen = rng.integers(len(rows))
+    xyz[rows[chosen], columns[chosen]] *= 0.4  # towards the camera
+    return xyz
+
+
+def _flying(xyz: Float64, rng: np.random.Generator) -> Float64:
+    """One in twenty points is 1 to 8 % nearer to the camera on its ray."""
+    flat = xyz.reshape(-1, 3)
+    some = rng.random(len(flat)) < 0.05
+    flat[some] *= 1.0 - rng.uniform(0.01, 0.08, (some.sum(), 1))
+    return xyz
+
+
+Found = dict[tuple[str, str], list[float]]  # differences by step and change; NaN where the changed cloud is refused
+
+
+def main() -> None:
+    """Measure, write the CSV, the table of the README and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
+    parser.add_argument("--every", type=int, default=40, help="use each k-th recorded cloud")
+    parser.add_argument("--table", action="store_true", help="only write table and picture again")
+    parser.add_argument("--answers", type=Path, help="only write the answers to unchanged clouds to this file")
+    arguments = parser.parse_args()
+    if arguments.answers:
+        np.savez(arguments.answers, **answers())
+        return
+    if not arguments.table:
+        found = measure(arguments.data, arguments.every)
+        with (HERE / "results.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            writer.writeheader()
+            writer.writerows(rows(found))
+    write_table(HERE, list(STEPS), [*(change.name for change in changes()), *OTHERS])
+
+
+def measure(data: Path | None, every: int) -> Found:
+    """All differences."""
+    found: Found = defaultdict(list)
+    models = {name: load_model(name) for name in MODELS}
+    paths = sorted(Path(data).glob("vision2tactile/*/*/cloud-object.pcd"))[::every] if data else []
+    clouds = [read_cloud(path).xyz.reshape(-1, 3) for path in paths] + list(made_objects())
+    spread = feature_spread(clouds)
+    for seed, xyz in enumerate(clouds):
+        for change in changes():
+            object_steps(found, xyz, change, models, spread, np.random.default_rng(seed))
+        batch(found, xyz, models)
+    for seed in range(6):
+        image = (
+            random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud().xyz
+        )
+        for change in changes():
+            scene_steps(found, image.reshape(-1, 3), change, np.random.default_rng(seed))
+            if change.name not in LIST_ONLY:
+                scene_steps(found, image, change, np.random.default_rng(seed))
+    simulator(found)
+    threads(found)
+    live(found)
+    return found
+
+
+def rows(found: Found) -> Iterator[dict[str, object]]:
+    """The rows of the CSV."""
+    for (step, change), values in sorted(found.items()):
+        answered = np.array([value for value in values if not np.isnan(value)])
+        largest = f"{answered.max():.3g}" if len(answered) else ""
+        yield {
+            "step": step,
+            "change": change,
+            "n": len(values),
+            "refused": len(values) - len(answered),
+            "unit": STEPS[step].unit,
+            "median": f"{np.median(answered):.3g}" if len(answered) else "",
+            "largest": largest,
+            "limit": f"{STEPS[step].limit:g}",
+            "over": int((answered > STEPS[step].limit).sum()),
+        }
+
+
+def made_objects() -> Iterator[Float32]:
+    """Boxes and lying cylinders of unequal sides, 1.2 m away, with 0.5 mm of depth noise."""
+    rng = np.random.default_rng(7)
+    for turn in (0.3, 1.1):
+        u, v = np.meshgrid(np.arange(-0.12, 0.12, 0.002), np.arange(-0.12, 0.12, 0.002))
+        a, b = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
+        wedge = np.abs(b) < 0.03 + 0.1 * a
+        for inside, height in (
+            ((np.abs(a) < 0.08) & wedge, np.full(a.shape, 0.05)),
+            ((np.abs(a) < 0.07) & (np.abs(b) < 0.03), np.sqrt(np.maximum(0.03**2 - b**2, 0.0)) + 0.2 * (a + 0.07)),
+        ):
+            depth = 1.2 - height + rng.normal(0.0, 0.0005, a.shape)
+            yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
+
+
+def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
+    """The grasp whose touch is predicted, and the object's axis."""
+    plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig(method="stable"))
+    assert plan.axis is not None
+    return plan.grasps[0], plan.axis
+
+
+def feature_spread(clouds: list[Float32]) -> Float64:
+    """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
+    described = [ContactScene(xyz.astype(np.float64)).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
+    spread = np.std(described, axis=0)
+    return np.where(spread > 0.0, spread, np.inf)
+
+
+def object_steps(
+    found: Found, xyz: Float32, change: Change, models: dict[str, TouchModel], spread: Float64, rng: np.random.Generator
+) -> None:
+    """The steps on the cloud of one object, before and after a change."""
+    other = change.points(xyz, rng)
+    grasp, axis = given_grasp(xyz)
+    g1, g2 = change.carry(grasp.g1), change.carry(grasp.g2)
+    carried = grasp
+    if not np.array_equal(change.linear, np.eye(3)):
+        carried = Grasp(g1, g2, hand_rotation(g1, g2, change.linear @ axis))
+    elif change.shift.any():
+        carried = Grasp(g1, g2, grasp.rotation)
+
+    def compare(
+        step: str, ask: Callable[[Float32, Grasp], Float64], difference: Callable[[Float64, Float64], float]
+    ) -> None:
+        before = ask(xyz, grasp)
+        try:
+            after = ask(other, carried)
+        except ForetouchError:
+            found[step, change.name].append(np.nan)
+            return
+        found[step, change.name].append(difference(before, after))
+
+    def best(method: str) -> Callable[[Float32, Grasp], Float64]:
+        config = GeoGraspConfig.from_mapping({"method": method})
+
+        def ask(points: Float32, _: Grasp) -> Float64:
+            table = ASSUMED_TABLE if points is xyz else change.plane(ASSUMED_TABLE)
+            plan = plan_grasps(Cloud(points), table, config)
+            if not plan.grasps:
+                raise ForetouchError(plan.reason)
+            return np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+
+        return ask
+
+    def moved(before: Float64, after: Float64) -> float:
+        # A hand is not mirrored: on a mirrored object thumb and middle finger change sides.
+        ends = [after, after[::-1]] if change.name == "mirror" else [after]
+        return min(float(np.linalg.norm(change.carry(before) - one, axis=1).max() * 1e3) for one in ends)
+
+    for method in ("original", "stable"):
+        compare(f"GeoGrasp {method}: best grasp", best(method), moved)
+    compare("reach and limits", _verdict, _largest)
+    compare(
+        "contact features",
+        lambda points, one: ContactScene(points.astype(np.float64)).describe([one])[0],
+        lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
+    )
+    for name, model in models.items():
+
+        def ask(points: Float32, one: Grasp, model: TouchModel = model) -> Float64:
+            return _vector(_answer(model, points, one))
+
+        compare(f"{name}: prediction", ask, _largest)
+    contact = models[MODELS[0]]
+    compare(
+        "novelty flag",
+        lambda points, one: np.array([float("unfamiliar" in _answer(contact, points, one).flags)]),
+        _largest,
+    )
+
+    def touched(points: Float32, one: Grasp) -> Float64:
+        residuals = ObjectResiduals(contact)
+        for _ in range(3):
+            residuals.add(Cloud(points), one, _READING)
+        return _vector(contact.predict(Cloud(points), [one], residuals=residuals)[0])
+
+    compare("calibration after 3 touches", touched, _largest)
+
+
+_READING = Touch.from_vector(np.concatenate([[2850.0, 1850.0], np.full(24, 3000.0), np.full(24, 3400.0)]))
+
+
+def _answer(model: TouchModel, points: Float32, grasp: Grasp) -> TouchPrediction:
+    return model.predict(Cloud(points), [grasp])[0]
+
+
+def _vector(prediction: TouchPrediction) -> Float64:
+    if prediction.value is None:
+        raise ForetouchError(prediction.reason)
+    return prediction.value.vector()
+
+
+def _verdict(points: Float32, grasp: Grasp) -> Float64:
+    try:
+        check_object(points)
+        check_reach(grasp, points)
+    except ForetouchError:
+        return np.array([1.0])
+    return np.array([0.0])
+
+
+def _largest(before: Float64, after: Float64) -> float:
+    return float(np.abs(after - before).max())
+
+
+def scene_steps(found: Found, xyz: Float32, change: Change, rng: np.random.Generator) -> None:
+    """Segmentation of a scene, as an image or as a list of points, before and after a change."""
+    shape = xyz.shape[:-1]
+    names = ("segmentation: labels", "segmentation: table plane", "segmentation: clusters")
+    before, after = segment(Cloud(xyz)), segment(Cloud(change.points(xyz, rng)))
+    assert before.plane is not None
+    if after.plane is None:
+        for name in names:
+            found[name, change.name].append(np.nan)
+        return
+    labels = after.labels
+    if change.name == "order of points":
+        order = np.random.default_rng(rng.bit_generator.seed_seq).permutation(len(labels))  # type: ignore[attr-defined]
+        labels = np.zeros_like(labels)
+        labels[order] = after.labels
+    labels = labels.reshape(-1)[: int(np.prod(shape))] if change.name != "half the points" else None
+    if labels is not None:
+        first, second = before.labels.reshape(-1) > 0, labels > 0
+        found[names[0], change.name].append(100.0 * float((first != second).sum()) / max(int(first.sum()), 1))
+    expected = change.plane(before.plane)
+    turned = float(np.linalg.norm(np.cross(expected.normal, after.plane.normal)))
+    apart = abs(abs(expected.offset) - abs(after.plane.offset))
+    found[names[1], change.name].append(1e3 * max(turned, apart))
+    found[names[2], change.name].append(float(abs(len(before.objects) - len(after.objects))))
+
+
+def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
+    """One grasp alone, and the same as the 57th of 100."""
+    grasp, _ = given_grasp(xyz)
+    rng = np.random.default_rng(0)
+    others = []
+    for _ in range(100):
+        g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
+        others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
+    others[57] = grasp
+    scene = ContactScene(xyz.astype(np.float64))
+    found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
+    for name, model in models.items():
+        alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
+        found[f"{name}: prediction", OTHERS[0]].append(_largest(_vector(alone), _vector(among)))
+        if name == MODELS[0]:
+            found["novelty flag", OTHERS[0]].append(float(alone.flags != among.flags))
+
+
+def simulator(found: Found) -> None:
+    """Pressure of the elastic layer under changes of the gap field that leave or carry the contact."""
+    step = "contact simulator: force per cell"
+    layer = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.003)
+    axis = (np.arange(32) - 15.5) * 5e-4
+
+    def force(gap: Float64, scale: float = 1.0) -> Float64:
+        gap = scale * (gap - gap.min())
+        layers = (Layer(modulus_pa=layer.modulus_pa, poisson=layer.poisson, thickness_m=scale * layer.thickness_m),)
+        problem = ContactProblem(gap, scale * 5e-4, layers)
+        return solve_layer(problem, Command(force_n=2.0 * scale**2)).pressure * problem.cell_m2
+
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        x, y = np.meshgrid(axis + rng.normal(0.0, 3e-4), axis + rng.normal(0.0, 3e-4))
+        gap = 0.5 * (x**2 / rng.uniform(0.01, 0.05) + y**2 / rng.uniform(0.01, 0.05))
+        before = force(gap)
+
+        def differ(name: str, after: Float64, carried: Float64, largest: float = float(before.max())) -> None:
+            found[step, name].append(float(np.abs(after - carried).max() / largest * 100.0))
+
+        differ("mirror", force(gap[:, ::-1]), before[:, ::-1])
+        differ("turn 90°", force(np.rot90(gap)), np.rot90(before))
+        differ("scale 1.25", force(gap, 1.25) / 1.25**2, before)
+        for name, sigma in (("jitter 1 µm", 1e-6), ("jitter 0.1 mm", 1e-4)):
+            differ(name, force(gap + np.abs(rng.normal(0.0, sigma, gap.shape))), before)
+
+
+def answers() -> dict[str, npt.NDArray[np.floating]]:
+    """The answers of all steps to made clouds, by step and number."""
+    result: dict[str, npt.NDArray[np.floating]] = {}
+    models = {name: load_model(name) for name in MODELS}
+    for number, xyz in enumerate(made_objects()):
+        grasp, _ = given_grasp(xyz)
+        for method in ("original", "stable"):
+            plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
+            result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
+        result[f"contact features|{number}"] = ContactScene(xyz.astype(np.float64)).describe([grasp])[0]
+        for name, model in models.items():
+            result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
+    for seed in range(3):
+        image = random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
+        seen = segment(image)
+        assert seen.plane is not None
+        result[f"segmentation: labels|{seed}"] = (seen.labels > 0).astype(np.float64)
+        result[f"segmentation: table plane|{seed}"] = 1e3 * seen.plane.coefficients
+        result[f"segmentation: clusters|{seed}"] = np.array([float(len(seen.objects))])
+    x, y = np.meshgrid((np.arange(32) - 15.5) * 5e-4, (np.arange(32) - 15.2) * 5e-4)
+    gap = 20.0 * x**2 + 30.0 * y**2
+    layer = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.003)
+    pressure = solve_layer(ContactProblem(gap - gap.min(), 5e-4, (layer,)), Command(force_n=2.0)).pressure
+    result["contact simulator: force per cell|0"] = 100.0 * pressure / pressure.max()
+    return result
+
+
+def threads(found: Found) -> None:
+    """The same answers from processes with one and with two threads."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"{count}.npz" for count in (1, 2)]
+        for count, file in enumerate(files, 1):
+            names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+            environment = {**os.environ, **dict.fromkeys(names, str(count))}
+            subprocess.run([sys.executable, __file__, "--answers", str(file)], check=True, env=environment)
+        one, two = (np.load(file) for file in files)
+        for key in one.files:
+            found[key.split("|")[0], OTHERS[1]].append(_largest(one[key], two[key]))
+
+
+def live(found: Found) -> None:
+    """The pipeline on a scene, and the same through the messages and functions of the live nodes."""
+    try:
+        from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
+        from foretouch.ros.messages.conversions import plane_from_msg, plane_to_msg
+        from foretouch.ros.messages.requests import plan_targets, read_cloud, read_targets
+    except ImportError:
+        print("no ROS 2: offline and live are not compared")
+        return
+    from foretouch.dataset.messages import decode_grasp
+    from foretouch.pipeline import Pipeline, PipelineConfig
+
+    for seed in range(3):
+        cloud = random_scene(np.random.default_rng(seed), 424, 240).render(np.random.default_rng(seed), 0.001).cloud()
+        for method in ("original", "stable"):
+            pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
+            offline = pipeline.run(cloud)
+            message = cloud_to_msg(cloud)
+            scene = pipeline.segment(read_cloud(message))
+            table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
+            assert table is not None
+            targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table)
+            planned = plan_targets(pipeline, targets, message.header)
+            grasp = offline.targets[0].plan.grasps[0]
+            sent = decode_grasp(planned.grasps[0])
+            difference = max(_largest(grasp.g1, sent.g1), _largest(grasp.g2, sent.g2)) * 1e3
+            found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(difference)
+            expected = offline.targets[0].predictions[0]
+            predicted = pipeline.predict(targets[0], [sent])[0]
+            found["contact-v1: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
+            found["novelty flag", OTHERS[2]].append(float(expected.flags != predicted.flags))
+        assert offline.scene is not None
+        assert offline.scene.segmentation.plane is not None
+        assert scene.segmentation.plane is not None
+        labels = [one.segmentation.labels for one in (offline.scene, scene)]
+        found["segmentation: labels", OTHERS[2]].append(100.0 * float((labels[0] != labels[1]).mean()))
+        planes = [one.segmentation.plane.coefficients for one in (offline.scene, scene)]  # type: ignore[union-attr]
+        found["segmentation: table plane", OTHERS[2]].append(1e3 * _largest(*planes))
+        found["segmentation: clusters", OTHERS[2]].append(
+            float(abs(len(offline.scene.segmentation.objects) - len(scene.segmentation.objects)))
+        )
+
+
+if __name__ == "__main__":
+    main()

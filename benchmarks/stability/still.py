@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How often does the best grasp jump while nothing moves but the camera's noise? See README.md."""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+
+import numpy as np
+
+from foretouch.grasp import GraspHold, GraspPlan, HeldGrasp
+from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.ros.nodes.grasp import GraspNodeConfig
+from foretouch.simulation.scene import load_scene
+from foretouch.simulation.scene_camera import FrameMaker
+from foretouch.types import Float64
+
+FOLDER = Path(__file__).parents[2] / "config" / "scenes"
+# Of each scene, the sample with this number.
+SCENES = (("rigid", 0), ("rigid", 3), ("deformables", 2), ("deformables", 3))
+SCENES += (("unseen_objects", 0), ("unseen_objects", 1), ("clutter", 0))
+# The middle of a D415's image of 848 x 480 pixels and 65 degrees: the table and the object are in it.
+CAMERA = {"camera.width": 480, "camera.height": 320, "camera.hfov_deg": 39.67}
+JUMP_M = 0.005
+RATE_HZ = 30.0
+COLUMNS = ("scene", "frames", "method", "hold", "jumps", "largest_mm", "score", "cpu_ms", "cpu_p95_ms", "answered")
+
+
+def main() -> None:
+    """Measure, print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--scene", nargs=2, metavar=("NAME", "SAMPLE"), help="only this one")
+    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "still.csv")
+    arguments = parser.parse_args()
+    with arguments.out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        scenes = [(arguments.scene[0], int(arguments.scene[1]))] if arguments.scene else SCENES
+        for name, slot in scenes:
+            for stream in watch(name, slot, arguments.frames):
+                writer.writerow(stream.row())
+                file.flush()
+                print(", ".join(f"{key} {value}" for key, value in stream.row().items()), flush=True)
+
+
+class Stream:
+    """The best grasps of one method in one stream of clouds, as the nodes `segmentation` and `grasp` make them."""
+
+    def __init__(self, scene: str, method: str, hold: float, tolerance_m: float) -> None:
+        self._scene, self._method, self._margin = scene, method, hold
+        self._pipeline = Pipeline(PipelineConfig.from_mapping({"grasp": {"method": method}}))
+        self._hold = GraspHold(tolerance_m)
+        self._contacts: list[Float64] = []
+        self._scores: list[float] = []
+        self._ms: list[float] = []
+
+    def see(self, target: FoundObject, segmented_s: float) -> None:
+        """Plan on the next cloud."""
+        start = time.thread_time()
+        plan = self._plan(target)
+        self._ms.append((segmented_s + time.thread_time() - start) * 1e3)
+        if plan.grasps:
+            self._contacts.append(np.stack([plan.grasps[0].g1, plan.grasps[0].g2]))
+            self._scores.append(plan.grasps[0].score)
+
+    def _plan(self, target: FoundObject) -> GraspPlan:
+        if self._margin == 0.0:
+            return self._pipeline.plan(target)
+        plan = self._pipeline.plan(target, held=self._hold.find(target.cloud), hold=self._margin)
+        if plan.grasps and plan.axis is not None:
+            self._hold.remember(target.cloud, HeldGrasp(plan.grasps[0], plan.axis, plan.outdone))
+        self._hold.next_cloud()
+        return plan
+
+    def row(self) -> dict[str, object]:
+        """The figures of the stream."""
+        moves = np.linalg.norm(np.diff(self._contacts, axis=0), axis=2).max(axis=1)
+        values = (
+            f"{int((moves > JUMP_M).sum())}",
+            f"{moves.max() * 1e3:.2f}",
+            f"{np.nanmean(self._scores):.3f}",
+            f"{np.median(self._ms):.1f}",
+            f"{np.percentile(self._ms, 95):.1f}",
+            f"{len(self._contacts)}",
+        )
+        first = (self._scene, f"{len(self._ms)}", self._method, f"{self._margin:g}")
+        return dict(zip(COLUMNS, (*first, *values), strict=True))
+
+
+def watch(name: str, slot: int, frames: int) -> list[Stream]:
+    """The streams of one still scene."""
+    scene = load_scene(FOLDER / f"{name}.yaml").updated(CAMERA)
+    maker, pipeline, node = FrameMaker(scene), Pipeline(), GraspNodeConfig()
+    label = f"{name} {slot}"
+    streams = [
+        Stream(label, method, hold, node.grasp_hold_tolerance_m)
+        for method, hold in (("original", 0.0), ("stable", node.grasp_hold))
+    ]
+    previous = None
+    for frame in range(frames):
+        cloud = maker.frame(slot, repeat=frame).cloud(stamp_ns=round(frame / RATE_HZ * 1e9))
+        start = time.thread_time()
+        found = pipeline.segment(cloud, previous)
+        segmented_s = time.thread_time() - start
+        if not found.targets:
+            continue
+        target = found.targets[0]
+        previous = target.cloud.xyz.mean(axis=0, dtype=np.float64)
+        for stream in streams:
+            stream.see(target, segmented_s)
+    return streams
+
+
+if __name__ == "__main__":
+    main()
