@@ -124,10 +124,10 @@ class _Extent:
     @classmethod
     def of(cls, cloud: Cloud) -> _Extent:
         points = cloud.xyz.reshape(-1, 3)
-        points = points[np.isfinite(points).all(axis=1)]
+        points = points[np.isfinite(points).all(axis=1)].astype(np.float64)  # which holds the square of any float32
         if not len(points):
             return cls(cloud.frame_id, np.full(6, np.inf))  # equal to no other object
-        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]).astype(np.float64))
+        return cls(cloud.frame_id, np.concatenate([points.mean(axis=0), points.std(axis=0)]))
 
     def is_near(self, other: _Extent, distance_m: float) -> bool:
         if self.frame_id != other.frame_id or not np.isfinite([self.numbers, other.numbers]).all():
