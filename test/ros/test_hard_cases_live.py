@@ -38,12 +38,13 @@ from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import GraspArray, ObjectArray, Status, TablePlane, TouchPrediction, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 FRAME = "camera"
 OUTPUTS = {"objects": ObjectArray, "table": TablePlane, "grasps": GraspArray, "touch": TouchPredictionArray}
 ANSWERED = (Status.OK, Status.INITIAL_POINTS)
-OBJECTS, SCENES = list(object_cases()), list(scene_cases())
+OBJECTS = [case for case in object_cases() if case.name != "400,000 points"]  # a million are below
+SCENES = list(scene_cases())
 FORMATS = ("<f4", ">f4", "<f8", ">f8")
 each_object = pytest.mark.parametrize("case", OBJECTS, ids=[case.name for case in OBJECTS])
 each_scene = pytest.mark.parametrize("case", SCENES, ids=[case.name for case in SCENES])
@@ -154,7 +155,7 @@ class Life:
         return [content(one.predictions[0]) for one in (said, asked)]
 
     def check(self) -> None:
-        """All that was published is finite, no internal error has been counted, and the good ones are as before."""
+        """All that was published is finite, no internal error has been counted, and the good ones are answered as before."""
         for topic, heard in self.heard.items():
             for message in heard:
                 if topic == "markers" or (topic, stamp_ns(message.header.stamp)) not in self.own:
@@ -167,6 +168,7 @@ class Life:
             del heard[:]
 
 
+REQUESTED = {"table 1e9 m away": "farther away than 1000 m", "grasp zero rotation": "ok"}  # nine zeros: it is computed
 AWAY = np.array([0.02, -0.01, 1.2])
 
 
@@ -271,15 +273,10 @@ def test_an_object(life: Life, case: ObjectCase) -> None:
         agree(said["grasps"].status, said["grasps"].reason, "ok")
 
     grasps = [grasp_of(case.grasp), grasp_of(case.grasp, oriented=False)]
-    for plane in (case.plane, None):
-        answer = life.ask(cloud_msg(case.cloud.xyz, FORMATS[len(case.name) % 4]), grasps, plane)
-        if case.name == "table 1e9 m away" and plane is not None:  # no table at all
-            agree(answer.status, answer.reason, "farther away than 1000 m")
-            continue
-        oriented, *unoriented = answer.predictions or [answer]
-        computed = case.name == "grasp zero rotation" and plane is not None  # nine zeros are no orientation
-        agree(oriented.status, oriented.reason, "ok" if computed else pattern_of(case))
-        assert all(one.status == Status.OK or named(one) for one in unoriented)
+    answer = life.ask(cloud_msg(case.cloud.xyz, FORMATS[len(case.name) % 4]), grasps, case.plane)
+    oriented, *unoriented = answer.predictions or [answer]
+    agree(oriented.status, oriented.reason, REQUESTED.get(case.name, pattern_of(case)))
+    assert all(one.status == Status.OK or named(one) for one in unoriented)
     life.check()
 
 
