@@ -64,6 +64,21 @@ def test_an_absent_source_is_one_line(tmp_path: Path, environment: dict[str, str
     assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
 
 
+def test_an_absent_model_is_one_line_before_anything_starts(tmp_path: Path, environment: dict[str, str]) -> None:
+    write_cloud(tmp_path / "8.npz", random_scene(np.random.default_rng(0), width=212, height=120).render().cloud())
+    for model, rule in (("nope", "is no run folder, no card"), (tmp_path / "absent.json", "no such model card")):
+        status, lines, err = _run(environment, "run", "--source", tmp_path / "8.npz", "--model", model, "--json")
+        assert (status, lines) == (1, [])
+        assert err.startswith(f"foretouch: {model}: {rule}"), err
+        assert len(err.splitlines()) == 1
+
+
+def test_an_absent_recording_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
+    status, lines, err = _run(environment, "replay", tmp_path / "none", "--json")
+    assert (status, lines) == (1, [])
+    assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
+
+
 def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:

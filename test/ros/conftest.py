@@ -121,6 +121,14 @@ def graph() -> Iterator[Graph]:
     one.close()
 
 
+@pytest.fixture(scope="module")
+def module_graph() -> Iterator[Graph]:
+    """One for all tests of a module."""
+    one = Graph()
+    yield one
+    one.close()
+
+
 @pytest.fixture(scope="session")
 def model_card(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A small network with random weights: what it predicts is wrong, how it travels is the same."""

@@ -209,6 +209,22 @@ def test_markers_show_objects_contacts_hand_and_electrodes(chain, scene_cloud):
     graph.until(lambda: {marker.ns for array in heard["markers"] for marker in array.markers} >= wanted)
 
 
+def test_markers_that_fail_do_not_answer_a_second_time(chain, scene_cloud, monkeypatch):
+    graph, _, heard = chain
+    graph.matched("markers", publishers=2)
+
+    def fail(*_, **__):
+        raise FloatingPointError("overflow")
+
+    for node, name in (("segmentation", "object_markers"), ("touch_predictor", "touch_markers")):
+        monkeypatch.setattr(f"foretouch.ros.nodes.{node}.{name}", fail)
+    said = send(chain, cloud_to_msg(scene_cloud()))
+    assert said["touch"].status == said["objects"].status == Status.OK
+    graph.until(lambda: [n.internal_errors.counts()["markers"] for n in graph.nodes] == [1, 0, 1])
+    send(chain, cloud_to_msg(scene_cloud(stamp_ns=99)))
+    assert len(heard["touch"]) == len(heard["objects"]) == 2
+
+
 def test_every_input_is_accounted_for(chain, scene_cloud):
     graph, publisher, _ = chain
     for stamp in range(1, 31):

@@ -111,6 +111,14 @@ def test_a_bad_parameter_is_one_line_and_exit_1(graph, processes, arguments, mes
     assert message in line
 
 
+def test_a_replay_without_its_source_ends_with_exit_1(graph, processes):
+    processes["replay"] = start("replay", "-p", "path:=/nope", domain=graph.domain)
+    _, stderr = processes["replay"].communicate(timeout=30)
+    assert processes["replay"].returncode == 1
+    (line,) = stderr.strip().splitlines()
+    assert line.endswith("[foretouch.replay]: /nope: does not exist")
+
+
 def test_an_unknown_parameter_is_a_warning(graph, processes):
     processes["grasp"] = start("grasp", "-p", "grasp.tip_nm:=25.0", domain=graph.domain)
     graph.until(lambda: graph.probe.count_publishers("/foretouch/grasps"))

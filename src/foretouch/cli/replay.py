@@ -28,8 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Return exit status 1 if the replay could not start or failed."""
+    from foretouch.dataset.source import open_source
     from foretouch.ros.graph import Graph
 
+    open_source(arguments.path, arguments.topic)  # so that an absent one is reported before anything starts
     parameters = source_parameters(arguments, arguments.path)
     parameters |= {"loop": arguments.loop, "restamp": arguments.restamp}
     if arguments.no_wait:

@@ -82,10 +82,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of each node by name, from the options; the source comes last, after its subscribers."""
+    from foretouch.models.card import read_card
+    from foretouch.models.registry import find_card
     from foretouch.ros.executables import PERCEPTION
 
     nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
     if arguments.model:
+        read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
         nodes["touch_predictor"]["model"] = str(arguments.model)
     if arguments.source == "camera":
         nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}

@@ -57,7 +57,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         args: Command line with ROS arguments; `sys.argv` if None.
 
     Returns:
-        Exit status: 0, or 1 after a known error, which is printed in one line on stderr.
+        Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
     prepare_environment()
     import rclpy
@@ -67,7 +67,7 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
-        spin(make_nodes(*names))
+        return int(spin(make_nodes(*names)))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
@@ -75,7 +75,6 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
         return 0
     finally:
         rclpy.try_shutdown()
-    return 0
 
 
 def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
@@ -97,8 +96,12 @@ def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
     return nodes
 
 
-def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
-    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them."""
+def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
+    """Start nodes, serve them until Ctrl-C or shutdown, or until each has ended by itself, and destroy them.
+
+    Returns:
+        Whether one has failed.
+    """
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     from foretouch.ros.runtime.internal_errors import spin_on
@@ -117,6 +120,7 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> None:
         executor.shutdown(timeout_sec=1.0)
         for node in nodes:
             node.destroy_node()
+    return any(node.has_failed() for node in nodes)
 
 
 def _interrupt(number: int, _: FrameType | None) -> None:

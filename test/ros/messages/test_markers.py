@@ -46,6 +46,18 @@ def test_a_fingertip_is_a_rotation_whose_pad_faces_the_other_contact(contact):
     assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
 
 
+@pytest.mark.parametrize("width_m", [5e-324, 1e-200, 1e-13, 0.05])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])  # the hand's Z, or its X, along the contacts
+def test_a_closed_or_turned_hand_has_fingertips_too(width_m, order):
+    axes = np.eye(3)[:, list(order)]
+    grasp = Grasp(np.array([0.0, 0.0, width_m]), np.zeros(3), axes)
+    for contact in (grasp.g1, grasp.g2):
+        rotation = fingertip_rotation(grasp, contact)
+        np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    first, second = (fingertip_rotation(grasp, contact)[:, 2] for contact in (grasp.g1, grasp.g2))
+    np.testing.assert_allclose(first, -second, atol=1e-12)
+
+
 def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
     markers = by_name(touch_markers(predict(np.full(24, 3000.0), np.full(24, 3000.0)), P2_RANGES))
     thumb, finger = points(markers["thumb"][0]), points(markers["middle_finger"][0])

@@ -53,6 +53,15 @@ def test_the_object_is_told_by_place_and_size(memory: ObjectMemory, cloud: Cloud
     assert (memory.of(cloud, NEAR_M) is not None) == same
 
 
+@pytest.mark.parametrize("value", [3e38, -3e38, 1e20])
+def test_a_point_whose_square_no_float32_holds_makes_another_object(memory: ObjectMemory, value: float) -> None:
+    cloud = can()
+    xyz = cloud.xyz.copy()
+    xyz[:2, 1] = value
+    assert memory.of(Cloud(xyz, None, "cam"), NEAR_M) is None
+    assert memory.of(cloud, NEAR_M) is not None
+
+
 def test_a_touch_of_another_object_begins_anew(memory: ObjectMemory) -> None:
     memory.add(can(0.01), GRASP, touch(-40.0), None, 101.0, NEAR_M)
     assert memory.count == 2

@@ -189,11 +189,20 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
 
     # Hooks of the base class.
 
+    def autostart(self) -> bool:
+        """A source that cannot be opened is the end of it: its parameters are read-only."""
+        started = super().autostart()
+        if not started:
+            self.ended.set()
+        return started
+
     def setup(self) -> None:
         """Open the source and advertise its topics."""
-        if not self.config.path:
-            raise ConfigError("path: is empty; set it to a recording, a folder or a file")
-        self._source = open_source(self.config.path, self.config.topic or None, frame_id=self.config.frame_id)
+        try:
+            self._source = self._open()
+        except ForetouchError as err:
+            self.outcome, self.reason = "failed", str(err)
+            raise
         segmented = self.config.publish == CLOUD_TOPIC
         if self.config.publish == "auto":
             segmented = cloud_is_object(self._source)
@@ -234,6 +243,10 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def has_ended(self) -> bool:
         """Whether there is nothing more to play."""
         return self.ended.is_set() and self.outcome != "stopped"  # a stopped node may be activated again
+
+    def has_failed(self) -> bool:
+        """Whether the source could not be played to its end."""
+        return self.outcome == "failed"
 
     def errors(self) -> tuple[str, ...]:
         """Why the replay failed."""
@@ -346,6 +359,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             return self._answered.wait_for(
                 lambda: self._last_answer_ns == stamp or self._stopping.is_set(), self.config.answer_timeout_s
             )
+
+    def _open(self) -> Source:
+        if not self.config.path:
+            raise ConfigError("path: is empty; set it to a recording, a folder or a file")
+        return open_source(self.config.path, self.config.topic or None, frame_id=self.config.frame_id)
 
     def _advertise_others(self, source: Source) -> None:
         if not self.config.other_topics:

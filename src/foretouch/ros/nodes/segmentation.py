@@ -98,7 +98,10 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         )
         self._objects.publish(objects)
         if self._markers.get_subscription_count():
-            self._markers.publish(object_markers(objects))
+            self.internal_errors.guarded("markers", self._draw)(objects)  # the answer is published
+
+    def _draw(self, objects: ObjectArray) -> None:
+        self._markers.publish(object_markers(objects))
 
     def _check_frame(self, frame_id: str) -> None:
         allowed = self.config.frames

@@ -166,17 +166,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
         self._touch.publish(message)
-        if self._markers.get_subscription_count():
-            for prediction in message.predictions[:1]:
-                self._markers.publish(
-                    touch_markers(
-                        prediction,
-                        self.config.ranges,
-                        thumb_takes_g1=self.config.thumb_takes_g1,
-                        touches=self._adapter.touches() if self._adapter else 0,
-                    )
-                )
+        if self._markers.get_subscription_count() and message.predictions:
+            self.internal_errors.guarded("markers", self._draw)(message.predictions[0])  # the answer is published
         return message.status, message.reason
+
+    def _draw(self, prediction: TouchPrediction) -> None:
+        touches = self._adapter.touches() if self._adapter else 0
+        config = self.config
+        self._markers.publish(
+            touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1, touches=touches)
+        )
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish why this cloud gets no predictions."""

@@ -110,6 +110,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Whether the node has nothing more to do; its process may then end."""
         return False
 
+    def has_failed(self) -> bool:
+        """Whether the process ends with exit status 1."""
+        return False
+
     def expects_input_every_s(self) -> float | None:
         """Longest time without an input before a warning [s]; None for a node without inputs."""
         return None
