@@ -155,6 +155,20 @@ def _ascii_pcd(content: bytes) -> bytes:
     return head + b"DATA ascii\n" + "".join(f"{x} {y} {z}\n" for x, y, z in rows).encode()
 
 
+def _compressed_pcd(folder: Path) -> Path:
+    """By Open3D; the coordinates are rounded and repeated, so that the data refer back to themselves."""
+    from foretouch.libusb import ensure_libusb
+
+    ensure_libusb()
+    import open3d
+
+    xyz = np.tile(np.random.default_rng(1).random((12, 3)).round(1), (3, 1))
+    path = folder / "cloud.pcd"
+    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz))
+    open3d.io.write_point_cloud(str(path), points, compressed=True)
+    return path
+
+
 def _ascii_ply(content: bytes) -> bytes:
     head, _, body = content.partition(b"end_header\n")
     rows = np.frombuffer(body, "<f4").reshape(-1, 3)
@@ -258,6 +272,7 @@ KINDS: dict[str, Kind] = {
     "model rehashed": Kind(_model, model_digest, ("*.safetensors",), _rehash),
     "card": Kind(_model, card_digest, ("*.json",)),
     "yaml": Kind(_settings, settings_digest),
+    "pcd compressed": Kind(_compressed_pcd, cloud_digest),  # last, since a case's seed holds the number of its kind
 }
 
 
