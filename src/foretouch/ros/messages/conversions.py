@@ -11,7 +11,7 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.errors import CloudError
+from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -24,6 +24,7 @@ _REFERENCES: dict[Reference, int] = {
     "tare": TouchPredictionMsg.TARE,
     "touches": TouchPredictionMsg.TOUCHES,
 }
+_REFERENCE_NAMES = {code: name for name, code in _REFERENCES.items()}
 
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
 _MAX_COEFFICIENT = 1e100  # of a plane
@@ -117,17 +118,20 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
 
     Raises:
         GraspError: As `decode_grasp`.
+        ModelError: If the reference is unknown.
     """
     rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
-    names = {code: name for name, code in _REFERENCES.items()}
+    reference = _REFERENCE_NAMES.get(message.reference)
+    if reference is None:
+        raise ModelError(f"reference: {message.reference} is none of {', '.join(_REFERENCES)}")
     refused = bool(np.isnan(value).any())
     return TouchPrediction(
         grasp=decode_grasp(message.grasp),
         value=None if refused else Touch.from_vector(value),
         lower=None if np.isnan(lower).any() else Touch.from_vector(lower),
         upper=None if np.isnan(upper).any() else Touch.from_vector(upper),
-        reference=names[message.reference],
+        reference=reference,
         flags=tuple(message.flags),
         status="refused" if refused else "ok",
         reason=message.reason,
@@ -143,7 +147,7 @@ def interval_text(interval: Interval) -> str:
 
 def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
     """What a prediction is based on, as text: `cloud only`, `tare`, `3 touches`; the number is left out if it is 0."""
-    name = {code: name for name, code in _REFERENCES.items()}[message.reference]
+    name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
     return {"none": "cloud only", "touches": f"{touches or ''} touches".strip()}.get(name, name)
 
 

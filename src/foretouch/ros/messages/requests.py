@@ -59,7 +59,7 @@ class RefusalError(ForetouchError):
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
         self.status = status
-        self.reason = reason
+        self.reason = str(self)
 
 
 def read_cloud(message: PointCloud2) -> Cloud:
@@ -111,9 +111,16 @@ def read_table(message: TablePlane, header: Header) -> Plane:
         RefusalError: The status and reason of a table that was not found, BAD_PLANE, or UNKNOWN_FRAME.
     """
     if message.status != Status.OK:
-        raise RefusalError(message.status, message.reason)
+        raise passed_on("table", message.status, message.reason)
     check_frames("table", message.header, header)
     return read_plane(message.plane)
+
+
+def passed_on(name: str, status: int, reason: str) -> RefusalError:
+    """The refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
+    if status not in _NAMES:
+        return RefusalError(Status.BAD_REQUEST, f"{name}: status {status} is unknown")
+    return RefusalError(status, reason or f"{name}: status {status_name(status)} without a reason")
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:
