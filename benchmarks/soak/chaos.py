@@ -216,7 +216,11 @@ class Soak:
         answer = self.observer.call(
             StartRecording, f"{NAMESPACE}/start_recording", StartRecording.Request(path=str(path), object="can")
         )
-        return "no answer" if answer is None else str(answer.message)
+        if answer is None or not answer.success:
+            return "no answer" if answer is None else str(answer.message)
+        seen = self.observer.seen
+        shown = self.observer.wait(lambda: seen.recorder.recording and seen.recorder.path == answer.path, PATIENCE_S)
+        return "" if shown else "recorder_status does not show it"
 
     def finish(self) -> str:
         """End a recording; gives the error."""
