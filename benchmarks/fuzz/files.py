@@ -27,6 +27,7 @@ import numpy as np
 
 SECONDS = 1.0  # of CPU time that a reader may take
 PATIENCE_S = 20.0  # of wall time until the child is killed
+START_S = 180.0  # more for the first file, since the child starts and imports
 MEMORY = 2_000_000_000  # bytes that the child may map beyond what its imports take
 LINE = 3000  # characters of the longest refusal
 COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught", "signal", "slow", "slowest_ms")
@@ -367,7 +368,9 @@ class Child:
 
     def read(self, kind: str, path: Path) -> dict[str, Any]:
         """The child's answer; a crash or a hang of it is an answer too."""
+        patience_s = PATIENCE_S
         if self.process is None:
+            patience_s += START_S
             self.process = subprocess.Popen(
                 [sys.executable, __file__, "--serve"],
                 stdin=subprocess.PIPE,
@@ -380,7 +383,7 @@ class Child:
         try:
             self.process.stdin.write(json.dumps([kind, str(path)]) + "\n")
             self.process.stdin.flush()
-            line = self._line()
+            line = self._line(patience_s)
         except (BrokenPipeError, TimeoutError) as err:
             line = ""
             if isinstance(err, TimeoutError):
@@ -393,12 +396,12 @@ class Child:
         self.process = None
         return {"outcome": "signal", "detail": f"exit status {status}", "seconds": 0.0}
 
-    def _line(self) -> str:
+    def _line(self, patience_s: float) -> str:
         import select
 
         assert self.process is not None
         assert self.process.stdout is not None
-        if not select.select([self.process.stdout], [], [], PATIENCE_S)[0]:
+        if not select.select([self.process.stdout], [], [], patience_s)[0]:
             raise TimeoutError
         return self.process.stdout.readline()
 

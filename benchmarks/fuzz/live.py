@@ -18,6 +18,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -182,18 +183,17 @@ class Graph:
         """The predictions for a cloud from vision alone, as numbers."""
         for name in ("use_tare", "use_touches"):
             self.set("touch_predictor", name, False)
-        stamp = stamped(cloud)
         self.heard.touch.clear()
-        for _ in range(3):  # an earlier flood may still fill the queue
+        sent: set[int] = set()
+        end = time.monotonic() + ANSWER_S
+        while not (answered := sent & self.heard.touch.keys()):  # an earlier flood may still fill the queues
+            if time.monotonic() > end:
+                raise TimeoutError("points: a good cloud is not answered")
+            sent.add(stamped(cloud))
             self.send("points", cloud)
-            try:
-                self.until(lambda: stamp in self.heard.touch, ANSWER_S / 3, "points: an answer to a good cloud")
-                break
-            except TimeoutError:
-                stamp = stamped(cloud)
-        else:
-            raise TimeoutError("points: a good cloud is not answered")
-        message = self.heard.touch[stamp]
+            with suppress(TimeoutError):
+                self.until(lambda: sent & self.heard.touch.keys(), ANSWER_S / 10, "an answer")
+        message = self.heard.touch[answered.pop()]
         for name in ("use_tare", "use_touches"):
             self.set("touch_predictor", name, True)
         return [message.status, *(numbers_of(one) for one in message.predictions)]

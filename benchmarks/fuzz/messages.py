@@ -28,7 +28,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from absurd import change, pick, value_of
+from absurd import change, pick
 from files import COLUMNS, LINE, MEMORY, SECONDS, mutated
 
 PATIENCE_S = 30.0  # of wall time for one case, until the child is killed

@@ -433,7 +433,27 @@ def timeline(soak: Soak, origin: float, minutes: float) -> list[dict[str, Any]]:
     return rows
 
 
-def summary(soak: Soak, done: list[Disturbance], datasets: dict[str, str]) -> tuple[list[dict[str, Any]], bool]:
+def quiet_figures(seen: Any, done: list[Disturbance]) -> dict[str, float]:
+    """What the computer manages without a disturbance, since it may be shared: gaps between answers, and latency."""
+    busy = [(one.start_s - 1.0, (one.recovered_s or one.end_s) + 3.0) for one in done]
+    answers = sorted(seen.answered_at.values())
+    gaps = [b - a for a, b in pairwise(answers) if not any(a <= end and b >= start for start, end in busy)]
+    latency = sorted(
+        at - seen.clouds[stamp]
+        for stamp, at in seen.answered_at.items()
+        if stamp in seen.clouds and not any(start <= at <= end for start, end in busy)
+    )
+    if not gaps or not latency:
+        return {}
+    return {
+        "longest gap between answers, undisturbed [s]": round(max(gaps), 2),
+        "latency p50, undisturbed [s]": round(latency[len(latency) // 2], 3),
+        "latency p95, undisturbed [s]": round(latency[len(latency) * 95 // 100], 3),
+        "latency max, undisturbed [s]": round(latency[-1], 3),
+    }
+
+
+def summary(soak: Soak, done: list[Disturbance], origin: float, datasets: dict[str, str]) -> tuple[list[dict[str, Any]], bool]:
     """The figures, and whether all limits were kept."""
     seen = soak.observer.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
@@ -452,7 +472,7 @@ def summary(soak: Soak, done: list[Disturbance], datasets: dict[str, str]) -> tu
         "clouds with a repeated stamp": seen.repeated,
         **dict(sorted(fates.items())),
         "unexplained": len(unexplained),
-        "clouds answered twice or more": sum(n > 1 for n in seen.answer_stamps.values()),
+        "further answers to an answered cloud": seen.answered_again,
         **{f"answers {name}": count for name, count in sorted(seen.statuses.items())},
         "answers that are not finite": seen.not_finite,
         "internal errors": sum(errors.values()),
@@ -460,9 +480,13 @@ def summary(soak: Soak, done: list[Disturbance], datasets: dict[str, str]) -> tu
         "disturbances": len(done),
         "recovered within 2 s": len(done) - len(late),
         **{f"dataset {name}, repaired": text for name, text in datasets.items()},
+        **quiet_figures(seen, done),
+        "load of the computer, processes per core": round(os.getloadavg()[2] / (os.cpu_count() or 1), 1),
         "longest recovery [s]": round(max(recoveries, default=float("nan")), 2),
         "median recovery [s]": round(sorted(recoveries)[len(recoveries) // 2], 2) if recoveries else "",
     }
+    for stamp, node in unexplained:
+        print(f"  unexplained at {node}: cloud {stamp}, {seen.clouds[stamp] - origin:.1f} s after the start")
     for text in (*soak.unexpected, *errors, *(f"no recovery within 2 s: {n}" for n in late), *(f"failed: {n}" for n in strayed)):
         print(f"  {text}")
     bad = bool(unexplained or seen.not_finite or errors or soak.unexpected or late or strayed)
@@ -503,7 +527,7 @@ def main() -> int:
             for log in Path(name).glob("*.log"):
                 shutil.copy(log, options.out)
         found = {str(p.parent.relative_to(name)): p.parent for p in Path(name).rglob("session-0001.mcap")}
-        figures, kept = summary(soak, done, {key: verified(path) for key, path in sorted(found.items())})
+        figures, kept = summary(soak, done, origin, {key: verified(path) for key, path in sorted(found.items())})
         write_csv(options.out / "summary.csv", figures)
         write_csv(options.out / "memory.csv", slopes(soak.memory))
         write_csv(options.out / "disturbances.csv", [row_of(one, origin, soak.observer.seen.answers) for one in done])

@@ -44,7 +44,8 @@ class Observations:
     repeated: int = 0  # clouds with a stamp that was seen before
     stamps: dict[str, set[int]] = field(default_factory=lambda: {name: set() for name in (*_TOPICS, "touch")})
     answers: list[float] = field(default_factory=list)
-    answer_stamps: Counter[int] = field(default_factory=Counter)
+    answered_at: dict[int, float] = field(default_factory=dict)  # first answer by stamp
+    answered_again: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     not_finite: int = 0  # predictions with status OK and a value that is not finite
     tactile_s: float = 0.0  # of the latest tactile message
@@ -135,8 +136,10 @@ class Observer:
         ]
         with self.lock:
             self.seen.stamps["touch"].add(stamp)
-            self.seen.answers.append(time.monotonic())
-            self.seen.answer_stamps[stamp] += 1
+            now = time.monotonic()
+            self.seen.answers.append(now)
+            self.seen.answered_again += stamp in self.seen.answered_at
+            self.seen.answered_at.setdefault(stamp, now)
             self.seen.statuses[status_name(message.status)] += 1
             self.seen.not_finite += not all(map(math.isfinite, values))
 
@@ -161,10 +164,12 @@ class Observer:
 
     def _add_drops(self, node: str, before: Report | None, now: Report) -> None:
         counts = {key.removeprefix("dropped."): int(n) for key, n in now.values.items() if key.startswith("dropped.")}
-        counts["lost in transport"] = int(now.values.get("lost_on_the_way", 0))
-        for reason, count in counts.items():
-            key = "lost_on_the_way" if reason == "lost in transport" else f"dropped.{reason}"
-            more = count - (int(before.values.get(key, 0)) if before else 0)
+        keys = {f"dropped.{reason}": reason for reason in counts}
+        counts |= {topic: int(now.values.get(f"lost_on_the_way.{topic}", 0)) for topic in _TOPICS}
+        keys |= {f"lost_on_the_way.{topic}": topic for topic in _TOPICS}
+        for key, reason in keys.items():
+            more = counts[reason] - (int(before.values.get(key, 0)) if before else 0)
             if more > 0:
                 start = before.time_s if before else now.time_s - 1.0
-                self.seen.drops.append(Drop(node, reason, more, start, now.time_s))
+                text = f"lost on the way, {reason}" if reason in _TOPICS else reason
+                self.seen.drops.append(Drop(node, text, more, start, now.time_s))

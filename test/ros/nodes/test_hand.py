@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -218,6 +219,14 @@ def test_stopping_in_the_middle_of_a_grasp_tells_nothing_of_it(graph, scene_file
     send.publish(grasps(planned(config), "whole", time.time_ns()))
     graph.until(lambda: told)
     assert [report.grasp_id for report in told] == ["whole"]
+
+
+def test_cleaning_up_releases_the_scene(graph, scene_file) -> None:
+    node, _, _ = start(graph, scene_file(scene(CAN)))
+    hand = weakref.ref(node._hand)
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert hand() is None
 
 
 def test_it_says_what_is_wrong_with_its_settings(graph, tmp_path) -> None:
