@@ -13,6 +13,7 @@ import gc
 import json
 import math
 import mmap
+import os
 import re
 import resource
 import struct
@@ -31,7 +32,8 @@ import numpy as np
 from absurd import change, pick
 from files import COLUMNS, LINE, MEMORY, SECONDS, mutated
 
-PATIENCE_S = 30.0  # of wall time for one case, until the child is killed
+PATIENCE_S = 15.0  # of CPU time for one case, until the child is killed; the first one includes the imports
+STILL_S = 600.0  # of wall time, for a case that waits for something
 DAMAGED = 0.25  # share of the cases whose bytes are damaged
 FRAME = "camera_depth_optical_frame"
 NOW_NS = 1_700_000_000_000_000_000
@@ -688,11 +690,10 @@ def run(name: str, cases: int, seed: int) -> tuple[dict[str, Any], list[str]]:
     faults: list[str] = []
     slowest, first = 0.0, 0
     with tempfile.NamedTemporaryFile(prefix="foretouch-fuzz-") as progress, tempfile.TemporaryFile("w+") as answers:
-        progress.write(_PROGRESS.pack(0))
-        progress.flush()
         while first < cases:
             answers.seek(0)
             answers.truncate()
+            Path(progress.name).write_bytes(_PROGRESS.pack(first))
             ended = _child(name, cases, seed, first, progress.name, answers)
             answers.seek(0)
             for line in answers:
@@ -720,17 +721,26 @@ def _child(name: str, cases: int, seed: int, first: int, progress: str, answers:
     process = subprocess.Popen(
         [*words, "--first", str(first), "--progress", progress], stdout=answers, stderr=subprocess.DEVNULL
     )
-    at, since = -1, time.monotonic()
+    at, since, used = -1, time.monotonic(), 0.0
     while process.poll() is None:
-        time.sleep(0.05)
+        time.sleep(0.2)
         (number,) = _PROGRESS.unpack(Path(progress).read_bytes())
         if number != at:
-            at, since = number, time.monotonic()
-        elif time.monotonic() - since > PATIENCE_S + 60.0 * (number == first):  # the first case waits for the imports
+            at, since, used = number, time.monotonic(), _cpu_s(process.pid)
+        elif _cpu_s(process.pid) - used > PATIENCE_S or time.monotonic() - since > STILL_S:
             process.kill()
             process.wait()
             return "hang"
     return "" if process.returncode == 0 else f"exit status {process.returncode}"
+
+
+def _cpu_s(pid: int) -> float:
+    """CPU time that a process has used [s]."""
+    try:
+        times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> int:
