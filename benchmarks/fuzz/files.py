@@ -28,6 +28,7 @@ from foretouch.selftest.damage import mutated
 
 SECONDS = 1.0  # of CPU time that a reader may take
 PATIENCE_S = 20.0  # of wall time until the child is killed
+START_S = 180.0  # more for the first file, since the child starts and imports
 MEMORY = 2_000_000_000  # bytes that the child may map beyond what its imports take
 LINE = 3000  # characters of the longest refusal
 COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught", "signal", "slow", "slowest_ms")
@@ -141,6 +142,20 @@ def _ascii_pcd(content: bytes) -> bytes:
     return head + b"DATA ascii\n" + "".join(f"{x} {y} {z}\n" for x, y, z in rows).encode()
 
 
+def _compressed_pcd(folder: Path) -> Path:
+    """By Open3D; the coordinates are rounded and repeated, so that the data refer back to themselves."""
+    from foretouch.libusb import ensure_libusb
+
+    ensure_libusb()
+    import open3d
+
+    xyz = np.tile(np.random.default_rng(1).random((12, 3)).round(1), (3, 1))
+    path = folder / "cloud.pcd"
+    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(xyz))
+    open3d.io.write_point_cloud(str(path), points, compressed=True)
+    return path
+
+
 def _ascii_ply(content: bytes) -> bytes:
     head, _, body = content.partition(b"end_header\n")
     rows = np.frombuffer(body, "<f4").reshape(-1, 3)
@@ -244,6 +259,7 @@ KINDS: dict[str, Kind] = {
     "model rehashed": Kind(_model, model_digest, ("*.safetensors",), _rehash),
     "card": Kind(_model, card_digest, ("*.json",)),
     "yaml": Kind(_settings, settings_digest),
+    "pcd compressed": Kind(_compressed_pcd, cloud_digest),  # last, since a case's seed holds the number of its kind
 }
 
 
@@ -295,7 +311,9 @@ class Child:
 
     def read(self, kind: str, path: Path) -> dict[str, Any]:
         """The child's answer; a crash or a hang of it is an answer too."""
+        patience_s = PATIENCE_S
         if self.process is None:
+            patience_s += START_S
             self.process = subprocess.Popen(
                 [sys.executable, __file__, "--serve"],
                 stdin=subprocess.PIPE,
@@ -308,7 +326,7 @@ class Child:
         try:
             self.process.stdin.write(json.dumps([kind, str(path)]) + "\n")
             self.process.stdin.flush()
-            line = self._line()
+            line = self._line(patience_s)
         except (BrokenPipeError, TimeoutError) as err:
             line = ""
             if isinstance(err, TimeoutError):
@@ -321,12 +339,12 @@ class Child:
         self.process = None
         return {"outcome": "signal", "detail": f"exit status {status}", "seconds": 0.0}
 
-    def _line(self) -> str:
+    def _line(self, patience_s: float) -> str:
         import select
 
         assert self.process is not None
         assert self.process.stdout is not None
-        if not select.select([self.process.stdout], [], [], PATIENCE_S)[0]:
+        if not select.select([self.process.stdout], [], [], patience_s)[0]:
             raise TimeoutError
         return self.process.stdout.readline()
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 _SHOWN: Final = 200  # characters of a name or value in a message
 _PATH: Final = 400  # characters of a path in a message
 _RULE: Final = 800  # characters of a rule, which may list what is known
+_LINE: Final = 2000  # characters of a message
 
 
 def shown(value: Any, limit: int = _SHOWN) -> str:
@@ -37,7 +38,15 @@ def quoted(value: Any) -> str:
 
 
 class ForetouchError(Exception):
-    """A known failure, described in one line."""
+    """A known failure, described in one line.
+
+    Args:
+        message: The line. Names in it may come from files or messages, so it is shortened and escaped as `shown` does.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        text = str(message)
+        super().__init__(text if len(text) <= _LINE and text.isprintable() else shown(text, _LINE))
 
 
 class ConfigError(ForetouchError):

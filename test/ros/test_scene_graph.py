@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("libusb_package", reason="the camera's libraries are not installed")
 
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from sim_builders import CAN, scene
 
@@ -21,6 +22,7 @@ from foretouch.ros.nodes.camera import CameraNodeConfig
 from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.simulation.show import ShowConfig
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
 pytestmark = pytest.mark.ros
@@ -53,3 +55,14 @@ def test_faults_are_for_the_camera_of_a_scene() -> None:
     with pytest.raises(ConfigError, match="faults: are supported by the camera of a scene only, not device"):
         CameraNodeConfig(faults=FaultConfig(drop_share=0.1))
     assert CameraNodeConfig(source="scene", faults=FaultConfig(drop_share=0.1)).faults.drop_share == 0.1
+
+
+def test_faults_of_a_running_camera_can_be_changed(graph, tmp_path) -> None:
+    config = scene(CAN, camera={"width": 96, "height": 72})
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(config.to_mapping()), encoding="utf-8")
+    points = graph.listen(PointCloud2, "points", reliable=False)
+    (camera,) = graph.add("camera", source="scene", camera__fps=15, scene__path=str(path))
+    graph.until(lambda: points)
+    assert camera.set_parameters([Parameter("faults.skew_s", value=3600.0)])[0].successful
+    graph.until(lambda: stamp_ns(points[-1].header.stamp) > time.time_ns() + 3500 * 10**9, timeout_s=10.0)

@@ -6,7 +6,7 @@ from sim_builders import CAN, scene
 from foretouch.camera import RealSenseConfig, open_camera
 from foretouch.camera.device import realsense
 from foretouch.errors import MissingDependencyError
-from foretouch.simulation.message_faults import FaultConfig
+from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera
 from foretouch.simulation.show import ShowConfig
 
@@ -26,7 +26,7 @@ class Clock:
 
 def images(config, **faults) -> tuple[SceneImages, Clock, ShowConfig]:
     clock, show = Clock(), ShowConfig(dwell_s=2.0, origin_ns=START)
-    return SceneImages(config, show, FaultConfig(**faults), clock), clock, show
+    return SceneImages(config, show, MessageFaults(FaultConfig(**faults)), clock), clock, show
 
 
 def test_what_is_seen_is_the_sample_of_its_stamp() -> None:

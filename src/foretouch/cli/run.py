@@ -240,8 +240,6 @@ def _draw(graph: Graph, path: str) -> None:
 
 
 def _print_answer(message: Any) -> None:
-    from foretouch.cli.predict import prediction_record
-    from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
     from foretouch.tactile.messages.table import stamp_ns
 
@@ -251,6 +249,20 @@ def _print_answer(message: Any) -> None:
             "frame_id": message.header.frame_id,
             "status": status_name(message.status),
             "reason": message.reason,
-            "predictions": [prediction_record(prediction_from_msg(one)) for one in message.predictions],
+            "predictions": list(map(_prediction_record, message.predictions)),
         }
     )
+
+
+def _prediction_record(message: Any) -> dict[str, Any]:
+    """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
+    from foretouch.cli.predict import prediction_record
+    from foretouch.ros.messages.conversions import prediction_from_msg
+    from foretouch.ros.messages.requests import status_name
+    from foretouch_msgs.msg import Status
+
+    try:
+        return dict(prediction_record(prediction_from_msg(message)))
+    except ForetouchError as err:
+        status = message.status or Status.FAILED
+        return {"status": status_name(status), "reason": message.reason or str(err)}

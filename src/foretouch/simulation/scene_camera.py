@@ -117,7 +117,7 @@ class SceneImages:
         self,
         scene: SceneConfig,
         show: ShowConfig,
-        faults: FaultConfig | None = None,
+        faults: MessageFaults | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._maker = FrameMaker(scene)
@@ -128,7 +128,7 @@ class SceneImages:
         self._slot: int | None = None
         self._images: list[DepthImage] = []
         self._taken_ns: int | None = None
-        self.faults = MessageFaults(faults or FaultConfig())
+        self.faults = faults or MessageFaults(FaultConfig())
 
     def __call__(self, number: int) -> DepthImage:
         """The image with this number."""
@@ -158,14 +158,16 @@ class SceneImages:
             return self._maker.nothing()
 
 
-def scene_camera(scene: SceneConfig, show: ShowConfig, fps: int, faults: FaultConfig | None = None) -> SyntheticCamera:
+def scene_camera(
+    scene: SceneConfig, show: ShowConfig, fps: int, faults: MessageFaults | None = None
+) -> SyntheticCamera:
     """A device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.
         show: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
-        faults: Of stamps and images.
+        faults: Of stamps and images; their settings may be replaced while it streams.
     """
     images = SceneImages(scene, show, faults)
     return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)

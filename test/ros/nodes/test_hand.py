@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -283,6 +284,14 @@ def test_a_grasp_with_an_internal_error_has_failed_and_the_next_one_is_executed(
     assert [report.grasp_id for report in told] == ["second"]
     summary = node.statistics.summary()
     assert summary.received == 2 == summary.used + sum(summary.dropped.values())
+
+
+def test_cleaning_up_releases_the_scene(graph, scene_file) -> None:
+    node, _, _ = start(graph, scene_file(scene(CAN)))
+    hand = weakref.ref(node._hand)
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert hand() is None
 
 
 def test_it_says_what_is_wrong_with_its_settings(graph, tmp_path) -> None:

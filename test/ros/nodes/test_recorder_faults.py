@@ -290,3 +290,21 @@ def test_a_folder_that_was_moved_keeps_its_samples(graph: Any, tmp_path: Path) -
     )
     assert [report.fault_lines() for report in verify_dataset(tmp_path / "moved")] == [[]]
     assert len(recorded(tmp_path / "moved")) == 1
+
+
+def test_bytes_that_are_no_message_are_counted_and_the_recording_goes_on(graph: Any, tmp_path: Path) -> None:
+    node, robot, _ = start(graph, tmp_path / "set")
+    robot.grasp("before", 0)
+    graph.until(lambda: node.status().samples == 1)
+    for publisher, topic in ((robot.hand, "/rh/tactile"), (robot.grasps, "grasps"), (robot.told, "executed_grasp")):
+        publisher.publish(b"\0\1\0\0" + b"\xff" * 60)
+        graph.until(lambda topic=topic: any(name.endswith(topic) for name in unreadable(node)))
+    robot.grasp("after", 1)
+    graph.until(lambda: node.status().samples == 2)
+    assert (node.recording, node.status().reason) == (True, "")
+    node.end()
+    assert [report.fault_lines() for report in verify_dataset(tmp_path / "set")] == [[]]
+
+
+def unreadable(node: Any) -> list[str]:
+    return [name.removeprefix("unreadable ") for name in node.session_status().anomalies if "unreadable" in name]

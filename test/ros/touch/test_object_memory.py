@@ -9,8 +9,9 @@ from calibrated_models import REST, save_calibrated_network
 
 from foretouch.errors import TactileError
 from foretouch.models import TouchModel, load_model
+from foretouch.models.hand_history import Extent
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.ros.touch.tactile_state import ObjectMemory, _Extent
+from foretouch.ros.touch.tactile_state import ObjectMemory
 from foretouch.types import Cloud, Grasp, Touch
 
 NEAR_M = 0.02
@@ -102,4 +103,4 @@ def test_position_and_size_of_a_large_cloud_are_computed_in_double() -> None:
     points = (np.random.default_rng(0).normal(size=(1_000_000, 3)) * 0.03 + [0.1, 0.05, 1.2]).astype(np.float32)
     exact = points.astype(np.float64)
     expected = np.concatenate([exact.mean(axis=0), exact.std(axis=0)])
-    np.testing.assert_allclose(_Extent.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm
+    np.testing.assert_allclose(Extent.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm

@@ -30,6 +30,7 @@ _LATTICE_TOLERANCE = 0.2  # of a pixel, between a ray and the middle of its colu
 _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column or row
 _LATTICE_SIZE = 1e5  # columns or rows of any camera
 _LATTICE_CELLS = 64  # cells per point; a sparser image is not an object seen by one camera
+_IMAGE_CELLS = 1280 * 720  # cells in any case: a depth image of a RealSense
 # Pixels from the centre of the window to its edge. On a frontal surface 50 neighbours are within 4 pixels, at
 # its rim within 6; a wider window costs more than the tree needs for the points this one leaves unproven.
 _REACH = 5
@@ -45,8 +46,10 @@ class PixelGrid:
     width: int
 
     @classmethod
-    def from_pixels(cls, pixels: npt.NDArray[np.integer], image_shape: tuple[int, int]) -> Self:
-        """A grid from flat, row-major indices into an image.
+    def from_pixels(cls, pixels: npt.NDArray[np.integer], image_shape: tuple[int, int]) -> Self | None:
+        """A grid from flat, row-major indices into an image; None if it would be large and almost empty.
+
+        Time and memory are those of the smallest rectangle around the pixels, which a message may place anywhere.
 
         Args:
             pixels: (N,) integer, all different.
@@ -60,7 +63,10 @@ class PixelGrid:
             raise CloudError(f"pixels: {pixels.dtype} {pixels.shape} is no list of indices")
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < height * width):
             raise CloudError(f"pixels: {pixels.min()} ... {pixels.max()} is outside of an image of {height}x{width}")
-        grid = cls._cropped(*np.divmod(pixels.astype(np.int64), width))
+        row, column = np.divmod(pixels.astype(np.int64), width)
+        if len(pixels) and np.ptp(row) * np.ptp(column) > max(_IMAGE_CELLS, _LATTICE_CELLS * len(pixels)):
+            return None
+        grid = cls._cropped(row, column)
         if grid is None:
             raise CloudError("pixels: an index occurs twice")
         return grid

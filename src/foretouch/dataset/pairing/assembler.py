@@ -24,7 +24,7 @@ from foretouch.dataset.pairing.matcher import (
 )
 from foretouch.dataset.pairing.sensors import ALIVE, NO_DATA, ContactEpisodes, SensorHealth
 from foretouch.dataset.record import DISCARDED, Outcome, SampleRecord, TouchSeries
-from foretouch.errors import CloudError, GraspError
+from foretouch.errors import CloudError, DatasetError, GraspError
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
@@ -306,10 +306,10 @@ def _grasps(plan: PlannedGrasps, wanted: str) -> tuple[Grasp, tuple[Grasp, ...]]
 
 
 def _object_cloud(cloud: BufferedCloud, frame_id: str, object_id: str) -> Cloud:
-    message = cloud.message.decode()
     try:
+        message = cloud.message.decode()
         objects = decode_objects(message)
-    except CloudError as err:
+    except (CloudError, DatasetError) as err:
         raise PairingError("bad_cloud", str(err)) from err
     if message.header.frame_id != frame_id:
         raise PairingError("frame_differs", f"cloud in {message.header.frame_id!r}, grasps in {frame_id!r}")

@@ -11,7 +11,7 @@ from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.errors import CloudError
+from foretouch.errors import CloudError, ModelError
 from foretouch.grasp import quaternion_xyzw
 from foretouch.types import ELECTRODES, TOUCH_SIZE, Evidence, Float64, Grasp, Plane, Reference, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
@@ -25,6 +25,7 @@ _REFERENCES: dict[Reference, int] = {
     "touches": TouchPredictionMsg.TOUCHES,
     "history": TouchPredictionMsg.HISTORY,
 }
+_REFERENCE_NAMES = {code: name for name, code in _REFERENCES.items()}
 
 _NO_AGE_S = -1.0
 _MAX_OFFSET_M = 1000.0  # of a table from the camera, or more by the largest component of its normal
@@ -124,10 +125,13 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
 
     Raises:
         GraspError: As `decode_grasp`.
+        ModelError: If the reference is unknown.
     """
     rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
     value, lower, upper = np.array([(one.value, one.lower, one.upper) for one in rows], np.float64).T
-    names = {code: name for name, code in _REFERENCES.items()}
+    reference = _REFERENCE_NAMES.get(message.reference)
+    if reference is None:
+        raise ModelError(f"reference: {message.reference} is none of {', '.join(_REFERENCES)}")
     refused = bool(np.isnan(value).any())
     refusal: Literal["bad_grasp", "refused"] = "bad_grasp" if message.status == Status.BAD_GRASP else "refused"
     return TouchPrediction(
@@ -135,7 +139,7 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
         value=None if refused else Touch.from_vector(value),
         lower=None if np.isnan(lower).any() else Touch.from_vector(lower),
         upper=None if np.isnan(upper).any() else Touch.from_vector(upper),
-        reference=names[message.reference],
+        reference=reference,
         flags=tuple(message.flags),
         status=refusal if refused else "ok",
         reason=message.reason,
@@ -173,7 +177,7 @@ def reference_text(message: TouchPredictionMsg, touches: int = 0) -> str:
         message: The prediction.
         touches: Number of touches to show if the message has none, as those of earlier versions; 0 leaves it out.
     """
-    name = {code: name for name, code in _REFERENCES.items()}[message.reference]
+    name = _REFERENCE_NAMES.get(message.reference, f"reference {message.reference}")
     count = message.touches or touches
     touched = f"{count} touch{'' if count == 1 else 'es'}" if count else "touches"
     return {"none": "cloud only", "touches": touched, "history": f"history of {message.readings} readings"}.get(

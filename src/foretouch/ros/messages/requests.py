@@ -2,13 +2,15 @@
 """Inputs from other nodes, read or refused with a status, and the plan of grasps that answers."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_cloud
-from foretouch.errors import CloudError, ForetouchError
+from foretouch.errors import CloudError, DatasetError, ForetouchError
 from foretouch.grasp import GraspHold, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_from_msg
@@ -36,6 +38,7 @@ _CODES: dict[str, int] = {
     "failed": Status.FAILED,
 }
 _NAMES = {code: name for name, code in _CODES.items()}
+_M = TypeVar("_M")
 
 
 def status_code(name: str) -> int:
@@ -59,7 +62,20 @@ class RefusalError(ForetouchError):
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
         self.status = status
-        self.reason = reason
+        self.reason = str(self)
+
+
+def read_serialized(data: bytes, kind: type[_M]) -> _M:
+    """Deserialise a message of a raw subscription, whose bytes nobody has checked.
+
+    Raises:
+        DatasetError: If they are not a message of this type.
+    """
+    try:
+        message: _M = deserialize_message(data, kind)
+    except Exception as err:  # rclpy declares no type for it
+        raise DatasetError(f"{kind.__name__}: {len(data)} bytes cannot be deserialized: {err}") from err
+    return message
 
 
 def read_cloud(message: PointCloud2) -> Cloud:
@@ -111,9 +127,16 @@ def read_table(message: TablePlane, header: Header) -> Plane:
         RefusalError: The status and reason of a table that was not found, BAD_PLANE, or UNKNOWN_FRAME.
     """
     if message.status != Status.OK:
-        raise RefusalError(message.status, message.reason)
+        raise passed_on("table", message.status, message.reason)
     check_frames("table", message.header, header)
     return read_plane(message.plane)
+
+
+def passed_on(name: str, status: int, reason: str) -> RefusalError:
+    """The refusal of a message, called `name`, whose sender has refused the cloud; with a reason in any case."""
+    if status not in _NAMES:
+        return RefusalError(Status.BAD_REQUEST, f"{name}: status {status} is unknown")
+    return RefusalError(status, reason or f"{name}: status {status_name(status)} without a reason")
 
 
 def check_frames(name: str, header: Header, cloud: Header) -> None:

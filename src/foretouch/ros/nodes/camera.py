@@ -20,7 +20,7 @@ from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
-from foretouch.simulation.message_faults import FaultConfig
+from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene_camera import scene_camera, swinging
 from foretouch.simulation.show import ShowConfig
 from foretouch.types import Cloud
@@ -78,6 +78,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._failure = ""
+        self._faults: MessageFaults | None = None
         self._size: dict[str, int] = {}  # of the image, where it is set by a scene
         super().__init__(name, CameraNodeConfig, **options)
 
@@ -90,7 +91,8 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         elif self.config.source == "scene":
             scene = self.config.scene.load()
             self._size = {"width": scene.camera.width, "height": scene.camera.height}
-            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps, self.config.faults)
+            self._faults = MessageFaults(self.config.faults)
+            self.synthetic = scene_camera(scene, self.config.scene, self.config.camera.fps, self._faults)
         self._points = self.advertise(PointCloud2, "points")
 
     def start(self) -> None:
@@ -121,7 +123,9 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         self.synthetic = None
 
     def config_changed(self, config: CameraNodeConfig) -> None:
-        """Apply new filters and timeouts while it streams."""
+        """Apply new filters, timeouts and message faults while it streams."""
+        if self._faults is not None:
+            self._faults.config = config.faults
         camera = self._camera
         if camera is not None:
             camera.reconfigure(config.camera.replace(**self._size))

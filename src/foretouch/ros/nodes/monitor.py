@@ -15,7 +15,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.messages import decode_cloud
@@ -23,7 +22,7 @@ from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Role, Sa
 from foretouch.errors import CloudError, DatasetError, TactileError
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_from_msg
-from foretouch.ros.messages.requests import status_name
+from foretouch.ros.messages.requests import read_serialized, status_name
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.table import stamp_ns
@@ -160,7 +159,7 @@ class MonitorNode(GuardedCallbacks, Node):
             self._on_touch(message)
 
     def _receive_cloud(self, data: bytes) -> None:
-        self._assemble("cloud", SerializedCloud(data, partial(deserialize_message, data, PointCloud2)))
+        self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))
 
     def _assemble(self, role: Role, message: Any) -> None:
         now_s = time.monotonic()

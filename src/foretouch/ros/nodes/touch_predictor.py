@@ -28,7 +28,7 @@ from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, PipelineConfig
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import RefusalError, check_frames, read_plane, read_targets
+from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
@@ -156,7 +156,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         grasps = messages[GRASPS_TOPIC]
         self._remember_cloud(messages[CLOUD_TOPIC])
         if not grasps.grasps:
-            raise RefusalError(grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
+            raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames(GRASPS_TOPIC, grasps.header, header)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
         message = self._predict(targets, grasps.grasps, header, None)

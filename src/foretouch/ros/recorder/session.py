@@ -13,11 +13,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from rclpy.serialization import deserialize_message
-
 from foretouch.dataset.pairing import Label, RejectedGrasp, Role, SampleAssembler, SerializedCloud
 from foretouch.dataset.recording import RecordingWriter, TopicCounts
 from foretouch.errors import FileError, ForetouchError
+from foretouch.ros.messages.requests import read_serialized
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
 
 _POLL_S = 0.1
@@ -184,7 +183,7 @@ class RecordingSession:
         role, message_class = self._inputs.get(arrival.topic, (None, object))
         if role is None:
             return
-        decode = partial(deserialize_message, arrival.data, message_class)
+        decode = partial(read_serialized, arrival.data, message_class)
         try:
             message = SerializedCloud(arrival.data, decode) if role == "cloud" else decode()
             with self._assembler_lock:

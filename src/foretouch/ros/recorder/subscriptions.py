@@ -22,6 +22,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from foretouch.ros.recorder.message_queue import Arrival, MessageQueue
 from foretouch.ros.recorder.status import TopicStatistics
+from foretouch.ros.runtime.losses import SequenceNumbers
 
 _ADAPTED = QoSPolicyKind.RELIABILITY
 _OVERRIDDEN = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH)
@@ -72,7 +73,7 @@ class RecorderInput:
         override = f"qos_overrides.{self.name}.subscription.{_ADAPTED.name.lower()}"
         self._overridden = override in getattr(node, "_parameter_overrides", {})
         self._lock = threading.Lock()
-        self._last: dict[bytes, int] = {}
+        self._numbers = SequenceNumbers()
         self._gaps = 0
         self._events = 0
         self._group = MutuallyExclusiveCallbackGroup()
@@ -129,21 +130,13 @@ class RecorderInput:
             self._mismatch(self.topic.name, "publisher", event)
 
     def _receive(self, data: bytes, info: Any) -> None:
-        sequence = info.get("publication_sequence_number")
-        publisher = info.get("publisher_gid")
-        if sequence is not None and publisher is not None and not self._is_new(publisher["data"], sequence):
-            return
-        self._forward(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
-
-    def _is_new(self, publisher: bytes, sequence: int) -> bool:
-        """Count missing messages; False for a message that was received before the subscription was replaced."""
         with self._lock:
-            last = self._last.get(publisher)
-            if last is not None and sequence <= last:
-                return False
-            self._gaps += 0 if last is None else sequence - last - 1
-            self._last[publisher] = sequence
-            return True
+            missing = self._numbers.missing(info)
+            self._gaps += missing or 0
+        if missing is None:  # it was received before the subscription was replaced
+            return
+        sequence = info.get("publication_sequence_number")
+        self._forward(Arrival(self.name, data, info["received_timestamp"], info["source_timestamp"], sequence))
 
     def _count_lost(self, event: Any) -> None:
         with self._lock:

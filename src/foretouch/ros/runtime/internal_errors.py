@@ -15,9 +15,11 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterType, SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.executors import Executor, ExternalShutdownException
 
+from foretouch.errors import shown
 from foretouch_msgs.msg import Status
 
 _LOG_EVERY_S = 5.0  # for each callback
@@ -132,6 +134,8 @@ class GuardedCallbacks:
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
         """See rclpy's `Node`."""
+        if srv_type in (SetParameters, SetParametersAtomically):
+            callback = _with_known_types(callback)
         guarded = self.internal_errors.guarded(srv_name, callback, _failed_service)
         return super().create_service(srv_type, srv_name, guarded, **options)  # type: ignore[misc]
 
@@ -173,6 +177,19 @@ def spin_on(executor: Executor, errors: InternalErrors, until: Callable[[], bool
                 raise ExternalShutdownException from err
             errors.report("executor", err)
             time.sleep(_PAUSE_S)
+
+
+def _with_known_types(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """A callback of rclpy's parameter service that refuses a type that rclpy does not know, and would raise for."""
+
+    def run(request: Any, response: Any) -> Any:
+        for one in request.parameters:
+            if one.value.type > ParameterType.PARAMETER_STRING_ARRAY:
+                reason = f"{shown(one.name)}: type {one.value.type} is none of rcl_interfaces/ParameterType"
+                return _failed_service((request, response), reason)
+        return callback(request, response)
+
+    return run
 
 
 def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:

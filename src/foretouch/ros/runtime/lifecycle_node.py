@@ -9,6 +9,7 @@ publisher and subscriber. Both can be overridden (`qos_overrides.<topic>...` par
 is reported in the log and in /diagnostics.
 """
 
+import gc
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
+from foretouch.ros.runtime.losses import Losses
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.ros.runtime.second_graph import find_conflicts
 from foretouch.topics import NAMESPACE
@@ -73,6 +75,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self._outputs: list[LifecyclePublisher[Any]] = []
         self._inputs: list[Subscription[Any]] = []
+        self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
         self.conflicts: tuple[str, ...] = ()
         self.past_conflicts: list[str] = []
@@ -150,20 +153,23 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def subscribe(
         self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
     ) -> None:
-        """Subscribe with sensor-data QoS.
+        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
+        losses = self._losses[topic] = Losses(self.statistics.lose)
 
-        At most `depth` messages wait. Callbacks of a node never run at the same time.
-        """
+        def receive(content: Any, info: Any) -> None:
+            losses.arrived(info)
+            callback(content)
+
         subscription = self.create_subscription(
             message,
             topic,
-            callback,
+            receive,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
             callback_group=self._input_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
-                message_lost=lambda event: self.statistics.lose(event.total_count_change),
+                message_lost=lambda event: losses.reported(event.total_count_change),
                 use_default_callbacks=False,
             ),
         )
@@ -223,6 +229,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Call `teardown` and destroy publishers and subscriptions."""
         result = super().on_cleanup(state)
         self._release()
+        gc.collect()  # scenes and models refer to themselves, and would stay for minutes beside the next ones
         self.state_name = "unconfigured"
         return result
 
@@ -274,7 +281,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             state=self.state_name,
             errors=self.errors(),
             warnings=(*self.conflicts, *self._mismatches.values(), *recent),
-            notes={**self.notes(), **{f"internal_errors.{name}": str(count) for name, count in errors.items()}},
+            notes={
+                **self.notes(),
+                **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
+                **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
+            },
             expects_input_every_s=self.expects_input_every_s(),
         )
         status = diagnostic_status(self.get_fully_qualified_name(), now, self._last, node)
