@@ -45,6 +45,7 @@ AFTER_JUMP: Final = "after jump"
 _JUMP_GRASPS: Final = 50
 _PAST: Final = "past_mean"
 _RANGES: Final = {**BINS, LATER: (3, 10**9)}
+_OBJECT_BINS: Final = ("0-2", "3-9", "10+", "all", LATER)
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 
 
@@ -192,7 +193,7 @@ def _score_rows(
                         "vs_memory_verdict": other.verdict,
                     }
                 rows.append(row | _interval_columns(scored, method, modality, chosen))
-                for name in own.objects:
+                for name in own.objects if method in scored.half and label in _OBJECT_BINS else ():
                     mine = chosen & (recording.objects == name)
                     single = skills(own.only(name), settings.bootstrap)[modality].value
                     row = {**_EMPTY, "method": method, "bin": label, "object": name, "modality": modality}
@@ -278,7 +279,7 @@ def _object_table(sight: str, rows: Rows) -> Table:
     names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
     body = []
     for method in (TRACKER, MEMORY):
-        for label in ("0", "0-2", "all"):
+        for label in ("0-2", "3-9", "all"):  # a single grasp has no skill of its own
             parts = {name: _find(rows, method=method, bin=label, object=name) for name in names}
             cells = [_four(part, "skill") for part in parts.values()]
             worst = " ".join(
@@ -327,7 +328,7 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
     labels = ["0", "1", "2", "3-9", "10+"]
-    figure = new_figure(14.0, 7.5)
+    figure = new_figure(11.0, 6.0)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True)
     shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
     for axes, modality in zip(above, MODALITIES, strict=True):
