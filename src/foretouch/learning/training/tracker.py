@@ -25,7 +25,7 @@ from foretouch.types import TOUCH_SIZE, Float64
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 _EFFECTIVE_VALUES: Final = 5.0  # of the electrodes of a finger
 _ALARM_QUANTILE: Final = 0.99
-_LEAST_ALARM: Final = 0.25  # half a deviation: below, nothing jumped
+_LEAST_ALARM: Final = (2.0, 0.5)  # of mean square and squared mean: below, nothing jumped
 _STEP: Final = 1e-3  # of the finite differences
 _ITERATIONS: Final = 25
 _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
