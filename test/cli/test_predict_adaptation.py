@@ -20,6 +20,7 @@ from foretouch.cli.predict import read_tare
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
+from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
 from foretouch.models.touch_model import ObjectResiduals
@@ -256,3 +257,56 @@ def test_a_model_without_a_tracker_takes_no_history(call: Call, model: str, sess
     error = call("predict", session, "--model", model, "--history", earlier).err
     assert error.startswith("foretouch predict: ") or "history: cannot be used" in error
     assert len(error.splitlines()) == 1
+
+
+def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(
+    call: Call, model: str, session: Path
+) -> None:
+    answer = call("predict", session, "--model", model, "--prequential", "--json")
+    assert answer.status == 0
+    assert [one["touched"] for one in answer.records] == [0, 1, 2, 3, 4]
+    core = load_model(model)
+    with open_samples(session) as samples:
+        found = sorted((one.sample for one in samples.records()), key=lambda sample: sample.stamp_ns)
+    done = replay_model(core, found)
+    for k, one in enumerate(answer.records):
+        assert one["sample"] == found[k].id
+        np.testing.assert_array_equal(flat(one["predictions"][0], "value"), done.played.counts[k])
+        np.testing.assert_array_equal(flat(one["predictions"][0], "upper"), done.played.counts[k] + done.played.half[k])
+    references = [one["predictions"][0]["reference"] for one in answer.records]
+    assert references[1:] == ["touches"] * 4
+    assert references[0] in ("none", "history")  # a tare is read before the first touch
+
+
+def test_a_history_of_the_same_samples_is_not_used(call: Call, model: str, session: Path) -> None:
+    plain, same = (
+        call("predict", session, "--model", model, "--prequential", "--json", *more)
+        for more in ((), ("--history", session))
+    )
+    assert plain.out == same.out
+
+
+def test_options_that_exclude_each_other_are_refused(call: Call, model: str, session: Path) -> None:
+    answer = call("predict", session, "--model", model, "--prequential", "--tare", "sample")
+    assert answer.status == 1
+    assert "--tare: cannot be combined with --prequential" in answer.err
+
+
+def test_evaluate_in_order_of_time_reports_scores_by_touches(
+    call: Call, model: str, session: Path, tmp_path: Path
+) -> None:
+    with RecordingWriter(tmp_path / "other", IDENTITY, QUICK) as writer:
+        for number in range(4):
+            one = record(10 + number, points=300)
+            label = {"object": "box", "touch": Touch.from_vector(REST - 10.0 * number), "tare": None}
+            writer.append(replace(one, sample=replace(one.sample, **label)))
+    single = call("evaluate", model, session, "--prequential")
+    assert single.status == 1
+    assert "skills require another object" in single.err
+    answer = call("evaluate", model, session, "--prequential", "--history", tmp_path / "other", "--json")
+    (found,) = answer.records
+    assert (found["samples"], found["history"]) == (5, 4)
+    assert found["touches"]["all"]["grasps"] == 5
+    assert found["touches"]["0"]["grasps"] == 1
+    assert set(found["touches"]["all"]["scores"]) >= {"tracker", "memory", "sight", "clock", "running mean"}
+    assert 0.0 <= found["touches"]["all"]["scores"]["tracker"]["E_TH"]["coverage90"] <= 1.0

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from foretouch.cli.output import print_json, print_table, warn
+from foretouch.errors import ConfigError
+from foretouch.tactile import MODALITIES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,12 +20,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="random",
         help="KIND or KIND/PART: samples to test, and samples to fit the baselines to (random, object, time, labels/T50)",
     )
+    parser.add_argument(
+        "--prequential",
+        action="store_true",
+        help="predict the grasps in order of time, each from the cloud and all earlier readings of any object, as a robot at work does",
+    )
+    parser.add_argument(
+        "--history",
+        action="append",
+        default=[],
+        metavar="DATASET",
+        help="with --prequential: further readings of the same sensors, which are not scored",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the baselines")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 0 whatever the scores."""
+    if arguments.prequential:
+        return _run_prequential(arguments)
+    if arguments.history:
+        raise ConfigError("--history: requires --prequential")
     from foretouch.learning.data import load_dataset
     from foretouch.learning.evaluation.evaluate import evaluate_model
 
@@ -44,6 +62,45 @@ def run(arguments: argparse.Namespace) -> int:
         warn("the model was trained on this dataset: its scores are training scores, not test scores")
     show_scores(result, arguments.split)
     return 0
+
+
+def _run_prequential(arguments: argparse.Namespace) -> int:
+    from foretouch.learning.data import load_dataset
+    from foretouch.learning.evaluation.prequential import evaluate_prequential
+    from foretouch.models.registry import load_model
+
+    data = load_dataset(arguments.dataset)
+    samples = [sample for sample in data.samples if sample.touch is not None]
+    history = [
+        sample for path in arguments.history for sample in load_dataset(path).samples if sample.touch is not None
+    ]
+    model = load_model(arguments.model)
+    result = evaluate_prequential(model, samples, history)
+    same = model.card["data"].get("sha256") in (data.sha256, *data.aliases)
+    if arguments.json:
+        record = {"model": arguments.model, "dataset": arguments.dataset, "data_sha256": data.sha256, "same_data": same}
+        print_json({**record, **result})
+        return 0
+    if same:
+        warn("the model was trained on this dataset: its scores are training scores, not test scores")
+    for name, fingers in result["restarted"].items():
+        warn(f"{name}: readings jumped, the memory of {' and '.join(fingers)} was started again")
+    rows = [
+        [f"{label} ({part['grasps']})" if method == "tracker" else "", method, *map(_cell, scores.values())]
+        for label, part in result["touches"].items()
+        for method, scores in part["scores"].items()
+    ]
+    title = (
+        f"{result['samples']} grasps in order of time after {result['history']} of the history; by touches of the object before "
+        "(grasps); skill: 0 is the mean of the other objects, 1 is perfect; in brackets: share of readings in the 90 % interval"
+    )
+    print_table(title, ["touches", "predictor", *MODALITIES], rows)
+    return 0
+
+
+def _cell(score: Mapping[str, Any]) -> str:
+    inside = "" if score["coverage90"] is None else f" ({score['coverage90']:.2f})"
+    return f"{score['skill']:+.2f}{inside}"
 
 
 def show_scores(result: Mapping[str, Any], split: str) -> None:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch predict`: predict the tactile readings of each grasp on each object.
 
-`--tare`, `--touched` and `--history` adapt the predictions to a reading without contact, to touches of the same object, and to earlier
-readings of the same hand.
+`--tare`, `--touched` and `--history` adapt the predictions to a reading without contact, to touches of the same object,
+and to earlier readings of the same hand. `--prequential` replays datasets in order of time instead, each sample predicted
+from all readings before it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.checked_files import read_json
 from foretouch.cli import inputs
-from foretouch.cli.output import print_table
+from foretouch.cli.output import print_json, print_table
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, GraspError, TactileError
 
 if TYPE_CHECKING:
@@ -314,12 +315,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
     add_adaptation_arguments(parser)
+    parser.add_argument(
+        "--prequential",
+        action="store_true",
+        help="of inputs that are datasets, predict the samples in order of time, each from all readings before it, of any object",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud or a grasp was refused."""
     from foretouch.pipeline import Pipeline
 
+    if arguments.prequential:
+        return _run_prequential(arguments)
     changes = {"model": arguments.model} if arguments.model else {}
     defaults = {} if arguments.touched else {"target.mode": "all"}  # touches are of one object
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
@@ -357,6 +365,59 @@ def run(arguments: argparse.Namespace) -> int:
             }
 
     return inputs.process_inputs(arguments, answer, _show)
+
+
+def _run_prequential(arguments: argparse.Namespace) -> int:
+    """Print the prediction of each sample, in order of time."""
+    import numpy as np
+
+    from foretouch.dataset.samples import open_samples
+    from foretouch.learning.evaluation.prequential import replay_model
+    from foretouch.models.registry import load_model
+    from foretouch.types import Evidence, Reference, Touch, TouchPrediction
+
+    for name in ("tare", "touched", "grasp"):
+        if getattr(arguments, name):
+            raise ConfigError(f"--{name}: cannot be combined with --prequential")
+
+    def read(paths: Sequence[str]) -> list[GraspSample]:
+        samples = []
+        for path in paths:
+            with open_samples(path) as found:
+                samples += [record.sample for record in found.records()]
+        return samples
+
+    model = load_model(arguments.model) if arguments.model else load_model()
+    done = replay_model(
+        model, read(arguments.inputs), [one for one in read(arguments.history) if one.touch is not None]
+    )
+    for k in np.flatnonzero(done.scored):
+        sample, level = done.samples[k], done.played.levels[k]
+        counts, half = done.played.counts[k], done.played.half[k]
+        value, lower, upper = (Touch.from_vector(end) for end in (counts, counts - half, counts + half))
+        flags = ("out_of_range",) * bool(model.ranges.outside(counts).any()) + ("unfamiliar",) * (not done.known[k])
+        read_before: Reference = "history" if level.readings_of_history else "none"
+        reference: Reference = "touches" if level.touches_of_object else read_before
+        evidence = Evidence(level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s)
+        predicted = TouchPrediction(sample.grasp, value, lower, upper, reference, flags, evidence=evidence)
+        record = {
+            "input": sample.id,
+            "sample": sample.id,
+            "object": sample.object,
+            "status": "ok",
+            "reason": "",
+            "predictions": [prediction_record(predicted)],
+            "model": {"name": model.name, "sha256": model.sha256},
+            "touched": level.touches_of_object,
+            "history": level.readings_of_history,
+            "history_age_s": level.history_age_s,
+            "restarted": list(done.played.restarted[k]),
+        }
+        if arguments.json:
+            print_json(record)
+        else:
+            _show(record)
+    return 0
 
 
 def prediction_record(prediction: TouchPrediction) -> inputs.Record:

@@ -45,6 +45,7 @@ AFTER_JUMP: Final = "after jump"
 _JUMP_GRASPS: Final = 50
 _PAST: Final = "past_mean"
 _RANGES: Final = {**BINS, LATER: (3, 10**9)}
+_OBJECT_BINS: Final = ("0-2", "3-9", "10+", "all", LATER)
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 
 
@@ -175,6 +176,8 @@ def _score_rows(
     rows: list[Row] = []
     for label, (low, high) in _RANGES.items():
         chosen = (touches >= low) & (touches <= high)
+        if not chosen.any():
+            continue
         errors = {method: _errors(recording, values, reference, chosen) for method, values in scored.counts.items()}
         for method, own in errors.items():
             own_skills = skills(own, settings.bootstrap)
@@ -192,7 +195,7 @@ def _score_rows(
                         "vs_memory_verdict": other.verdict,
                     }
                 rows.append(row | _interval_columns(scored, method, modality, chosen))
-                for name in own.objects:
+                for name in own.objects if method in scored.half and label in _OBJECT_BINS else ():
                     mine = chosen & (recording.objects == name)
                     single = skills(own.only(name), settings.bootstrap)[modality].value
                     row = {**_EMPTY, "method": method, "bin": label, "object": name, "modality": modality}
@@ -256,29 +259,34 @@ def _find(rows: Rows, **wanted: Any) -> list[Mapping[str, Any]]:
     return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
 
 
+def _present(rows: Rows, labels: Sequence[str]) -> list[str]:
+    """Those ranges of touches that hold a grasp."""
+    return [label for label in labels if any(row["bin"] == label for row in rows)]
+
+
 def _four(rows: Rows, key: str, decimals: int = 2) -> str:
     return " ".join("–" if row[key] is None else f"{row[key]:.{decimals}f}" for row in rows)
 
 
 def _skill_table(sight: str, rows: Rows) -> Table:
-    body = []
+    body, labels = [], _present(rows, tuple(BINS))
     for method in dict.fromkeys(row["method"] for row in rows if row["bin"] in BINS):
         line = [method]
-        for label in BINS:
+        for label in labels:
             cells = _find(rows, method=method, bin=label, object=ALL_OBJECTS)
             line.append(
                 " ".join(f"{row['skill']:.2f}{_SIGNS.get(row['vs_memory_verdict'] or '', '')}" for row in cells)
             )
         body.append(line)
-    count = {label: _find(rows, bin=label, object=ALL_OBJECTS)[0]["grasps"] for label in BINS}
-    return Table(f"{sight}: skill over touches", ["method", *(f"{label} ({count[label]})" for label in BINS)], body)
+    count = {label: _find(rows, bin=label, object=ALL_OBJECTS)[0]["grasps"] for label in labels}
+    return Table(f"{sight}: skill over touches", ["method", *(f"{label} ({count[label]})" for label in labels)], body)
 
 
 def _object_table(sight: str, rows: Rows) -> Table:
     names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
     body = []
     for method in (TRACKER, MEMORY):
-        for label in ("0", "0-2", "all"):
+        for label in _present(rows, ("0-2", "3-9", "all")):  # a single grasp has no skill of its own
             parts = {name: _find(rows, method=method, bin=label, object=name) for name in names}
             cells = [_four(part, "skill") for part in parts.values()]
             worst = " ".join(
@@ -292,7 +300,7 @@ def _interval_table(sight: str, rows: Rows) -> Table:
     names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
     body = []
     for method in (TRACKER, MEMORY):
-        for label in ("0", "0-2", "3-9", "10+", "all"):
+        for label in _present(rows, ("0", "0-2", "3-9", "10+", "all")):
             cells = _find(rows, method=method, bin=label, object=ALL_OBJECTS)
             body.append(
                 [
@@ -326,8 +334,8 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     """Draw `touches.png`: above the skill, below coverage and width, over touches of the object."""
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
-    labels = ["0", "1", "2", "3-9", "10+"]
-    figure = new_figure(14.0, 7.5)
+    labels = _present(own, ("0", "1", "2", "3-9", "10+"))
+    figure = new_figure(11.0, 6.0)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True)
     shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
     for axes, modality in zip(above, MODALITIES, strict=True):

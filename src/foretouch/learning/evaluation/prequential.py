@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.errors import DatasetError
+from foretouch.errors import DatasetError, ModelError, TactileError
+from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
+from foretouch.tactile import MODALITIES, check_touch, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
@@ -121,7 +124,7 @@ class Replayed:
 
 
 def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.bool_] | None = None) -> Replayed:
-    """Predict each grasp, then add its reading to the tracker.
+    """Predict each grasp, then add its reading to the tracker; one that is NaN is only predicted.
 
     Args:
         tracker: With its history so far, which is continued.
@@ -144,7 +147,9 @@ def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.b
             names = tracker.add_tare(stamp, recording.tares[k])
         (counts[k],), (half[k],) = tracker.predict(stamp, expected[None])
         levels.append(tracker.level(stamp))
-        restarted.append(tuple(dict.fromkeys((*names, *tracker.add_touch(stamp, reading, expected)))))
+        if np.isfinite(reading).all():
+            names += tracker.add_touch(stamp, reading, expected)
+        restarted.append(tuple(dict.fromkeys(names)))
     return Replayed(counts, half, levels, restarted)
 
 
@@ -209,3 +214,114 @@ def other_objects_mean(recording: Recording) -> Float64:
         own = recording.objects == name
         result[own] = recording.readings[~own].mean(axis=0)
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class ModelReplay:
+    """Replay of samples by a model, in order of time."""
+
+    samples: list[GraspSample]  # S of them
+    recording: Recording  # readings of unlabelled samples are NaN
+    known: npt.NDArray[np.bool_]  # (S,) whether each is in the distribution of the training data
+    played: Replayed
+    scored: npt.NDArray[np.bool_]  # (S,) False for those of the history
+
+
+def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()) -> ModelReplay:
+    """Predict each sample by a model from sight and all that was read before it.
+
+    Args:
+        model: With a calibration.
+        samples: To predict; their readings are added, too.
+        history: Further readings of the same sensors, of any object; samples that are also to predict are ignored.
+
+    Raises:
+        DatasetError: If there is no sample, or one has no stamp.
+        ModelError: If the model has no calibration, or cannot predict a sample.
+        TactileError: Names the sample whose reading no working sensor can have given.
+    """
+    if model.calibration is None:
+        raise ModelError(f"{model.name}: cannot remember readings: its card holds no calibration")
+    own = {(sample.id, sample.stamp_ns) for sample in samples}
+    earlier = [sample for sample in history if (sample.id, sample.stamp_ns) not in own]
+    flagged = [(sample, True) for sample in samples] + [(sample, False) for sample in earlier]
+    flagged.sort(key=lambda pair: pair[0].stamp_ns)
+    ordered = [sample for sample, _ in flagged]
+    readings, expected = np.full((2, len(ordered), TOUCH_SIZE), np.nan)
+    known = np.zeros(len(ordered), np.bool_)
+    for k, sample in enumerate(ordered):
+        if sample.touch is not None:
+            if faults := check_touch(sample.touch).faults:
+                raise TactileError(f"{sample.id}: {faults[0]}")
+            readings[k] = sample.touch.vector()
+        (one,) = model.predict(sample.cloud, [sample.grasp])
+        if one.value is None:
+            raise ModelError(f"{sample.id}: {one.reason}")
+        expected[k], known[k] = one.value.vector(), "unfamiliar" not in one.flags
+    recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest)
+    played = replay(SensorTracker(model.calibration.tracker_parameters()), recording, known)
+    return ModelReplay(ordered, recording, known, played, np.array([mine for _, mine in flagged], np.bool_))
+
+
+def evaluate_prequential(
+    model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()
+) -> dict[str, Any]:
+    """Scores over touches of the object, of the tracker, the memory of the calibration, sight alone, and baselines without a cloud.
+
+    Args:
+        model: With a calibration.
+        samples: Labelled, of at least two objects.
+        history: As of `replay_model`, labelled.
+
+    Returns:
+        `touches`: by name from `BINS` (those without a grasp are left out), `grasps` and by method and modality `rmse`, `skill` against the
+        mean of the other objects, and `coverage90` and `half_width` (None without intervals). `samples`; `history`; `restarted`: ids of
+        samples whose reading restarted a finger, with its name.
+
+    Raises:
+        DatasetError: As `replay_model`, or if all samples are of one object.
+    """
+    done = replay_model(model, samples, history)
+    reference = other_objects_mean(done.recording)
+    counts, half = {"tracker": done.played.counts}, {"tracker": done.played.half}
+    counts["memory"], half["memory"] = _memory_of(model, done)
+    counts |= {"sight": done.recording.expected, **baselines(done.recording, reference)}
+    touches, readings = done.recording.touches(), done.recording.readings
+    found: dict[str, Any] = {}
+    for name, (low, high) in BINS.items():
+        chosen = done.scored & (touches >= low) & (touches <= high)
+        if not chosen.any():
+            continue
+        scores: dict[str, Any] = {}
+        for method, values in counts.items():
+            scored = score(values[chosen], readings[chosen], reference[chosen], model.ranges)
+            scores[method] = {
+                key: {"rmse": one.rmse, "skill": one.skill, "coverage90": None, "half_width": None}
+                for key, one in scored.items()
+            }
+            for key in MODALITIES if method in half else ():
+                own = np.ix_(chosen, columns([key]))
+                inside = np.abs(readings[own] - values[own]) <= half[method][own]
+                scores[method][key] |= {
+                    "coverage90": float(inside.mean()),
+                    "half_width": float(half[method][own].mean()),
+                }
+        found[name] = {"grasps": int(chosen.sum()), "scores": scores}
+    restarted = {
+        sample.id: list(names) for sample, names in zip(done.samples, done.played.restarted, strict=True) if names
+    }
+    count = int(done.scored.sum())
+    return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}
+
+
+def _memory_of(model: TouchModel, done: ModelReplay) -> tuple[Float64, Float64]:
+    """`replay_memory` with the group of the calibration that each grasp belongs to."""
+    assert model.calibration is not None  # noqa: S101  checked by replay_model
+    tare = done.recording.tares is not None
+    counts, half = np.empty((2, len(done.known), TOUCH_SIZE))
+    for inside in np.unique(done.known):
+        rows = done.known == inside
+        group = model.calibration.group(in_distribution=bool(inside), tare=tare)
+        own_counts, own_half = replay_memory(group, done.recording)
+        counts[rows], half[rows] = own_counts[rows], own_half[rows]
+    return counts, half

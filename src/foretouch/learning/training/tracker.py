@@ -3,7 +3,7 @@
 
 The readings are replayed in order of time, and the variances and time constants maximise the likelihood of the innovations
 [Schweppe 1965], for each modality on its own: multiples of the calibration's B as variance of the slow state, the fast state and the object, their
-time constants, and the noise of tares where tares were recorded. The 24 electrodes of a finger are correlated and count as 5 values. Since a lab
+time constants, the noise of tares where tares were recorded, and a multiple of W, which also holds what drifts while an object is touched. The 24 electrodes of a finger are correlated and count as 5 values. Since a lab
 records few objects on few days, weak priors keep values that the recordings cannot determine in a plausible range.
 """
 
@@ -25,15 +25,25 @@ from foretouch.types import TOUCH_SIZE, Float64
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 _EFFECTIVE_VALUES: Final = 5.0  # of the electrodes of a finger
 _ALARM_QUANTILE: Final = 0.99
-_LEAST_ALARM: Final = 0.25  # half a deviation: below, nothing jumped
+_LEAST_ALARM: Final = (2.0, 0.5)  # of mean square and squared mean: below, nothing jumped
 _STEP: Final = 1e-3  # of the finite differences
 _ITERATIONS: Final = 25
 _MOST_READINGS: Final = 800  # the newest ones, for the likelihood: seconds
 
-# Logarithms of the multiples, time constants and noise of tares: mean and deviation of the prior, and limits.
-_PRIOR: Final = np.log([[0.5, 0.2, 0.5, SLOW_TIME_S, FAST_TIME_S, TARE_NOISE], [8.0, 8.0, 8.0, 2.7, 2.7, 2.7]])
+# Logarithms of the multiples of B, time constants, noise of tares and multiple of W: mean and deviation of the prior, and limits.
+_PRIOR: Final = np.log(
+    [[0.5, 0.2, 0.5, SLOW_TIME_S, FAST_TIME_S, TARE_NOISE, 1.0], [8.0, 8.0, 8.0, 2.7, 2.7, 2.7, 2.0]]
+)
 _LIMITS: Final = np.log(
-    [[1e-3, 20.0], [1e-3, 20.0], [1e-3, 20.0], [_DAY_S, 100.0 * _DAY_S], [0.1 * _HOUR_S, 12.0 * _HOUR_S], [1e-3, 10.0]]
+    [
+        [1e-3, 20.0],
+        [1e-3, 20.0],
+        [1e-3, 20.0],
+        [_DAY_S, 100.0 * _DAY_S],
+        [0.1 * _HOUR_S, 12.0 * _HOUR_S],
+        [1e-3, 10.0],
+        [0.1, 2.0],
+    ]
 )
 
 
@@ -56,7 +66,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         np.ones(len(MODALITIES)),
     )
     replayed = _Replay(recording.take(np.arange(len(recording.readings))[-_MOST_READINGS:]), parameters, modality)
-    slow, fast, lasting, slow_s, fast_s, tare = replayed.most_likely()[replayed.owner].T
+    slow, fast, lasting, slow_s, fast_s, tare, noise = replayed.most_likely()[replayed.owner].T
     objects = parameters.object.copy()
     objects[NEW] = lasting * replayed.lasting
     fitted = replace(
@@ -66,6 +76,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
         object=objects,
         slow_time_s=slow_s,
         fast_time_s=fast_s,
+        noise=parameters.noise * noise,
         tare_noise=tare,
     )
     return _with_intervals(fitted, recording)
@@ -91,7 +102,7 @@ class _Replay:
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
     def most_likely(self) -> Float64:
-        """(4, 6) multiples of the lasting variance, time constants [s] and noise of tares, by modality."""
+        """(4, 7) multiples of the lasting variance, time constants [s], noise of tares and multiple of W, by modality."""
         from scipy.optimize import minimize
 
         start = np.tile(_PRIOR[0], (len(MODALITIES), 1))
@@ -110,15 +121,14 @@ class _Replay:
         return np.asarray(np.exp(found.x.reshape(start.shape)), np.float64)
 
     def _losses(self, logs: Float64) -> Float64:
-        """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 6) candidates at once."""
+        """(C, 4) negative logarithm of the posterior of each modality, for (C, 4, 7) candidates at once."""
         count = len(logs)
         columns_of = np.exp(logs)[:, self.owner].reshape(-1, logs.shape[2]).T
-        slow, fast, lasting, slow_s, fast_s, tare = np.ascontiguousarray(columns_of)
+        slow, fast, lasting, slow_s, fast_s, tare, noise = np.ascontiguousarray(columns_of)
         scale = np.tile(self.lasting, count)
         filtered = StateFilter(np.array([slow, fast, lasting]) * scale, np.array([slow_s, fast_s]))
         lasting = lasting * scale
-        total, noise = np.zeros((2, len(scale)))
-        noise += 1.0
+        total = np.zeros(len(scale))
         for k, value in enumerate(self._values):
             filtered.advance(float(self._gaps_s[k]))
             if self._begins[k]:

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The experiment joins predictions that know neither the object nor that of the reading, and scores every grasp once."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiment_samples import make_collection
+
+from foretouch.experiments import find_experiment
+from foretouch.experiments.framework.experiment import Cell
+from foretouch.experiments.prequential import _recordings
+from foretouch.experiments.prequential.results import TRACKER, summarise_prequential
+from foretouch.learning.data import labels_of
+
+
+def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
+    data, experiment = make_collection(6, 4), find_experiment("prequential")
+    settings = experiment.resolve("smoke", {})
+    rows = [
+        {**cell.values, **row}
+        for cell in experiment.cells(settings, data)
+        for row in experiment.run(Cell(cell.key, cell.values), settings, data)
+    ]
+    recordings = _recordings(rows)
+    assert recordings is not None
+    assert len(recordings) == 6
+    names = np.array([sample.object for sample in data.samples])
+    labels = labels_of(data.samples)
+    for target, recording in recordings.items():
+        np.testing.assert_array_equal(recording.readings, labels)  # these samples are in order of time
+        for name in np.unique(names):
+            known = labels[(names != target) & (names != name)]
+            own = recording.expected[recording.objects == name]
+            np.testing.assert_allclose(own, np.tile(known.mean(axis=0), (len(own), 1)))
+    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]]) is None
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
+    data, experiment = make_collection(6, 6), find_experiment("prequential")
+    settings = experiment.resolve("smoke", {"jump_after": 2})
+    rows = [
+        {**cell.values, **row}
+        for cell in experiment.cells(settings, data)
+        for row in experiment.run(cell, settings, data)
+    ]
+    return tmp_path_factory.mktemp("figure"), experiment.tabulate(settings, rows)
+
+
+def test_every_grasp_is_scored_once(sweep) -> None:
+    _, rows = sweep
+    of = {
+        (row["bin"], row["object"]): row["grasps"]
+        for row in rows
+        if row["method"] == TRACKER and row["sight"] == "training_mean" and row["modality"] == "E_TH"
+    }
+    assert of["all", "all"] == 36
+    assert of["0", "all"] == of["1", "all"] == 6
+    assert of["0-2", "all"] + of["3-9", "all"] == 36
+    past = [row for row in rows if row["sight"] == "past_mean" and row["bin"] == "all" and row["object"] == "all"]
+    assert {row["grasps"] for row in past} == {30}  # nothing was read before the first object
+    assert all(np.isfinite(row["skill"]) for row in rows if row["skill"] is not None)
+
+
+def test_tables_and_figure_are_made_of_the_rows(sweep) -> None:
+    folder, rows = sweep
+    titles = [table.title for table in summarise_prequential(rows)]
+    assert sum(title.startswith("training_mean") for title in titles) == 4
+    (figure,) = find_experiment("prequential").draw(rows, folder)
+    assert figure.stat().st_size > 10_000

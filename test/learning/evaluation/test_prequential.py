@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replay in order of time: nothing later enters a prediction, and the memory and the baselines are those of their definitions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated_models import REST, make_calibration
+from numpy.testing import assert_allclose, assert_array_equal
+
+from foretouch.errors import DatasetError
+from foretouch.learning.evaluation.prequential import Recording, baselines, other_objects_mean, replay, replay_memory
+from foretouch.models.tracker import SensorTracker
+
+S = 10**9
+CALIBRATION = make_calibration()
+
+
+def recording(rng: np.random.Generator, names: str = "aabbba", tares: bool = False) -> Recording:
+    count = len(names)
+    readings, expected = REST + rng.normal(0.0, 30.0, (2, count, 50))
+    offsets = rng.normal(0.0, 10.0, (count, 50)) if tares else None
+    stamps = 1_700_000_000 * S + np.arange(count) * 3600 * S
+    order = rng.permutation(count)
+    made = Recording.ordered(stamps[order], np.array(list(names))[order], readings[order], expected[order], offsets)
+    assert "".join(made.objects) == names
+    assert_array_equal(made.readings, readings)
+    return made
+
+
+def tracker() -> SensorTracker:
+    patient = replace(CALIBRATION.tracker_parameters(), alarm=np.full((2, 2), 1e6))  # never restarts a finger
+    return SensorTracker(patient)
+
+
+def test_an_object_that_returns_begins_again(rng) -> None:
+    assert recording(rng).touches().tolist() == [0, 1, 0, 1, 2, 0]
+    assert recording(rng).runs().tolist() == [0, 0, 1, 1, 1, 2]
+
+
+@pytest.mark.parametrize("tares", [False, True])
+def test_a_prediction_does_not_depend_on_its_own_reading_or_later_ones(tares: bool, rng) -> None:
+    made = recording(rng, "aaabbbaab", tares)
+    whole = replay(tracker(), made)
+    for k in range(9):
+        changed = made.readings.copy()
+        changed[k:] += 50.0
+        other = replay(tracker(), replace(made, readings=changed))
+        assert_array_equal(other.counts[: k + 1], whole.counts[: k + 1])
+        assert_array_equal(other.half[: k + 1], whole.half[: k + 1])
+        if k < 8 and made.objects[k] == made.objects[k + 1]:
+            assert (other.counts[k + 1] != whole.counts[k + 1]).all()
+
+
+def test_a_replay_may_be_continued(rng) -> None:
+    made = recording(rng, "aaabbbaab")
+    whole, one = replay(tracker(), made), tracker()
+    first = replay(one, made.take(np.arange(9) < 3))
+    second = replay(one, made.take(np.arange(9) >= 3))
+    assert_array_equal(np.concatenate([first.counts, second.counts]), whole.counts)
+
+
+def test_an_unlabelled_grasp_is_predicted_and_not_remembered(rng) -> None:
+    made = recording(rng)
+    readings = made.readings.copy()
+    readings[1] = np.nan
+    played = replay(tracker(), replace(made, readings=readings))
+    assert np.isfinite(played.counts).all()
+    assert [level.readings_of_history for level in played.levels] == [0, 1, 1, 2, 3, 4]
+
+
+def test_the_memory_is_that_of_the_calibration(rng) -> None:
+    made, group = recording(rng), CALIBRATION.groups["new"]
+    counts, half = replay_memory(group, made)
+    before = slice(2, 4)
+    wanted = group.counts_after(
+        made.expected[4:5], made.expected[before].mean(axis=0), made.readings[before].mean(axis=0), 2
+    )
+    assert_allclose(counts[4], wanted[0])
+    assert_allclose(half[4], group.half_width_after(2))
+    assert_array_equal(counts[5], made.expected[5])
+    # Without a state, the tracker is the same memory.
+    assert_allclose(replay(tracker(), made).counts, counts, atol=1e-8)
+
+
+def test_baselines_know_times_and_readings_only(rng) -> None:
+    made = recording(rng)
+    reference = other_objects_mean(made)
+    assert_allclose(reference[0], made.readings[2:5].mean(axis=0))
+    found = baselines(made, reference)
+    assert_array_equal(found["running mean"][0], reference[0])
+    assert_allclose(found["running mean"][4], made.readings[:4].mean(axis=0))
+    assert_allclose(found["last run"][5], made.readings[2:5].mean(axis=0))
+    assert_allclose(found["object mean"][4], made.readings[2:4].mean(axis=0))
+    assert_array_equal(found["object mean"][5], reference[5])
+    weights = np.exp(np.array([-2.0, -1.0]) / 24.0)
+    assert_allclose(found["clock"][2], np.average(made.readings[:2], axis=0, weights=weights), rtol=1e-9)
+    assert_allclose(
+        found["clock both ways"][5],
+        np.average(made.readings[:5], axis=0, weights=np.exp(np.arange(-5.0, 0.0) / 24.0)),
+        rtol=1e-9,
+    )
+
+
+def test_recordings_without_stamps_or_with_one_object_are_refused(rng) -> None:
+    with pytest.raises(DatasetError, match="has no stamp"):
+        Recording.ordered([0, 5], ["a", "b"], *np.zeros((2, 2, 50)))
+    with pytest.raises(DatasetError, match="all readings are of a"):
+        other_objects_mean(recording(rng, "aaa"))

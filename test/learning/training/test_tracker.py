@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fitted tracker finds the drift of sensors whose drift is known, and predicts better than one that ignores it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibrated_models import REST
+from contact_model_builders import FEW_TREES
+from experiment_samples import make_samples
+from numpy.testing import assert_array_equal
+
+from foretouch.learning.data import labels_of
+from foretouch.learning.evaluation.prequential import Recording, replay, replay_memory
+from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
+from foretouch.learning.training.contact import ContactPredictor
+from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.state_space import NEW, TrackerParameters
+from foretouch.models.tracker import SensorTracker
+
+DAY = 86400.0
+
+
+def campaign(
+    rng: np.random.Generator, drift: float, *, tares: bool = False, objects: int = 24, each: int = 8
+) -> Recording:
+    """Objects on successive days; a level of all values that drifts over 10 days, objects of 20 counts, grasps of 20."""
+    seconds = np.concatenate([DAY * k + 90.0 * np.arange(each) for k in range(objects)])
+    level, levels = drift * rng.normal(size=50), []
+    for gap in np.diff(seconds, prepend=seconds[0]):
+        decay = np.exp(-gap / (10.0 * DAY))
+        level = decay * level + drift * np.sqrt(1.0 - decay**2) * rng.normal(size=50)
+        levels.append(level)
+    lasting = np.repeat(rng.normal(0.0, 20.0, (objects, 50)), each, axis=0)
+    readings = REST + np.array(levels) + lasting + rng.normal(0.0, 20.0, lasting.shape)
+    names = np.repeat([f"o{k:02}" for k in range(objects)], each)
+    offsets = np.array(levels) + rng.normal(0.0, 4.0, lasting.shape) if tares else None
+    stamps = (1_700_000_000 + seconds) * 1e9
+    return Recording.ordered(stamps.astype(np.int64), names, readings, np.tile(REST, (len(names), 1)), offsets)
+
+
+def fitted(recording: Recording) -> TrackerParameters:
+    held_out = HeldOutPredictions(recording.expected, recording.readings, recording.objects, recording.objects)
+    group = fit_group(held_out, new=True)
+    return fit_tracker(recording, group, group)
+
+
+def deviations(parameters: TrackerParameters) -> dict[str, float]:
+    """Mean deviation of each part over the values [counts]."""
+    squared = parameters.basis**2
+    parts = {"slow": parameters.slow, "object": parameters.object[NEW], "tare": parameters.tare_noise}
+    return {name: float(np.sqrt(squared @ value).mean()) for name, value in parts.items()}
+
+
+@pytest.mark.parametrize("tares", [False, True])
+def test_the_fit_finds_the_drift(tares: bool, rng) -> None:
+    found = deviations(fitted(campaign(rng, 60.0, tares=tares)))
+    assert 35.0 < found["slow"] < 90.0
+    assert 12.0 < found["object"] < 35.0
+    if tares:
+        assert found["tare"] < 8.0
+
+
+def test_without_drift_the_state_is_small(rng) -> None:
+    found = deviations(fitted(campaign(rng, 0.0)))
+    assert found["slow"] < 10.0
+    assert 12.0 < found["object"] < 28.0
+
+
+def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) -> None:
+    first, second = campaign(rng, 60.0), campaign(rng, 60.0)
+    held_out = HeldOutPredictions(first.expected, first.readings, first.objects, first.objects)
+    group = fit_group(held_out, new=True)
+    played = replay(SensorTracker(fit_tracker(first, group, group)), second)
+    memory = replay_memory(group, second)[0]
+    errors = [np.mean((values - second.readings) ** 2) for values in (played.counts, memory)]
+    untouched = second.touches() == 0
+    begun = [np.mean((values - second.readings)[untouched] ** 2) for values in (played.counts, memory)]
+    assert begun[0] < 0.7 * begun[1]
+    assert errors[0] < 0.9 * errors[1]
+    assert abs(np.mean(np.abs(played.counts - second.readings) <= played.half) - 0.9) < 0.03
+    assert not any(played.restarted)
+
+
+def test_a_calibration_of_samples_with_stamps_has_a_tracker() -> None:
+    samples = make_samples(4, 8)
+    calibration, _ = ContactPredictor(samples, labels_of(samples), FEW_TREES).calibration
+    assert calibration.tracker is not None
+    assert_array_equal(calibration.tracker.worth[NEW], calibration.groups["new"].worth)
+    undated = [replace(sample, stamp_ns=0) for sample in samples]
+    other, _ = ContactPredictor(undated, labels_of(undated), FEW_TREES).calibration
+    assert other.tracker is None
