@@ -17,11 +17,11 @@ import numpy.typing as npt
 from foretouch.learning.data import Fold, Indices, labels_of
 from foretouch.learning.evaluation.baselines import geometry_features
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
-from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
+from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, thinned_samples
 from foretouch.models.calibration import Calibration, CalibrationGroup
-from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
-from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES
-from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES
+from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, by_modality
+from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
+from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -40,14 +40,15 @@ class Components:
 
     @classmethod
     def predict(cls, estimator: ContactEstimator, rows: Float64) -> Components:
-        """Predictions for (S, F) feature rows, whose first columns are those of the object."""
+        """Predictions for (S, F) feature rows, whose first columns are those of familiarity."""
+        inputs = rows[:, len(CONDITIONS) :]
         separate = np.empty((len(rows), TOUCH_SIZE))
         for name in MODALITIES:
-            separate[:, columns([name])] = estimator.forests[name].predict(rows)
-        joint, kernel = estimator.forests[TOGETHER].predict(rows), estimator.kernel.predict(rows)
-        weights = [estimator.novelty.in_distribution_score(row[: len(OBJECT_FEATURES)]) for row in rows]
-        mean, deviation = estimator.mean, estimator.deviation
-        return cls(joint * deviation + mean, separate * deviation + mean, kernel * deviation + mean, np.array(weights))
+            separate[:, columns([name])] = estimator.forests[name].predict(inputs)
+        joint = estimator.forests[TOGETHER].predict(inputs)
+        kernel = estimator.kernel.predict(inputs) * (1.0 if estimator.claim is None else by_modality(estimator.claim))
+        mean, deviation, weights = estimator.mean, estimator.deviation, estimator.novelty.scores(rows)
+        return cls(joint * deviation + mean, separate * deviation + mean, kernel * deviation + mean, weights)
 
     @classmethod
     def gather(cls, parts: Sequence[tuple[Indices, Components]]) -> Components:
@@ -85,8 +86,8 @@ def _without_slopes(samples: Sequence[GraspSample]) -> Float64:
 
 
 def _geometry_only(samples: Sequence[GraspSample]) -> Float64:
-    objects = describe_samples(samples)[:, : len(OBJECT_FEATURES)]
-    return np.column_stack([objects, [geometry_features(sample) for sample in samples]])
+    checked = describe_samples(samples)[:, : len(CHECKED)]
+    return np.column_stack([checked, [geometry_features(sample) for sample in samples]])
 
 
 FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
@@ -94,7 +95,7 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns, of the object, serve to detect novelty;
+"""By name of the variant, (S, F) feature rows. The first columns are those by which familiarity is judged;
 `geometry_features` are those of the baseline's trees."""
 
 
@@ -156,6 +157,8 @@ class _ComponentModel:
         self._resting = resting_labels(train, self._labels, self._rest)
         self._objects = np.array([sample.object for sample in train])
         self._rows = describe(train)
+        copies = thinned_samples(train, config)
+        self._thinned = None if copies is None else describe(copies)
         self._estimator = self._fit(np.arange(len(train)))
 
     def predict(self, samples: Sequence[GraspSample]) -> Components:
@@ -183,4 +186,5 @@ class _ComponentModel:
         return Components.predict(self._fit(fold.train), self._rows[fold.test])
 
     def _fit(self, index: Indices) -> ContactEstimator:
-        return fit_contact(self._rows[index], self._resting[index], list(self._objects[index]), self._config)
+        thinned = None if self._thinned is None else self._thinned[index]
+        return fit_contact(self._rows[index], self._resting[index], list(self._objects[index]), self._config, thinned)

@@ -131,9 +131,12 @@ def _trees(baseline: Callable[..., Float64], effort: float) -> Fit:
     return with_offset_correction(partial(baseline, trees=max(1, round(effort * baselines.TREES))))
 
 
-def _contact(effort: float) -> Fit:
-    """The contact model, which has its own adaptation to touches."""
-    config = ContactConfig()
+def _contact(recipe: str, effort: float) -> Fit:
+    """A contact model by its recipe, which has its own adaptation to touches."""
+    from foretouch.learning.training.learners import load_run_config
+
+    run: Any = load_run_config(recipe)
+    config: ContactConfig = run.contact
     config = config.replace(trees=max(1, round(effort * config.trees)))
     return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
 
@@ -143,7 +146,10 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "object_mean": lambda _: with_offset_correction(baselines.object_mean),
     "object_time_trees": lambda effort: _trees(baselines.object_time_trees, effort),
     "geometry_trees": lambda effort: _trees(baselines.geometry_trees, effort),
-    "contact": _contact,
+    "clock": lambda _: with_offset_correction(baselines.clock),
+    "clock_past": lambda _: with_offset_correction(partial(baselines.clock, past_only=True)),
+    "contact": partial(_contact, "contact-v2"),
+    "contact_v1": partial(_contact, "contact-v1"),
     "p1_pointnet": lambda effort: with_offset_correction(network("p1_pointnet", effort)),
     "p2_pointnet": lambda effort: with_offset_correction(network("p2_pointnet", effort)),
     "touchnet_v1": lambda effort: with_offset_correction(network("touchnet_v1", effort)),

@@ -77,6 +77,8 @@ Features = npt.NDArray[np.float64]
 TREES: Final = 300
 """Trees of a forest."""
 
+_DAY_NS: Final = 86_400e9
+_MEMORY_DAYS: Final = 10.0
 _LEAF: Final = 3
 _FEATURE_SHARE: Final = 0.5
 
@@ -128,6 +130,38 @@ def geometry_trees(
     )
 
 
+def clock(
+    train: Sequence[GraspSample], labels: Float64, test: Sequence[GraspSample], seed: int, *, past_only: bool = False
+) -> Float64:
+    """The level of the sensors at the time of recording, without the cloud: what drift alone predicts of any object.
+
+    The mean of a Gaussian process in time [Rasmussen and Williams 2006, eq. 2.25]: a level with a memory of 10 days, an
+    effect of each object and noise, with variances of 1, 1 and 1, around the mean of the labels.
+
+    Args:
+        train, labels, test, seed: As for any baseline.
+        past_only: Predict from recordings that were made before, as a robot has to; from all, before and after, if not.
+    """
+    del seed
+    known, wanted = (np.array([sample.stamp_ns for sample in side]) / _DAY_NS for side in (train, test))
+    objects = np.array([sample.object for sample in train])
+    predicted = np.tile(labels.mean(axis=0), (len(test), 1))
+    for when in np.unique(wanted) if past_only else [np.inf]:
+        used = known < when
+        if not used.any():
+            continue
+        at = wanted == when if past_only else np.ones(len(test), np.bool_)
+        mean = labels[used].mean(axis=0)
+        covariance = _level(known[used], known[used]) + (objects[used][:, None] == objects[used])
+        weight = np.linalg.solve(covariance + np.eye(used.sum()), labels[used] - mean)
+        predicted[at] = mean + _level(wanted[at], known[used]) @ weight
+    return predicted
+
+
+def _level(one: Float64, other: Float64) -> Float64:
+    return np.asarray(np.exp(-np.abs(one[:, None] - other) / _MEMORY_DAYS), np.float64)
+
+
 BASELINES: Final[dict[str, Baseline]] = {
     "training_mean": training_mean,
     "object_mean": object_mean,
@@ -140,7 +174,7 @@ def _object_time(samples: Sequence[GraspSample], names: Sequence[str]) -> Featur
     """(S, 1 + objects): time in days, then the object one-hot; all zero for an object unseen in training."""
     table = np.zeros((len(samples), 1 + len(names)))
     for row, sample in zip(table, samples, strict=True):
-        row[0] = sample.stamp_ns / 86_400e9
+        row[0] = sample.stamp_ns / _DAY_NS
         if sample.object in names:
             row[1 + names.index(sample.object)] = 1.0
     return table

@@ -35,6 +35,7 @@ _PRIOR_OBJECTS: Final = 30.0  # weight, in objects, of the prior that the errors
 _LEAST_SHARE: Final = 0.05  # of W that B's diagonal keeps at least: no object's lasting error is exactly zero
 _LEAST_DEVIATION: Final = 12.0**-0.5  # [counts] of errors and half widths: that of rounding to whole counts
 _MOST_COUNTS: Final = 4e4  # of a residual, beyond which B + W/n may be singular; a reading has at most 4095
+_MOST_SHARE: Final = 1.0  # of W that B's diagonal has at most, for the pressure of new objects
 _PDC_REST, _ELECTRODE_REST = 0.01, 0.95  # quantiles of the labels: PDC rises with pressure, electrodes fall
 
 Names = npt.NDArray[np.str_]
@@ -146,7 +147,7 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     intervals.
 
     With `new`, for objects outside these, the slope is shrunk by the same factor, since it was measured on G objects
-    only.
+    only; and B of the two pressures, of which one heavy object may make up most, is at most `_MOST_SHARE` of W.
 
     Raises:
         DatasetError: If there is no sample, or a residual is not finite or beyond 40,000 counts.
@@ -174,6 +175,11 @@ def fit_group(held_out: HeldOutPredictions, *, new: bool = False) -> Calibration
     smallest = float(np.mean([1.0 / mine.sum() for mine in owners]))
     moments = means.T @ means / len(means) - np.diag(within * smallest)
     between = _shrunk(moments, within, shrinkage)
+    if new:
+        most = np.full(TOUCH_SIZE, np.inf)
+        most[columns(["PDC_TH", "PDC_MF"])] = _MOST_SHARE
+        factor = np.sqrt(np.minimum(1.0, most * within / np.diag(between)))
+        between = between * np.outer(factor, factor)
     return CalibrationGroup(between, within, worth, spread, _half_widths(residuals, held_out.objects, np.sqrt(spread)))
 
 

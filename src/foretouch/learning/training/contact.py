@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the contact model: forests by scikit-learn, and a kernel whose ridge is chosen on objects left out."""
+"""Fit the contact model: forests by scikit-learn, and a kernel whose ridge and claim are chosen on objects left out."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,29 +13,49 @@ from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.learning.data import Fold, Indices, labels_of, object_folds, predict_folds
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
+from foretouch.learning.training.claims import choose_claims, same_object
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
+from foretouch.models.contact.familiarity import FamiliarityDetector
 from foretouch.models.contact.features import ContactScene
+from foretouch.models.contact.hand_features import CONDITIONS, HandScene
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
-from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
+from foretouch.models.novelty import SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 _FEWEST_SAMPLES: Final = 5
+_FEWEST_POINTS: Final = 100  # that a thinned cloud keeps, if it has them
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConfig(Settings):
     """Settings of the fit of a contact model."""
 
-    trees: int = setting(150, "Trees of each forest", minimum=1, maximum=10_000)
+    trees: int = setting(100, "Trees of each forest", minimum=1, maximum=10_000)
     leaf: int = setting(3, "Fewest samples in a leaf", minimum=1, maximum=1000)
-    feature_share: float = setting(1.0, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
+    thinned: float = setting(
+        0.5,
+        "Share of the points in copies of the training clouds, to which the forests are fitted as well; 1 fits to no copies",
+        minimum=0.1,
+        maximum=1.0,
+    )
+    feature_share: float = setting(0.5, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
     decay: float = setting(2.0, "Decay of the kernel over the mean distance per standardised feature", minimum=0.01)
     ridges: tuple[float, ...] = setting(
-        (0.3, 1.0, 3.0, 10.0),
+        (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
         "Candidates for the kernel's ratio of noise to signal; chosen on objects left out",
         minimum=1e-3,
+    )
+    object_effect: float = setting(
+        1.0,
+        "Variance of what is an object's own over that of the kernel, for features in the hand's frame",
+        minimum=0.0,
+    )
+    features: str = setting(
+        "hand",
+        "Frame of the features; camera fits a model like contact-v1: no restraint on new objects, no object effect",
+        choices=("hand", "camera"),
     )
     seed: int = setting(0, "Seed of the trees", minimum=0)
     ranges: TactileRanges = P2_RANGES
@@ -46,27 +66,47 @@ class ContactConfig(Settings):
             raise ConfigError("ContactConfig.ridges: [] must hold at least one value")
 
 
-def describe_samples(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(FEATURES)) float64 features of each sample's grasp.
+def describe_samples(samples: Sequence[GraspSample], features: str = "hand") -> Float64:
+    """(S, F) float64 features of each sample's grasp, in the frame of the hand or of the camera.
 
-    Raises `DatasetError` for a cloud that cannot be used.
+    Raises:
+        DatasetError: If a cloud cannot be used.
     """
-    return np.concatenate([_scene(sample).describe([sample.grasp]) for sample in samples])
+    scene = HandScene if features == "hand" else ContactScene
+    return np.concatenate([_scene(sample, scene).describe([sample.grasp]) for sample in samples])
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
-    """(S, len(OBJECT_FEATURES)) float64 features of each sample's cloud; raises as `describe_samples`."""
-    return np.array([_scene(sample).object_features for sample in samples])
+    """(S, F) float64 `ContactScene.object_features` of each sample's cloud; raises as `describe_samples`."""
+    return np.array([_scene(sample, ContactScene).object_features for sample in samples])
 
 
-def _scene(sample: GraspSample) -> ContactScene:
+def thinned_samples(samples: Sequence[GraspSample], config: ContactConfig) -> list[GraspSample] | None:
+    """The same grasps on clouds with a random share of their points, by the seed; None if the share is 1."""
+    if config.thinned == 1.0:
+        return None
+    rng = np.random.default_rng(config.seed)
+    copies = []
+    for sample in samples:
+        finite = np.flatnonzero(np.isfinite(sample.cloud.xyz.reshape(-1, 3)).all(axis=1))
+        kept = rng.permutation(finite)[: max(round(config.thinned * len(finite)), min(len(finite), _FEWEST_POINTS))]
+        copies.append(replace(sample, cloud=sample.cloud.take(np.sort(kept))))
+    return copies
+
+
+Scene = TypeVar("Scene", ContactScene, HandScene)
+
+
+def _scene(sample: GraspSample, scene: type[Scene]) -> Scene:
     try:
-        return ContactScene(sample.cloud.xyz)
+        return scene(sample.cloud.xyz)
     except CloudError as err:
         raise DatasetError(f"{sample.id}: {err}") from err
 
 
-def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: ContactConfig) -> ContactEstimator:
+def fit_contact(
+    rows: Float64, labels: Float64, objects: Sequence[str], config: ContactConfig, thinned: Float64 | None = None
+) -> ContactEstimator:
     """Fit forests, kernel and novelty detection.
 
     Args:
@@ -74,6 +114,7 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
         labels: (S, 50) [counts].
         objects: (S,) names.
         config: Settings.
+        thinned: (S, F) of the same grasps on thinned clouds. Forests are fitted to both, with twice the samples in a leaf.
 
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.
@@ -84,13 +125,25 @@ def fit_contact(rows: Float64, labels: Float64, objects: Sequence[str], config: 
     if not (span := np.ptp(labels, axis=0)).all():
         raise DatasetError(f"contact model: value {int(np.argmin(span))} of the touch is the same in all samples")
     scaled = (labels - mean) / deviation
+    hand = config.features == "hand"
+    inputs = rows[:, len(CONDITIONS) :] if hand else rows
+    if hand:
+        ridge, claim = choose_claims(inputs, scaled, objects, config.decay, config.object_effect, config.ridges)
+    else:
+        ridge, claim = _choose_ridge(inputs, scaled, objects, config), None
+    grown, targets, leaf = inputs, scaled, config.leaf
+    if thinned is not None:
+        grown = np.concatenate([inputs, thinned[:, rows.shape[1] - inputs.shape[1] :]])
+        targets, leaf = np.concatenate([scaled, scaled]), 2 * leaf
+    forest_config = config.replace(leaf=leaf)
     return ContactEstimator(
-        forests={name: _forest(rows, scaled[:, column], config) for name, column in _targets()},
-        kernel=_kernel(rows, scaled, objects, config),
-        novelty=SizeNoveltyDetector.fit(rows[:, : len(OBJECT_FEATURES)]),
+        forests={name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()},
+        kernel=_kernel(inputs, scaled, objects, ridge, config.decay, config.object_effect if hand else 0.0),
+        novelty=(FamiliarityDetector if hand else SizeNoveltyDetector).fit(rows),
         mean=mean,
         deviation=deviation,
         ranges=config.ranges,
+        claim=claim,
     )
 
 
@@ -113,18 +166,22 @@ def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
     return Forest.from_trees([tree.tree_ for tree in fitted.estimators_])
 
 
-def _kernel(rows: Float64, scaled: Float64, objects: Sequence[str], config: ContactConfig) -> KernelRegression:
-    ridge = _choose_ridge(rows, scaled, objects, config)
+def _kernel(
+    rows: Float64, scaled: Float64, objects: Sequence[str], ridge: float, decay: float, effect: float
+) -> KernelRegression:
     centre, scale = standardisation(rows)
     known = (rows - centre) / scale
-    weight = _ridge_weights(laplacian(known, known, config.decay), scaled, ridge)
+    kernel = laplacian(known, known, decay)
+    if effect:
+        kernel += effect * same_object(objects)
+    weight = _ridge_weights(kernel, scaled, ridge)
     return KernelRegression(
-        centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(config.decay, np.float64)
+        centre, scale, known.astype(np.float32), weight.astype(np.float32), np.array(decay, np.float64)
     )
 
 
 def _choose_ridge(rows: Float64, scaled: Float64, objects: Sequence[str], config: ContactConfig) -> float:
-    """The ridge of least squared error on objects left out, each modality weighing the same.
+    """The ridge of least squared error on objects left out, each modality weighing the same: the rule of `contact-v1`.
 
     One ridge for all values: chosen for each value, it overfits a handful of objects. With a single object the largest
     is taken.
@@ -162,7 +219,9 @@ class ContactPredictor:
 
     def __init__(self, train: Sequence[GraspSample], labels: Float64, config: ContactConfig) -> None:
         self.rest, self.rest_recorded = rest_level(train)
-        self.rows = describe_samples(train)
+        self.rows = describe_samples(train, config.features)
+        copies = thinned_samples(train, config)
+        self._thinned = None if copies is None else describe_samples(copies, config.features)
         self._train, self._labels, self._config = list(train), labels, config
         self._resting = resting_labels(train, labels, self.rest)
         self._predicted: dict[str, tuple[Float64, np.bool_]] = {}  # by the id of a sample
@@ -175,7 +234,8 @@ class ContactPredictor:
     def fit(self, chosen: Indices) -> ContactEstimator:
         """A model fitted to some of the training samples, at the rest level of all of them."""
         objects = [self._train[k].object for k in chosen]
-        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config)
+        thinned = None if self._thinned is None else self._thinned[chosen]
+        return fit_contact(self.rows[chosen], self._resting[chosen], objects, self._config, thinned)
 
     def predict(self, samples: Sequence[GraspSample]) -> Float64:
         """(S, 50) predictions from vision alone [counts]; labels and tares of the samples are not used."""
@@ -233,7 +293,7 @@ class ContactPredictor:
         """Predictions before any touch and at rest level; each sample is described only once."""
         new = [sample for sample in samples if sample.id not in self._predicted]
         if new:
-            pairs = zip(*self.estimator.predict_rows(describe_samples(new)), strict=True)
+            pairs = zip(*self.estimator.predict_rows(describe_samples(new, self._config.features)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
         found = [self._predicted[sample.id] for sample in samples]
         return np.array([counts for counts, _ in found]), np.array([familiar for _, familiar in found], np.bool_)

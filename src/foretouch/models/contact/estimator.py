@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model: touch from the geometry at each contact.
 
-    cloud, grasp ─► 88 features ─┬─ forests ── readings of similar training grasps ───────┐
-                                 └─ kernel ─── an estimate that fades to the mean ─────────┴─ w·forests + (1 - w)·kernel
-    cloud ─► 8 sizes ─► novelty detector ─► in-distribution score w, 1 … 0
+    cloud, grasp ─► 61 features ─┬─ forests ── readings of similar training grasps ───────┐
+                                 └─ kernel ─── an estimate that fades to the mean ─── · λ ─┴─ w·forests + (1 - w)·λ·kernel
+    cloud, grasp ─► sizes, conditions ─► familiarity ─► in-distribution score w, 1 … 0
 
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
-The kernel's parameters are selected on objects left out, so that it predicts only what generalises.
+The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
+multiplied by λ, the share of it that held on them (`learning.training.claims`).
+
+`contact-v1` has no λ, describes a grasp by 88 features in the camera's frame (`features`) instead of those in the hand's
+(`hand_features`), and is familiar with an object by sizes alone.
 
 Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
 kernel and novelty detector; `<name>.trust.safetensors` the calibration.
@@ -25,16 +29,19 @@ import numpy.typing as npt
 from foretouch.errors import ConfigError, ModelError, quoted
 from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
-from foretouch.models.contact.features import FEATURES, ContactScene
+from foretouch.models.contact import features, hand_features
+from foretouch.models.contact.familiarity import FamiliarityDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
-from foretouch.models.novelty import IN_DISTRIBUTION, OBJECT_FEATURES, SizeNoveltyDetector
+from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
 
 TOGETHER: Final = "together"
 """Name of the forest with all values as outputs."""
+
+_CLAIM: Final = "claim"  # its tensor distinguishes the two kinds of features
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +55,7 @@ class ContactEstimator:
         mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and
             kernel.
         ranges: Ranges outside which a predicted value is flagged.
+        claim: (4,) float64 in [0, 1], λ of each modality; None if features are in the camera's frame, as in `contact-v1`.
     """
 
     forests: Mapping[str, Forest]
@@ -56,24 +64,36 @@ class ContactEstimator:
     mean: Float64
     deviation: Float64
     ranges: TactileRanges = P2_RANGES
+    claim: Float64 | None = None
 
     def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
         """See `Estimator.estimate`."""
-        return Estimate(*self.predict_rows(ContactScene(cloud.xyz).describe(grasps)))
+        scene = (features.ContactScene if self.claim is None else hand_features.HandScene)(cloud.xyz)
+        return Estimate(*self.predict_rows(scene.describe(grasps)))
 
     def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
         """Predict from feature rows, each of which may be of another object.
 
         Args:
-            rows: (K, len(FEATURES)) of `ContactScene.describe`.
+            rows: (K, F) of `HandScene.describe`, or of `ContactScene.describe` if `claim` is None.
 
         Returns:
             (K, 50) [counts], and (K,) whether the object is in distribution.
         """
-        scores = np.array([self.novelty.in_distribution_score(row[: len(OBJECT_FEATURES)]) for row in rows])
+        scores = self.novelty.scores(rows)
         weight = scores[:, None]
-        scaled = weight * self._trees(rows) + (1.0 - weight) * self.kernel.predict(rows)
+        inputs = rows if self.claim is None else rows[:, len(hand_features.CONDITIONS) :]
+        unknown = self.kernel.predict(inputs)
+        if self.claim is not None:
+            unknown = unknown * by_modality(self.claim)
+        scaled = weight * self._trees(inputs) + (1.0 - weight) * unknown
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
+
+    @property
+    def inputs(self) -> int:
+        """F, the number of columns that forests and kernel see."""
+        hand = len(hand_features.FEATURES) - len(hand_features.CONDITIONS)
+        return len(features.FEATURES) if self.claim is None else hand
 
     def _trees(self, rows: Float64) -> Float64:
         scaled = self.forests[TOGETHER].predict(rows)
@@ -87,7 +107,8 @@ class ContactEstimator:
         parts: dict[str, TensorRecord] = {"kernel": self.kernel, "novelty": self.novelty}
         parts |= {f"forest_{name}": forest for name, forest in self.forests.items()}
         tensors = {f"{part}/{key}": value for part, one in parts.items() for key, value in one.to_tensors().items()}
-        return tensors | {"mean": self.mean, "deviation": self.deviation}
+        claim = {} if self.claim is None else {_CLAIM: self.claim}
+        return tensors | {"mean": self.mean, "deviation": self.deviation} | claim
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, npt.NDArray[Any]], ranges: TactileRanges) -> ContactEstimator:
@@ -99,17 +120,32 @@ class ContactEstimator:
         for name in ("mean", "deviation"):
             if name not in tensors or tensors[name].shape != (TOUCH_SIZE,) or not np.isfinite(tensors[name]).all():
                 raise ModelError(f"{name}: is missing, of another shape, or not finite")
-        forests = {}
-        for name in (TOGETHER, *MODALITIES):
-            forests[name] = read_part(Forest, tensors, f"forest_{name}/")
-            size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
-            if forests[name].output_size != size or forests[name].feature.max() >= len(FEATURES):
-                raise ModelError(f"forest_{name}: does not fit {len(FEATURES)} features and {size} values")
+        claim = tensors.get(_CLAIM)
+        if claim is not None and (claim.shape != (len(MODALITIES),) or not ((claim >= 0.0) & (claim <= 1.0)).all()):
+            raise ModelError(f"{_CLAIM}: shape {claim.shape} is not ({len(MODALITIES)},), or a value is not in [0, 1]")
+        forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *MODALITIES)}
         kernel = read_part(KernelRegression, tensors, "kernel/")
-        if kernel.known.shape[1] != len(FEATURES) or kernel.weight.shape[1] != TOUCH_SIZE:
-            raise ModelError(f"kernel: does not fit {len(FEATURES)} features and {TOUCH_SIZE} values")
-        novelty = read_part(SizeNoveltyDetector, tensors, "novelty/")
-        return cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges)
+        detector = SizeNoveltyDetector if claim is None else FamiliarityDetector
+        novelty = read_part(detector, tensors, "novelty/")
+        found = cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges, claim)
+        found._check()
+        return found
+
+    def _check(self) -> None:
+        for name, forest in self.forests.items():
+            size = TOUCH_SIZE if name == TOGETHER else len(columns([name]))
+            if forest.output_size != size or forest.feature.max() >= self.inputs:
+                raise ModelError(f"forest_{name}: does not fit {self.inputs} features and {size} values")
+        if self.kernel.known.shape[1] != self.inputs or self.kernel.weight.shape[1] != TOUCH_SIZE:
+            raise ModelError(f"kernel: does not fit {self.inputs} features and {TOUCH_SIZE} values")
+
+
+def by_modality(values: Float64) -> Float64:
+    """(50,) values of a touch, from (4,) of the modalities."""
+    spread = np.empty(TOUCH_SIZE)
+    for name, value in zip(MODALITIES, values, strict=True):
+        spread[columns([name])] = value
+    return spread
 
 
 def save_contact(

@@ -49,6 +49,17 @@ FEATURES: Final = (
 SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
 
 
+def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
+    """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
+    points = np.asarray(xyz, np.float64).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < _MINIMUM_POINTS:
+        raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
+    if not np.ptp(points, axis=0).any():
+        raise CloudError(f"cloud: all {len(points)} finite points are in one place")
+    return points
+
+
 class ContactScene:
     """One object's points, prepared to describe grasps on it.
 
@@ -63,12 +74,7 @@ class ContactScene:
     """
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
-        points = np.asarray(xyz, np.float64).reshape(-1, 3)
-        self._points = points[np.isfinite(points).all(axis=1)]
-        if len(self._points) < _MINIMUM_POINTS:
-            raise CloudError(f"cloud: {len(self._points)} finite points are fewer than {_MINIMUM_POINTS}")
-        if not np.ptp(self._points, axis=0).any():
-            raise CloudError(f"cloud: all {len(self._points)} finite points are in one place")
+        self._points = usable_points(xyz)
         self._centre = self._points.mean(axis=0)
         self._centred = self._points - self._centre
         spreads, axes = _principal(self._centred)

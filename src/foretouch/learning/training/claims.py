@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the kernel of a contact model may claim of an object that it was not fitted to.
+
+The kernel predicts each training object from the others. What held there is a share λ of its predicted differences from
+the mean, one for each modality: the slope of the actual differences over the predicted ones, where every object weighs the
+same, since it is divided by its own error of the mean. The share is shrunk by how much it changes with the objects, as
+the jackknife over objects shows [Efron and Stein 1981]: λ · max(0, 1 - var(λ) / λ²), within [0, 1].
+
+Objects differ in more than their shape shows, and a training set of a few objects confounds the two. The kernel is fitted
+beside an effect of each object, as in a mixed model [Rasmussen and Williams 2006, section 2.7]: K + ρ [same object] +
+ridge I. What an object has of its own is then not taken for a consequence of its shape, and the effect of an unknown
+object is zero.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from foretouch.learning.data.folds import object_folds
+from foretouch.models.contact.regressors import laplacian
+from foretouch.models.novelty import standardisation
+from foretouch.tactile import MODALITIES, columns
+from foretouch.types import Float64
+
+
+def same_object(objects: Sequence[str]) -> Float64:
+    """(S, S) float64: 1 where two samples are of the same object, else 0."""
+    _, index = np.unique(np.asarray(objects), return_inverse=True)
+    return (index[:, None] == index).astype(np.float64)
+
+
+def choose_claims(
+    rows: Float64, scaled: Float64, objects: Sequence[str], decay: float, effect: float, ridges: Sequence[float]
+) -> tuple[float, Float64]:
+    """The ridge of least error on objects left out, each object and modality weighing the same, and what to claim.
+
+    Args:
+        rows: (S, F) features.
+        scaled: (S, 50) standardised labels.
+        objects: (S,) names.
+        decay: Of the kernel.
+        effect: ρ, variance of the objects' own effects.
+        ridges: Candidates.
+
+    Returns:
+        The ridge, and (4,) shares λ of the modalities; of a single object the largest ridge and zeros.
+    """
+    if len(set(objects)) < 2:
+        return max(ridges), np.zeros(len(MODALITIES))
+    products, powers = _held_out(rows, scaled, np.asarray(objects), decay, effect, ridges)
+    best = int(np.argmin((powers - 2.0 * products).sum(axis=(1, 2))))
+    return ridges[best], np.array([shrunken_slope(*one) for one in zip(products[best], powers[best], strict=True)])
+
+
+def _held_out(
+    rows: Float64, scaled: Float64, objects: np.ndarray, decay: float, effect: float, ridges: Sequence[float]
+) -> tuple[Float64, Float64]:
+    """(R, 4, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
+
+    Both are divided by the object's sum of squared actual differences.
+    """
+    groups = np.unique(objects)
+    products, powers = (np.zeros((len(ridges), len(MODALITIES), len(groups))) for _ in range(2))
+    for fold in object_folds(list(objects)):
+        centre, scale = standardisation(rows[fold.train])
+        known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
+        mean = scaled[fold.train].mean(axis=0)
+        values, vectors = np.linalg.eigh(laplacian(known, known, decay) + effect * same_object(objects[fold.train]))
+        cross, turned = laplacian(test, known, decay) @ vectors, vectors.T @ (scaled[fold.train] - mean)
+        actual = scaled[fold.test] - mean
+        for r, ridge in enumerate(ridges):
+            predicted = cross @ (turned / (values + ridge)[:, None])
+            for g in np.flatnonzero(np.isin(groups, objects[fold.test])):
+                mine = objects[fold.test] == groups[g]
+                for m, modality in enumerate(MODALITIES):
+                    x, y = (part[mine][:, columns([modality])] for part in (predicted, actual))
+                    size = max(float((y * y).sum()), 1e-12)
+                    products[r, m, g], powers[r, m, g] = (x * y).sum() / size, (x * x).sum() / size
+    return products, powers
+
+
+def shrunken_slope(products: Float64, powers: Float64) -> float:
+    """λ of one modality from (G,) products and powers of the objects; 0 where nothing was predicted, or G is 1."""
+    total, power = products.sum(), powers.sum()
+    left = power - powers
+    if len(products) < 2 or left.min() <= 1e-12 or total <= 0.0:
+        return 0.0
+    slope = total / power
+    without = (total - products) / left
+    variance = (len(products) - 1) * without.var()  # of the jackknife
+    return float(np.clip(slope * max(0.0, 1.0 - variance / slope**2), 0.0, 1.0))

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features of an object and a grasp in the frame of the hand: independent of where the camera is, and of density.
+
+    cloud ─► object: sizes along its principal axes, visible height ─────────┐
+    grasp ─► width, place on the object, the object in the hand's frame ─────┼─► one row for each grasp
+    points around each contact ─► slope, size and place of the pad's patch ──┘
+
+All lengths and directions are in the frame of the hand (x away from the camera, z from the second contact to the first),
+along the object's principal axes, or along the optical axis: where the object is in the picture, and how the camera is
+rolled, changes none of them. All are means, moments, quantiles or shares of points, which thinning does not shift; points
+around a contact weigh less the farther they are, so that no point enters or leaves by a step.
+
+The camera is assumed to look down on the table, as in the public recordings (`foretouch.types.ASSUMED_TABLE`): heights are
+along the optical axis, and `approach` and `rise` are the directions of the hand relative to it.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from foretouch.models.contact.features import usable_points
+from foretouch.types import Float64, Grasp
+
+_RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
+_PAD: Final = 0.02  # about the size of a pad [m]
+_FEWEST: Final = 4  # points that determine a slope
+_LOW_HIGH: Final = (0.02, 0.98)
+_QUARTERS: Final = (0.25, 0.5, 0.75, 0.98)
+_SQUARES: Final = np.array([_PAD, *_RADII_M]) ** 2
+_UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
+_SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
+_STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
+_NOTHING: Final = 1e-12  # a smaller share of the points is none
+
+OBJECT_FEATURES: Final = (
+    *(f"spread_{k}" for k in (1, 2, 3)),
+    *(f"extent_{k}" for k in (1, 2, 3)),
+    *(f"radius_q{round(100 * q)}" for q in _QUARTERS),
+    "height",
+)
+"""Sizes of the object alone, by which novelty is detected."""
+
+CONDITIONS: Final = ("distance", "spacing")
+"""Of the recording: distance of the object from the camera, and of its points from each other. No prediction depends on them."""
+
+CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
+"""The first columns of a row, by which familiarity is judged."""
+
+_GRASP_FEATURES: Final = (
+    *("width", "approach", "rise", "offset", "along", "along_y"),
+    *(f"{what}_hand_{axis}" for what in ("centre", "spread") for axis in "xyz"),
+    *("oblique_hand_xy", "oblique_hand_xz", "oblique_hand_yz"),
+    *("g1_depth", "g2_depth"),
+)
+_CONTACT_FEATURES: Final = (
+    *("share", "roughness", "pad_x", "pad_y", "pad_z"),
+    *(f"slope_{round(r * 1000)}mm_{axis}" for r in _RADII_M for axis in "xyz"),
+)
+
+FEATURES: Final = (
+    *CONDITIONS,
+    *OBJECT_FEATURES,
+    *_GRASP_FEATURES,
+    *(f"{contact}_{name}" for contact in ("g1", "g2") for name in _CONTACT_FEATURES),
+)
+"""Names of all columns of `HandScene.describe`."""
+
+SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
+
+
+class HandScene:
+    """One object's points, prepared to describe grasps on it.
+
+    Args:
+        xyz: (N, 3) points [m], camera frame; points that are not finite are ignored.
+
+    Attributes:
+        object_features: (len(OBJECT_FEATURES),) float64, lengths in metres.
+
+    Raises:
+        CloudError: If fewer than eight points are finite, or all are at one position.
+    """
+
+    def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
+        self._points = usable_points(xyz)
+        self._centre = self._points.mean(axis=0)
+        centred = self._points - self._centre
+        self._covariance = centred.T @ centred / len(centred)
+        spreads, axes = _principal(self._covariance)
+        self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
+        along = np.quantile(centred @ axes, _LOW_HIGH, axis=0)
+        low, high = np.quantile(self._points[:, 2], _LOW_HIGH)
+        self._top = low  # nearest to the camera
+        products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)[:, _UPPER]
+        self._powers = np.column_stack([np.ones(len(centred)), centred, products])
+        distance = np.sqrt((centred * centred).sum(axis=1))
+        extents = along[1] - along[0]
+        self.object_features: Float64 = np.concatenate(
+            [spreads, extents, np.quantile(distance, _QUARTERS), [high - low]]
+        )
+        away = np.sqrt((self._centre**2).sum())
+        self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(centred))])
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        """Of all points; built only when a grasp is described, and not balanced, which would take most of the time."""
+        return cKDTree(self._points, leafsize=32, compact_nodes=False, balanced_tree=False)
+
+    def describe(self, grasps: Sequence[Grasp]) -> Float64:
+        """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp."""
+        if not grasps:
+            return np.empty((0, len(FEATURES)))
+        g1, g2 = np.array([grasp.g1 for grasp in grasps]), np.array([grasp.g2 for grasp in grasps])
+        hand = np.array([grasp.rotation for grasp in grasps])
+        away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
+        hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
+        objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
+        second = np.stack([hand[:, :, 0], -hand[:, :, 1], -hand[:, :, 2]], axis=2)  # z is where the finger closes to
+        contacts = self._contacts(np.concatenate([g1, g2]), np.concatenate([second, hand]))
+        return np.hstack([objects, self._grasps(g1, g2, hand), contacts[: len(grasps)], contacts[len(grasps) :]])
+
+    def _grasps(self, g1: Float64, g2: Float64, hand: Float64) -> Float64:
+        """(K, len(_GRASP_FEATURES))."""
+        middle = (g1 + g2) / 2.0
+        offset = middle - self._centre
+        turned = (self._covariance[None, :, :, None] * hand[:, None, :, :]).sum(axis=2)
+        spread = np.sqrt(np.maximum((hand * turned).sum(axis=1), 0.0))
+        centre = _into(hand, -offset)
+        # Not the principal axis itself, which turns by any angle where an object is as wide as long.
+        oblique = [(hand[:, :, i] * turned[:, :, j]).sum(axis=1) for i, j in ((0, 1), (0, 2), (1, 2))]
+        return np.column_stack(
+            [
+                np.sqrt(((g1 - g2) ** 2).sum(axis=1)),
+                hand[:, 2, 0],
+                hand[:, 2, 2],
+                np.sqrt((offset**2).sum(axis=1)),
+                np.sqrt((offset[:, :, None] * self._inverse * offset[:, None, :]).sum(axis=(1, 2))),
+                centre[:, 1] / np.maximum(spread[:, 1], _STEP),
+                centre,
+                spread,
+                *(one / np.trace(self._covariance) for one in oblique),
+                g1[:, 2] - self._top,
+                g2[:, 2] - self._top,
+            ]
+        )
+
+    def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
+        """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
+
+        Points around a contact are summed once, in the camera's frame, however many grasps share it.
+        """
+        unique, back = np.unique(contacts, axis=0, return_inverse=True)
+        back = back.reshape(-1)
+        near = self._tree.query_ball_point(unique, max(_RADII_M), return_sorted=True)
+        pad, *patches = np.array(
+            [self._sums(at, one) for at, one in zip(unique - self._centre, near, strict=True)]
+        ).swapaxes(0, 1)
+        share, mean, spreads, _ = _moments(pad, unique - self._centre)
+        found = [share[back], spreads[back, 0], *_into(fingers, mean[back]).T]
+        for patch in patches:
+            *_, spreads, axes = _moments(patch, unique - self._centre)
+            normal = _into(fingers, axes[back][:, :, 0])
+            flat = 1.0 - spreads[:, 0] / np.maximum(spreads[:, 1], _NOTHING)
+            # Not the normal itself, whose sign turns where it is across the finger.
+            slope = (flat[back] * np.abs(normal[:, 2]))[:, None] * normal * np.where(normal[:, 2:] > 0.0, -1.0, 1.0)
+            found += list(np.where(patch[back, -1:] < _FEWEST, 0.0, slope).T)
+        return np.column_stack(found)
+
+    def _sums(self, contact: Float64, index: list[int]) -> Float64:
+        """(4, 11) of the pad and the patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz, and number of points."""
+        powers = self._powers[index]
+        offset = powers[:, 1:4] - contact
+        weight = np.maximum(1.0 - (offset * offset).sum(axis=1) / _SQUARES[:, None], 0.0)
+        return np.column_stack([weight @ powers / len(self._points), np.count_nonzero(weight, axis=1)])
+
+
+def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float64, Float64]:
+    """Of (U, 11) sums around (U, 3) contacts, both from the object's centre.
+
+    Returns:
+        (U,) weights, (U, 3) means from the contact, (U, 3) standard deviations along the principal axes, ascending, and
+        (U, 3, 3) these axes as columns. All are zero, and the axes those of the frame, where there is no weight.
+    """
+    total = sums[:, 0]
+    scaled = sums[:, 1:10] / np.maximum(total, _NOTHING)[:, None]
+    mean = scaled[:, :3]
+    covariance = scaled[:, 3:][:, _SYMMETRIC].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
+    return total, np.where((total > 0.0)[:, None], mean - contacts, 0.0), *_principal(covariance)
+
+
+def _into(frames: Float64, vectors: Float64) -> Float64:
+    """(K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
+    return np.asarray((frames * vectors[:, :, None]).sum(axis=1), np.float64)
+
+
+def _principal(covariance: Float64) -> tuple[Float64, Float64]:
+    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(values, 0.0)), axes
