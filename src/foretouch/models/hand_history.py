@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the fingertips of one hand have read so far, of whatever object, and the file that keeps it across restarts.
 
-`HandHistory` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`. Another object at hand
-forgets the object's part and keeps the state of the sensors.
+`HandHistory` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`. Another object
+forgets the last one's part and keeps the state of the sensors.
 
 The file of a hand is a safetensors file that is replaced as a whole and holds a hash of its content. Its age needs no limit: while nothing is
 read, the tracker's variance grows back to that of an unknown sensor.
@@ -157,7 +157,7 @@ class HandHistory:
         return self.extent is not None and Extent.of(cloud).is_near(self.extent, same_object_m)
 
     def start_object(self) -> None:
-        """Another object is at hand: forget the touches of the last one, keep the state of the sensors."""
+        """The object is another one now: forget the touches of the last one, keep the state of the sensors."""
         self.tracker.start_object()
         self.extent = None
 

@@ -95,7 +95,7 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns are those by which familiarity is judged;
+"""By name of the variant, (S, F) feature rows. The first columns are those by which familiarity is evaluated;
 `geometry_features` are those of the baseline's trees."""
 
 

@@ -196,7 +196,7 @@ class ObjectMemory:
 
 
 class HandMemory:
-    """All readings of a hand, and which object is at hand. Not thread-safe; as `ObjectMemory`, for a model with a tracker.
+    """All readings of a hand, and the current object. Not thread-safe; as `ObjectMemory`, for a model with a tracker.
 
     Args:
         history: The readings so far.
