@@ -17,8 +17,7 @@ from foretouch.types import Float64
 
 FOLDER = Path(__file__).parents[2] / "config" / "scenes"
 # Of each scene, the sample with this number.
-SCENES = (("rigid", 0), ("rigid", 3), ("deformables", 2), ("deformables", 3))
-SCENES += (("unseen_objects", 0), ("unseen_objects", 1), ("clutter", 0))
+SCENES = (("rigid", 0), ("rigid", 3), ("deformables", 2), ("deformables", 3), ("unseen_objects", 0))
 # The middle of a D415's image of 848 x 480 pixels and 65 degrees: the table and the object are in it.
 CAMERA = {"camera.width": 480, "camera.height": 320, "camera.hfov_deg": 39.67}
 JUMP_M = 0.005

@@ -26,7 +26,8 @@ class GraspNodeConfig(ProcessingConfig):
     grasp: LiveGeoGraspConfig = LiveGeoGraspConfig()
     grasp_hold: float = setting(
         2.0,
-        "The last grasp of an object is kept until another is better by this score; 0 disables it, as grasp.method original",
+        "The last grasp of an object is kept until another is better by this score on three clouds in a row; "
+        "0 disables it, as grasp.method original",
         minimum=0.0,
         maximum=1000.0,
     )
