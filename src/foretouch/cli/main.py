@@ -34,25 +34,28 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    parser = _parser(arguments[0] if arguments else None)
-    parsed = _parse(parser, arguments)
-    if parsed.command is None:
-        parser.print_help()
-        return 2
-    module = importlib.import_module(f"foretouch.cli.{parsed.command}")
     try:
-        status = module.run(parsed)
+        status = _run(arguments)
         sys.stdout.flush()
     except ForetouchError as err:
         print(f"foretouch: {err}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # also while modules are imported
         return 130
     except BrokenPipeError:
         # The reader (`| head`) has exited: exit quietly, and keep the interpreter from flushing again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return int(status)
+    return status
+
+
+def _run(arguments: list[str]) -> int:
+    parser = _parser(arguments[0] if arguments else None)
+    parsed = _parse(parser, arguments)
+    if parsed.command is None:
+        parser.print_help()
+        return 2
+    return int(importlib.import_module(f"foretouch.cli.{parsed.command}").run(parsed))
 
 
 def _parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:

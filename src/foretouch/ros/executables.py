@@ -59,20 +59,25 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    try:
+        return _serve(names, list(sys.argv if args is None else args))
+    except ForetouchError as err:
+        sys.stderr.write(f"foretouch: {err}\n")
+        return 1
+    except KeyboardInterrupt:  # while modules were imported or nodes were made
+        return 0
+
+
+def _serve(names: Sequence[str], arguments: list[str]) -> int:
     prepare_environment()
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=list(sys.argv if args is None else args), signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         return int(spin(make_nodes(*names)))
-    except ForetouchError as err:
-        sys.stderr.write(f"foretouch: {err}\n")
-        return 1
-    except KeyboardInterrupt:  # while the nodes were being made
-        return 0
     finally:
         rclpy.try_shutdown()
 
