@@ -14,7 +14,22 @@ DOUBLES = (
     -1.7e308,
 )  # fmt: skip
 _FLOAT_LIMIT = float(np.finfo(np.float32).max)
-STRINGS = ("", "a" * 5000, "\n", "../..", "\u00e9\U0001f4a5", "nan", "0", "-1", "{}", "%s%n", "7", "a b", " ", "1" * 400)
+STRINGS = (
+    "",
+    "a" * 5000,
+    "\n",
+    "../..",
+    "\u00e9\U0001f4a5",
+    "nan",
+    "0",
+    "-1",
+    "{}",
+    "%s%n",
+    "7",
+    "a b",
+    " ",
+    "1" * 400,
+)
 _LIST = re.compile(r"^(?:sequence<(?P<item>[^,>]+)(?:, (?P<limit>\d+))?>|(?P<fixed>.+)\[(?P<size>\d+)\])$")
 _SHARE_OF_FLOATS = 0.7  # of the changes of a byte array that put a number into it
 

@@ -7,11 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-STAGES = (
-    ("segmentation", ("object_cloud", "table")),
-    ("grasp", ("grasps",)),
-    ("touch_predictor", ("touch",)),
-)
+STAGES = (("segmentation", ("object_cloud", "table")), ("grasp", ("grasps",)), ("touch_predictor", ("touch",)))
 """Node and the topics of its answer, in the order of the chain."""
 
 QUEUED_S = 2.0  # a node that ends takes along what arrived so shortly before
@@ -45,10 +41,7 @@ class Drop:
 
 
 def account(
-    clouds: Mapping[int, float],
-    outputs: Mapping[str, Iterable[int]],
-    outages: Sequence[Outage],
-    drops: Sequence[Drop],
+    clouds: Mapping[int, float], outputs: Mapping[str, Iterable[int]], outages: Sequence[Outage], drops: Sequence[Drop]
 ) -> tuple[Counter[str], list[tuple[int, str]]]:
     """Explain every cloud.
 

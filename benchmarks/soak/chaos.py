@@ -377,7 +377,14 @@ def row_of(one: Disturbance, origin: float, answers: list[float]) -> dict[str, A
     times = [t for t in answers if one.start_s - 2.0 <= t <= end + 2.0]
     gap = max((b - a for a, b in pairwise(times)), default=float("nan"))
     recovery = "none" if one.recovered_s is None else f"{one.recovered_s - one.end_s:.2f}"
-    values = (f"{one.start_s - origin:.1f}", one.name, f"{one.end_s - one.start_s:.1f}", recovery, f"{gap:.2f}", one.note)
+    values = (
+        f"{one.start_s - origin:.1f}",
+        one.name,
+        f"{one.end_s - one.start_s:.1f}",
+        recovery,
+        f"{gap:.2f}",
+        one.note,
+    )
     return dict(zip(COLUMNS, values, strict=True))
 
 
@@ -417,9 +424,15 @@ def timeline(soak: Soak, origin: float, minutes: float) -> list[dict[str, Any]]:
     """Clouds and answers per second and the memory of each process, over time."""
     step = 1.0 if minutes < 10 else 5.0
     seen, rows = soak.observer.seen, []
-    played, answered = (Counter(int((t - origin) // step) for t in times) for times in (seen.clouds.values(), seen.answers))
+    played, answered = (
+        Counter(int((t - origin) // step) for t in times) for times in (seen.clouds.values(), seen.answers)
+    )
     for k in range(int(minutes * 60.0 / step)):
-        row: dict[str, Any] = {"t_s": (k + 1) * step, "played_per_s": played[k] / step, "answered_per_s": answered[k] / step}
+        row: dict[str, Any] = {
+            "t_s": (k + 1) * step,
+            "played_per_s": played[k] / step,
+            "answered_per_s": answered[k] / step,
+        }
         for name in NODES:
             values = [
                 mb
@@ -453,7 +466,9 @@ def quiet_figures(seen: Any, done: list[Disturbance]) -> dict[str, float]:
     }
 
 
-def summary(soak: Soak, done: list[Disturbance], origin: float, datasets: dict[str, str]) -> tuple[list[dict[str, Any]], bool]:
+def summary(
+    soak: Soak, done: list[Disturbance], origin: float, datasets: dict[str, str]
+) -> tuple[list[dict[str, Any]], bool]:
     """The figures, and whether all limits were kept."""
     seen = soak.observer.seen
     fates, unexplained = account(seen.clouds, seen.stamps, soak.outages, seen.drops)
@@ -487,7 +502,12 @@ def summary(soak: Soak, done: list[Disturbance], origin: float, datasets: dict[s
     }
     for stamp, node in unexplained:
         print(f"  unexplained at {node}: cloud {stamp}, {seen.clouds[stamp] - origin:.1f} s after the start")
-    for text in (*soak.unexpected, *errors, *(f"no recovery within 2 s: {n}" for n in late), *(f"failed: {n}" for n in strayed)):
+    for text in (
+        *soak.unexpected,
+        *errors,
+        *(f"no recovery within 2 s: {n}" for n in late),
+        *(f"failed: {n}" for n in strayed),
+    ):
         print(f"  {text}")
     bad = bool(unexplained or seen.not_finite or errors or soak.unexpected or late or strayed)
     return [{"figure": name, "value": value} for name, value in figures.items()], not bad
