@@ -34,7 +34,7 @@ NODES = ("segmentation", "grasp", "touch_predictor", "recorder", "hand")
 SCENE = Path(__file__).parents[2] / "config" / "scenes" / "clean.yaml"
 START_S = 120.0
 ANSWER_S = 30.0  # that an answer may take on a busy computer
-BATCH = 50
+BATCH = 50  # messages or requests between two checks
 DAMAGED = 0.3  # share of the messages whose bytes are damaged
 
 
@@ -294,12 +294,12 @@ def topics() -> dict[str, tuple[Sequence[Any], Callable[[], Sequence[tuple[str, 
     }
 
 
-def flood(graph: Graph, topic: str, rng: np.random.Generator) -> None:
+def flood(graph: Graph, topic: str, rng: np.random.Generator, size: int) -> None:
     """A batch of absurd messages and of damaged bytes on one topic."""
     from rclpy.serialization import deserialize_message, serialize_message
 
     kept, others, pause = topics()[topic]
-    for _ in range(BATCH):
+    for _ in range(size):
         message = pick(kept, rng)
         rest = others()
         stamped(message, *(one for _, one in rest))
@@ -423,7 +423,9 @@ KINDS = (*TOPICS, *REQUESTS)
 # --- the course -------------------------------------------------------------------------------------------------
 
 
-def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any) -> tuple[Counter[str], list[str], float]:
+def batch(
+    graph: Graph, kind: str, rng: np.random.Generator, expected: Any, size: int
+) -> tuple[Counter[str], list[str], float]:
     """One batch and the checks after it: outcomes, faults, and the longest answer to a request [s]."""
     counts: Counter[str] = Counter()
     faults: list[str] = []
@@ -432,11 +434,11 @@ def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any) -> t
     try:
         graph.deaf = kind == "touch"
         if kind in TOPICS:
-            flood(graph, kind, rng)
+            flood(graph, kind, rng, size)
         if graph.deaf:
             time.sleep(1.0)
             graph.deaf = False
-        for _ in range(0 if kind in TOPICS else BATCH):
+        for _ in range(0 if kind in TOPICS else size):
             began = time.monotonic()
             try:
                 outcome = REQUESTS[kind](graph, rng)
@@ -466,12 +468,14 @@ def batch(graph: Graph, kind: str, rng: np.random.Generator, expected: Any) -> t
         graph.start()
     counts["uncaught"] = max(counts["uncaught"], sum(text.startswith("uncaught") for text in faults))
     if kind in TOPICS:
-        counts["refused"] = min(graph.heard.refused - refused, BATCH)
-        counts["read"] = max(0, BATCH - counts.total())
+        counts["refused"] = min(graph.heard.refused - refused, size)
+        counts["read"] = max(0, size - counts.total())
     return counts, faults, slowest
 
 
-def run(cases: int, seed: int, kinds: Sequence[str] = KINDS) -> tuple[list[dict[str, Any]], list[str]]:
+def run(
+    cases: int, seed: int, kinds: Sequence[str] = KINDS, size: int = BATCH
+) -> tuple[list[dict[str, Any]], list[str]]:
     """Rows of the table, and a line for each fault."""
     rows, faults = [], []
     with tempfile.TemporaryDirectory(prefix="foretouch-live-") as name:
@@ -483,16 +487,16 @@ def run(cases: int, seed: int, kinds: Sequence[str] = KINDS) -> tuple[list[dict[
             for kind in kinds:
                 total: Counter[str] = Counter()
                 slowest = 0.0
-                batches = max(1, round(cases / len(kinds) / BATCH))
+                batches = max(1, round(cases / len(kinds) / size))
                 for k in range(batches):
                     rng = np.random.default_rng([seed, KINDS.index(kind), k])
-                    counts, found, slow = batch(graph, kind, rng, expected)
+                    counts, found, slow = batch(graph, kind, rng, expected, size)
                     total += counts
                     slowest = max(slowest, slow)
                     faults += [f"{kind} {seed} {k}: {text}" for text in found]
                     for text in found:
                         print(f"  {kind} {seed} {k}: {text}", flush=True)
-                row = {"kind": f"live {kind}", "cases": batches * BATCH, **{c: total[c] for c in COLUMNS[2:-1]}}
+                row = {"kind": f"live {kind}", "cases": batches * size, **{c: total[c] for c in COLUMNS[2:-1]}}
                 rows.append({**row, "slowest_ms": round(slowest * 1e3, 1)})
                 print("  ".join(str(value) for value in rows[-1].values()), flush=True)
         finally:
@@ -504,12 +508,13 @@ def main() -> int:
     """Run all kinds; the exit status is 1 if a rule was broken."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1300, help="messages and requests in all (default 1300)")
+    parser.add_argument("--batch", type=int, default=BATCH, help=f"messages between two checks (default {BATCH})")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kind", choices=KINDS, action="append", help="only this kind; may be repeated")
     parser.add_argument("--out", type=Path, help="write the table as CSV")
     options = parser.parse_args()
     print("  ".join(COLUMNS))
-    rows, faults = run(options.cases, options.seed, options.kind or KINDS)
+    rows, faults = run(options.cases, options.seed, options.kind or KINDS, options.batch)
     if options.out:
         with options.out.open("w", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")

@@ -630,11 +630,30 @@ def messages_of(kind: Kind, seed: int, number: int, index: int) -> Any:
 _SERIALISED: dict[int, bytes] = {}
 
 
+def read_case(kind: Kind, seed: int, number: int, index: int) -> tuple[str, str, float]:
+    """Convert the message of one case: outcome, detail of a fault, and CPU time [s]."""
+    from foretouch.errors import ForetouchError
+
+    outcome, detail = "read", ""
+    message = messages_of(kind, seed, number, index)
+    began = time.process_time()
+    try:
+        if message is None:
+            outcome = "refused"
+        else:
+            kind.read(message)
+    except ForetouchError as err:
+        text = str(err)
+        clear = text and "\n" not in text and len(text) < LINE
+        outcome, detail = ("refused", "") if clear else ("uncaught", f"unclear: {text[:200]!r}")
+    except BaseException as err:  # noqa: BLE001  whatever is not ForetouchError is what is searched for
+        outcome, detail = "uncaught", f"{type(err).__name__}: {str(err)[:200]} at {_place(err)}"
+    return outcome, detail, time.process_time() - began
+
+
 def serve(name: str, cases: int, seed: int, first: int, progress: Path) -> None:
     """Read the cases of one kind; prints a line of JSON for each fault, and the counts at the end."""
     import warnings
-
-    from foretouch.errors import ForetouchError
 
     warnings.simplefilter("ignore")
     answers, sys.stdout = sys.stdout, sys.stderr
@@ -647,22 +666,7 @@ def serve(name: str, cases: int, seed: int, first: int, progress: Path) -> None:
         shared = mmap.mmap(file.fileno(), _PROGRESS.size)
         for number in range(first, cases):
             shared[:] = _PROGRESS.pack(number)
-            began = time.process_time()
-            outcome, detail = "read", ""
-            try:
-                message = messages_of(kind, seed, number, index)
-                began = time.process_time()
-                if message is None:
-                    outcome = "refused"
-                else:
-                    kind.read(message)
-            except ForetouchError as err:
-                text = str(err)
-                clear = text and "\n" not in text and len(text) < LINE
-                outcome, detail = ("refused", "") if clear else ("uncaught", f"unclear: {text[:200]!r}")
-            except BaseException as err:  # noqa: BLE001  whatever is not ForetouchError is what is searched for
-                outcome, detail = "uncaught", f"{type(err).__name__}: {str(err)[:200]} at {_place(err)}"
-            seconds = time.process_time() - began
+            outcome, detail, seconds = read_case(kind, seed, number, index)
             slowest = max(slowest, seconds)
             if outcome in ("read", "refused") and seconds > SECONDS and number > first:
                 outcome, detail = "slow", f"{seconds:.2f} s"

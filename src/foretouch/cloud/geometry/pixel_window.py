@@ -31,6 +31,7 @@ _LATTICE_GAP = 0.25  # of the pitch; smaller gaps are rounding within a column o
 _LATTICE_SIZE = 1e5  # columns or rows of any camera
 _LATTICE_CELLS = 64  # cells per point; a sparser image is not an object seen by one camera
 _IMAGE_CELLS = 1280 * 720  # cells in any case: a depth image of a RealSense
+_IMAGE_SIDE = 4096  # columns or rows in any case
 # Pixels from the centre of the window to its edge. On a frontal surface 50 neighbours are within 4 pixels, at
 # its rim within 6; a wider window costs more than the tree needs for the points this one leaves unproven.
 _REACH = 5
@@ -64,8 +65,10 @@ class PixelGrid:
         if len(pixels) and not (pixels.min() >= 0 and pixels.max() < height * width):
             raise CloudError(f"pixels: {pixels.min()} ... {pixels.max()} is outside of an image of {height}x{width}")
         row, column = np.divmod(pixels.astype(np.int64), width)
-        if len(pixels) and np.ptp(row) * np.ptp(column) > max(_IMAGE_CELLS, _LATTICE_CELLS * len(pixels)):
-            return None
+        if len(pixels):
+            tall, wide = int(np.ptp(row)), int(np.ptp(column))
+            if max(tall, wide) > _IMAGE_SIDE or tall * wide > max(_IMAGE_CELLS, _LATTICE_CELLS * len(pixels)):
+                return None
         grid = cls._cropped(row, column)
         if grid is None:
             raise CloudError("pixels: an index occurs twice")
