@@ -335,7 +335,7 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
     labels = _present(own, ("none", "1 touch", "2 touches", "3-9", "10+"))
-    figure = new_figure(10.5, 5.6)
+    figure = new_figure(9.2, 4.9)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True)
     shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
     for axes, modality in zip(above, MODALITIES, strict=True):
@@ -347,11 +347,13 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     for axes, modality in zip(below, MODALITIES, strict=True):
         for number, method in enumerate((TRACKER, MEMORY)):
             cells = {row["bin"]: row for row in _find(own, method=method, object=ALL_OBJECTS, modality=modality)}
-            axes.plot(labels, [cells[k]["half_width"] for k in labels], "o-", color=f"C{number}", label=method)
-            for k in labels:
+            axes.plot(
+                range(len(labels)), [cells[k]["half_width"] for k in labels], "o-", color=f"C{number}", label=method
+            )
+            for x, k in enumerate(labels):
                 axes.annotate(
                     f"{cells[k]['coverage']:.2f}",
-                    (k, cells[k]["half_width"]),
+                    (x, cells[k]["half_width"]),
                     (0, 6 if number else -13),
                     textcoords="offset points",
                     ha="center",
@@ -359,7 +361,7 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
                     color=f"C{number}",
                 )
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("touches of the object before")
+        axes.set_xlabel("touches of the object")
         axes.grid(visible=True, alpha=0.3)
     above[0].set_ylabel(f"skill (sight: {sight})")
     below[0].set_ylabel("half width [counts], coverage")
@@ -376,5 +378,5 @@ def _draw_line(axes: Axes, rows: Rows, labels: Sequence[str], number: int, name:
         if name in (TRACKER, MEMORY) and cells[label]["skill_low"] is not None:
             ends = [cells[label]["skill_low"], cells[label]["skill_high"]]
             axes.plot([centre, centre], ends, color=f"C{number}", linewidth=0.8)
-    axes.set_xticks(range(len(labels)), labels)
+    axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
     axes.grid(visible=True, alpha=0.3)
