@@ -307,6 +307,6 @@ def test_evaluate_in_order_of_time_reports_scores_by_touches(
     (found,) = answer.records
     assert (found["samples"], found["history"]) == (5, 4)
     assert found["touches"]["all"]["grasps"] == 5
-    assert found["touches"]["0"]["grasps"] == 1
+    assert found["touches"]["none"]["grasps"] == 1
     assert set(found["touches"]["all"]["scores"]) >= {"tracker", "memory", "sight", "clock", "running mean"}
     assert 0.0 <= found["touches"]["all"]["scores"]["tracker"]["E_TH"]["coverage90"] <= 1.0

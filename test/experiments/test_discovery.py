@@ -111,7 +111,7 @@ def test_every_folder_holds_the_experiment_of_its_name() -> None:
         assert find_experiment(one.name) is one
         assert one.module == f"foretouch.experiments.{one.name}"
     for name in ("framework", "shared"):
-        with pytest.raises(ConfigError, match=f"{name!r} is none of cross_validation, time_blocked"):
+        with pytest.raises(ConfigError, match=f"{name!r} is none of prequential, cross_validation, time_blocked"):
             find_experiment(name)
 
 

@@ -45,7 +45,7 @@ AFTER_JUMP: Final = "after jump"
 _JUMP_GRASPS: Final = 50
 _PAST: Final = "past_mean"
 _RANGES: Final = {**BINS, LATER: (3, 10**9)}
-_OBJECT_BINS: Final = ("0-2", "3-9", "10+", "all", LATER)
+_OBJECT_BINS: Final = ("first 3", "3-9", "10+", "all", LATER)
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
 
 
@@ -286,7 +286,7 @@ def _object_table(sight: str, rows: Rows) -> Table:
     names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
     body = []
     for method in (TRACKER, MEMORY):
-        for label in _present(rows, ("0-2", "3-9", "all")):  # a single grasp has no skill of its own
+        for label in _present(rows, ("first 3", "3-9", "all")):  # a single grasp has no skill of its own
             parts = {name: _find(rows, method=method, bin=label, object=name) for name in names}
             cells = [_four(part, "skill") for part in parts.values()]
             worst = " ".join(
@@ -300,7 +300,7 @@ def _interval_table(sight: str, rows: Rows) -> Table:
     names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
     body = []
     for method in (TRACKER, MEMORY):
-        for label in _present(rows, ("0", "0-2", "3-9", "10+", "all")):
+        for label in _present(rows, ("none", "first 3", "3-9", "10+", "all")):
             cells = _find(rows, method=method, bin=label, object=ALL_OBJECTS)
             body.append(
                 [
@@ -331,11 +331,11 @@ def _jump_table(sight: str, rows: Rows) -> Table:
 
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `touches.png`: above the skill, below coverage and width, over touches of the object."""
+    """Draw `touches.png`: above the skill, with 95 % intervals of the first two, below width and coverage, over touches."""
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
-    labels = _present(own, ("0", "1", "2", "3-9", "10+"))
-    figure = new_figure(11.0, 6.0)
+    labels = _present(own, ("none", "1 touch", "2 touches", "3-9", "10+"))
+    figure = new_figure(9.2, 4.9)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True)
     shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
     for axes, modality in zip(above, MODALITIES, strict=True):
@@ -347,11 +347,13 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     for axes, modality in zip(below, MODALITIES, strict=True):
         for number, method in enumerate((TRACKER, MEMORY)):
             cells = {row["bin"]: row for row in _find(own, method=method, object=ALL_OBJECTS, modality=modality)}
-            axes.plot(labels, [cells[k]["half_width"] for k in labels], "o-", color=f"C{number}", label=method)
-            for k in labels:
+            axes.plot(
+                range(len(labels)), [cells[k]["half_width"] for k in labels], "o-", color=f"C{number}", label=method
+            )
+            for x, k in enumerate(labels):
                 axes.annotate(
                     f"{cells[k]['coverage']:.2f}",
-                    (k, cells[k]["half_width"]),
+                    (x, cells[k]["half_width"]),
                     (0, 6 if number else -13),
                     textcoords="offset points",
                     ha="center",
@@ -359,10 +361,10 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
                     color=f"C{number}",
                 )
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("touches of the object before")
+        axes.set_xlabel("touches of the object")
         axes.grid(visible=True, alpha=0.3)
-    above[0].set_ylabel(f"skill, sight: {sight}, 95 % interval")
-    below[0].set_ylabel("mean half width [counts], and coverage")
+    above[0].set_ylabel(f"skill (sight: {sight})")
+    below[0].set_ylabel("half width [counts], coverage")
     figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(shown), fontsize=9)
     return [save(figure, folder / "touches.png")]
 
@@ -373,8 +375,8 @@ def _draw_line(axes: Axes, rows: Rows, labels: Sequence[str], number: int, name:
     x = np.arange(len(labels)) + offset
     axes.plot(x, [cells[label]["skill"] for label in labels], "o-", color=f"C{number}", markersize=4, label=name)
     for centre, label in zip(x, labels, strict=True):
-        if cells[label]["skill_low"] is not None:
+        if name in (TRACKER, MEMORY) and cells[label]["skill_low"] is not None:
             ends = [cells[label]["skill_low"], cells[label]["skill_high"]]
             axes.plot([centre, centre], ends, color=f"C{number}", linewidth=0.8)
-    axes.set_xticks(range(len(labels)), labels)
+    axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
     axes.grid(visible=True, alpha=0.3)

@@ -23,10 +23,10 @@ from foretouch.tactile import MODALITIES, check_touch, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
-    "0": (0, 0),
-    "1": (1, 1),
-    "2": (2, 2),
-    "0-2": (0, 2),
+    "none": (0, 0),
+    "1 touch": (1, 1),
+    "2 touches": (2, 2),
+    "first 3": (0, 2),
     "3-9": (3, 9),
     "10+": (10, 10**9),
     "all": (0, 10**9),
