@@ -26,7 +26,7 @@ from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.types import Cloud, Grasp, Plane, TouchPrediction
 
 OBJECTS, SCENES = list(object_cases()), list(scene_cases())
-MODELS = ("contact-v1", "touchnet-v1")
+MODELS = ("contact-v2", "contact-v1", "touchnet-v1")
 each_object = pytest.mark.parametrize("case", OBJECTS, ids=[case.name for case in OBJECTS])
 each_scene = pytest.mark.parametrize("case", SCENES, ids=[case.name for case in SCENES])
 

@@ -121,11 +121,18 @@ def test_matplotlib_is_only_imported_to_draw() -> None:
     assert done.stdout == "False\n"
 
 
+def _known(old: object, new: object) -> bool:
+    """Whether every setting of an earlier version is there with its value; there may be younger ones."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        return all(key in new and _known(value, new[key]) for key, value in old.items())
+    return old == new
+
+
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*/manifest.json")), ids=lambda path: path.parent.name)
 def test_sweeps_of_earlier_versions_can_be_resumed(path: Path) -> None:
     """Their manifests hold the name and settings of an experiment, and no name of a module."""
     manifest = json.loads(path.read_text())
     experiment = find_experiment(manifest["experiment"])
     settings = experiment.settings.from_mapping(manifest["settings"], experiment.name).to_mapping()
-    assert json.loads(json.dumps(settings)) == manifest["settings"]
+    assert _known(manifest["settings"], json.loads(json.dumps(settings)))
     assert "module" not in manifest
