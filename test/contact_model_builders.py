@@ -14,7 +14,9 @@ from foretouch.models.contact.features import FEATURES
 from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch
 
-FEW_TREES = ContactConfig(trees=4)
+FEW_TREES = ContactConfig(trees=4, thinned=1.0)
+CAMERA = FEW_TREES.replace(features="camera", ridges=(0.3, 1.0, 3.0, 10.0))
+"""As contact-v1: features in the camera's frame, no restraint."""
 HAND = np.column_stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Rotation of a hand in front of the camera: X away from it, Y up, Z to its right."""
 
@@ -80,9 +82,20 @@ def labels_of(samples: list[GraspSample]) -> Float64:
 
 @cache
 def small_estimator() -> ContactEstimator:
-    """Fitted to five made-up objects of ten grasps each."""
+    """Fitted to five made-up objects of ten grasps each, as contact-v1."""
+    return _fitted(CAMERA)
+
+
+@cache
+def hand_estimator() -> ContactEstimator:
+    """The same with features in the hand's frame and a claim, as contact-v2."""
+    return _fitted(FEW_TREES)
+
+
+def _fitted(config: ContactConfig) -> ContactEstimator:
     samples = make_samples(5, 10)
-    return fit_contact(describe_samples(samples), labels_of(samples), [one.object for one in samples], FEW_TREES)
+    rows = describe_samples(samples, config.features)
+    return fit_contact(rows, labels_of(samples), [one.object for one in samples], config)
 
 
 def scaled(cloud: Cloud, factor: float) -> Cloud:

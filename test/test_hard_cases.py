@@ -24,7 +24,7 @@ from foretouch.selftest.clouds import MANY, ObjectCase, SceneCase, across, objec
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, TouchPrediction
 
 OBJECTS, SCENES = list(object_cases()), list(scene_cases())
-MODELS = ("contact-v1", "touchnet-v1")
+MODELS = ("contact-v2", "contact-v1", "touchnet-v1")
 each_object = pytest.mark.parametrize("case", OBJECTS, ids=[case.name for case in OBJECTS])
 each_scene = pytest.mark.parametrize("case", SCENES, ids=[case.name for case in SCENES])
 

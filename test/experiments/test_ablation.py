@@ -14,8 +14,8 @@ from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVar
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
-from foretouch.models.contact.features import FEATURES, SLOPE_FEATURES
-from foretouch.models.novelty import OBJECT_FEATURES
+from foretouch.models.contact.estimator import by_modality
+from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)
 
@@ -47,7 +47,8 @@ def test_the_full_model_is_the_released_one(models, released, sides, tare: bool,
 def test_combinations(models, released, sides) -> None:
     """The kernel by itself, and half of each as the mean of both."""
     estimator = released.estimator
-    kernel = estimator.kernel.predict(describe_samples(sides[1])) * estimator.deviation + estimator.mean
+    inputs = describe_samples(sides[1])[:, len(CONDITIONS) :]
+    kernel = estimator.kernel.predict(inputs) * by_modality(estimator.claim) * estimator.deviation + estimator.mean
     np.testing.assert_allclose(models["kernel alone"].expected, kernel)
     half = (models["forests alone"].expected + models["kernel alone"].expected) / 2.0
     np.testing.assert_allclose(models["no gate, half of each"].expected, half)
@@ -63,11 +64,11 @@ def test_variants_that_differ_only_after_touches(models) -> None:
     np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.groups["new"].between)))
 
 
-def test_feature_sets_begin_with_the_object(sides) -> None:
+def test_feature_sets_begin_with_what_familiarity_is_judged_by(sides) -> None:
     rows = {name: describe(sides[1]) for name, describe in FEATURE_SETS.items()}
-    objects = rows[FULL][:, : len(OBJECT_FEATURES)]
+    objects = rows[FULL][:, : len(CHECKED)]
     for one in rows.values():
-        np.testing.assert_array_equal(one[:, : len(OBJECT_FEATURES)], objects)
+        np.testing.assert_array_equal(one[:, : len(CHECKED)], objects)
     assert rows["without slopes"].shape[1] == len(FEATURES) - len(SLOPE_FEATURES)
 
 

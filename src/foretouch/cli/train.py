@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "config",
         metavar="CONFIG",
-        help="YAML file, such as config/train/p2_srgan.yaml, or the name of a recipe of the package, such as contact-v1",
+        help="YAML file, such as config/train/p2_srgan.yaml, or the name of a recipe of the package, such as contact-v2",
     )
     parser.add_argument(
         "overrides",

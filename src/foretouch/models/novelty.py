@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -44,8 +44,7 @@ SHAPE_FEATURES: Final = OBJECT_FEATURES[3:11]
 
 _CONSTANT: Final = 1e-9  # [m or 1]; a smaller deviation of a column is rounding
 _COLUMNS: Final = [OBJECT_FEATURES.index(name) for name in SHAPE_FEATURES]
-NEAREST: Final = 3
-"""Training clouds to which the distance is measured."""
+_NEAREST: Final = 3
 _USUAL: Final = (0.90, 0.97)  # quantiles of the distances within training between which the score falls from 1 to 0
 
 
@@ -59,41 +58,34 @@ def standardisation(rows: Float64) -> tuple[Float64, Float64]:
 class SizeNoveltyDetector(TensorRecord):
     """Sizes of S training clouds."""
 
-    centre: Float64  # (C,) float64, which standardise the columns of `COLUMNS`
-    scale: Float64  # (C,) float64, which standardise the columns of `COLUMNS`
-    known: Float32  # (S, C) float32, standardised
+    centre: Float64  # (8,) float64, which standardise `SHAPE_FEATURES`
+    scale: Float64  # (8,) float64, which standardise `SHAPE_FEATURES`
+    known: Float32  # (S, 8) float32, standardised
     span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
 
-    COLUMNS: ClassVar[list[int]] = _COLUMNS
-    """Of a row of features: `SHAPE_FEATURES`."""
-
     @classmethod
-    def fit(cls, objects: Float64) -> Self:
-        """From (S, F) descriptions of the training clouds, whose first columns are `OBJECT_FEATURES`; S of at least 5."""
-        return cls(*cls._fit_sizes(objects))
-
-    @classmethod
-    def _fit_sizes(cls, objects: Float64) -> tuple[Float64, Float64, Float32, Float64]:
-        sizes = objects[:, cls.COLUMNS]
+    def fit(cls, objects: Float64) -> SizeNoveltyDetector:
+        """From (S, len(OBJECT_FEATURES)) descriptions of the training clouds; S of at least 5."""
+        sizes = objects[:, _COLUMNS]
         centre, scale = standardisation(sizes)
         known = ((sizes - centre) / scale).astype(np.float32)
-        distance = np.sort(cdist(known, known, "cityblock"), axis=1)[:, 1 : NEAREST + 1].mean(axis=1)
+        distance = np.sort(cdist(known, known, "cityblock"), axis=1)[:, 1 : _NEAREST + 1].mean(axis=1)
         low, high = np.quantile(distance, _USUAL)
-        return centre, scale, known, np.array([low, max(high, low + 1e-9)])
+        return cls(centre, scale, known, np.array([low, max(high, low + 1e-9)]))
 
     def scores(self, rows: Float64) -> Float64:
-        """(K,) `in_distribution_score` of each of (K, F) rows."""
-        return np.array([self.in_distribution_score(row) for row in rows], np.float64)
+        """(K,) `in_distribution_score` of (K, F) rows, whose first columns are `OBJECT_FEATURES`."""
+        return np.array([self.in_distribution_score(row[: len(OBJECT_FEATURES)]) for row in rows], np.float64)
 
-    def in_distribution_score(self, row: Float64) -> float:
+    def in_distribution_score(self, object_features: Float64) -> float:
         """1 for a cloud like those of training, 0 for one unlike them; compare with `IN_DISTRIBUTION`."""
-        sizes = (row[self.COLUMNS] - self.centre) / self.scale
-        distance = np.partition(np.abs(self.known - sizes).sum(axis=1), NEAREST - 1)[:NEAREST].mean()
+        sizes = (object_features[_COLUMNS] - self.centre) / self.scale
+        distance = np.partition(np.abs(self.known - sizes).sum(axis=1), _NEAREST - 1)[:_NEAREST].mean()
         low, high = self.span
         return float(np.clip((high - distance) / (high - low), 0.0, 1.0))
 
     def _check(self) -> None:
-        size = len(self.COLUMNS)
+        size = len(_COLUMNS)
         for name, shape in (("centre", (size,)), ("scale", (size,)), ("known", (-1, size)), ("span", (2,))):
             found = getattr(self, name)
             fits = found.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
@@ -101,7 +93,7 @@ class SizeNoveltyDetector(TensorRecord):
                 raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
         if not (self.scale > 0.0).all():
             raise ModelError("scale: a value is not above 0")
-        if len(self.known) < NEAREST or not self.span[0] < self.span[1]:
+        if len(self.known) < _NEAREST or not self.span[0] < self.span[1]:
             raise ModelError("known, span: too few clouds, or a span that is empty")
 
 

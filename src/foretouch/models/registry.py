@@ -10,7 +10,7 @@ from foretouch.errors import FileError, ModelError, shown
 from foretouch.models.card import CARD_FORMAT, KINDS, read_card
 from foretouch.models.touch_model import TouchModel
 
-DEFAULT_MODEL: Final = "contact-v1"
+DEFAULT_MODEL: Final = "contact-v2"
 _RUN_FILES: Final = ("config.yaml", "log.jsonl", "state.safetensors")  # of a training, before its model is written
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contact_model_builders import FEW_TREES, labels_of, with_tares
+from contact_model_builders import CAMERA, labels_of, with_tares
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.ensemble import ExtraTreesRegressor
@@ -25,7 +25,7 @@ from foretouch.tactile import MODALITIES, columns
 
 SAMPLES = make_samples(5, 10)
 RIDGES = (0.01, 0.3, 3.0, 30.0)
-KERNEL_ONLY = ContactConfig(trees=1, ridges=RIDGES)
+KERNEL_ONLY = ContactConfig(trees=1, ridges=RIDGES, features="camera", thinned=1.0)
 
 
 def kernel_ridge(rows: np.ndarray, targets: np.ndarray, ridge: float, decay: float) -> tuple[KernelRidge, Callable]:
@@ -71,7 +71,7 @@ def made(rng: np.random.Generator, carries_over: bool) -> tuple[np.ndarray, np.n
 
 
 def test_samples_are_described_each_on_its_own_cloud() -> None:
-    rows = describe_samples(SAMPLES[:3])
+    rows = describe_samples(SAMPLES[:3], "camera")
     for row, sample in zip(rows, SAMPLES, strict=False):
         assert_array_equal(row, ContactScene(sample.cloud.xyz).describe([sample.grasp])[0])
 
@@ -121,8 +121,8 @@ def test_one_object_cannot_be_left_out() -> None:
 
 
 def test_forests_are_scikit_learn_s() -> None:
-    rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
-    config = ContactConfig(trees=6, leaf=2, feature_share=0.5, seed=3)
+    rows, labels = describe_samples(SAMPLES, "camera"), labels_of(SAMPLES)
+    config = CAMERA.replace(trees=6, leaf=2, feature_share=0.5, seed=3)
     estimator = fit_contact(rows, labels, [sample.object for sample in SAMPLES], config)
     scaled = (labels - labels.mean(axis=0)) / labels.std(axis=0)
     for name, column in (("together", np.arange(50)), *((name, columns([name])) for name in MODALITIES)):
@@ -160,9 +160,13 @@ def test_a_single_object_tells_nothing_of_others(rng) -> None:
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
-    rows, labels, objects = describe_samples(SAMPLES), labels_of(SAMPLES), [sample.object for sample in SAMPLES]
+    rows, labels, objects = (
+        describe_samples(SAMPLES, "camera"),
+        labels_of(SAMPLES),
+        [sample.object for sample in SAMPLES],
+    )
     one, again, other = (
-        fit_contact(rows, labels, objects, FEW_TREES.replace(seed=seed)).to_tensors() for seed in (1, 1, 2)
+        fit_contact(rows, labels, objects, CAMERA.replace(seed=seed)).to_tensors() for seed in (1, 1, 2)
     )
     assert set(one) == set(again)
     for name, array in one.items():
@@ -171,18 +175,18 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
 
 
 def test_too_few_samples_are_refused() -> None:
-    rows, labels = describe_samples(SAMPLES[:4]), labels_of(SAMPLES[:4])
+    rows, labels = describe_samples(SAMPLES[:4], "camera"), labels_of(SAMPLES[:4])
     with pytest.raises(DatasetError, match="contact model: 4 samples are fewer than 5"):
-        fit_contact(rows, labels, ["a", "a", "b", "b"], FEW_TREES)
+        fit_contact(rows, labels, ["a", "a", "b", "b"], CAMERA)
 
 
 @pytest.mark.parametrize("constant", [3000.0, 0.1])
 def test_a_label_that_never_changes_is_refused_by_its_place(constant: float) -> None:
     """The mean of fifty times 0.1 is not 0.1: a deviation would not show it."""
-    rows, labels = describe_samples(SAMPLES), labels_of(SAMPLES)
+    rows, labels = describe_samples(SAMPLES, "camera"), labels_of(SAMPLES)
     labels[:, 17] = constant
     with pytest.raises(DatasetError, match="contact model: value 17 of the touch is the same in all samples"):
-        fit_contact(rows, labels, [sample.object for sample in SAMPLES], FEW_TREES)
+        fit_contact(rows, labels, [sample.object for sample in SAMPLES], CAMERA)
 
 
 def test_settings_out_of_bounds_are_refused() -> None:

@@ -156,6 +156,9 @@ PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
 }
 """By name, from the share of trees or epochs: 1 for reported results, less for a smoke test."""
 
+EARLIER: Final = ("contact_v1",)
+"""Models that were the default before: run only where they are named."""
+
 NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")
 """Predictors that take minutes to hours per fold."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS
+from foretouch.experiments.shared.predictors import EARLIER, NETWORKS, PREDICTORS
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import MODALITIES, P1_RANGES, P2_RANGES
@@ -28,7 +28,9 @@ class RealGraspSettings(Settings):
     """Settings that all experiments on real grasps share."""
 
     predictors: tuple[str, ...] = setting(
-        tuple(name for name in PREDICTORS if name not in NETWORKS), "Predictors to compare", choices=tuple(PREDICTORS)
+        tuple(name for name in PREDICTORS if name not in (*NETWORKS, *EARLIER)),
+        "Predictors to compare",
+        choices=tuple(PREDICTORS),
     )
     seeds: tuple[int, ...] = setting(
         (0, 1, 2, 3, 4), "Seeds of folds and predictors; errors are pooled over them", minimum=0

@@ -18,13 +18,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_LEGEND: Final = "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]"
+_LEGEND: Final = (
+    "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]; below it the object "
+    "with the lowest skill"
+)
 _VERDICTS: Final = (
     "▲ significantly better, ▼ significantly worse, = no significant difference (95 % CI) from {references}; "
     "same grasps, paired bootstrap"
 )
 _SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}
 _ITSELF: Final = "·"
+
+MODELS: Final = ("contact", "contact_v1")
+"""The default model and the one before it; the first in the results is shown in tables by object."""
 
 LOWEST_SKILL: Final = -1.5
 """Lower values are drawn as an arrow with their number at this edge of the figure."""
@@ -39,10 +45,50 @@ def skill_tables(rows: Sequence[Row], notes: Sequence[str] = ()) -> list[Table]:
     for name in dict.fromkeys(row["table"] for row in together):
         of_table = [row for row in together if row["table"] == name]
         predictors = dict.fromkeys(row["predictor"] for row in of_table)
-        body = [[one, *(_cell(of_table, one, key, references) for key in (*MODALITIES, MEAN))] for one in predictors]
+        every = [row for row in rows if row["table"] == name]
+        body = [
+            [
+                one,
+                *(_cell(of_table, one, key, references) + _worst(every, one, key) for key in MODALITIES),
+                _cell(of_table, one, MEAN, references),
+            ]
+            for one in predictors
+        ]
         title = f"{name}: {of_table[0]['samples']} predictions on {of_table[0]['objects']} objects"
         tables.append(Table(title, ["skill", *MODALITIES, MEAN], body))
+    model = next((name for name in MODELS if any(row["predictor"] == name for row in rows)), "")
+    tables += object_tables(rows, model)
     return [*tables[:-1], replace(tables[-1], notes=[*legend, *notes])]
+
+
+def object_tables(rows: Sequence[Row], predictor: str) -> list[Table]:
+    """A table of one predictor's skills on each object, for each `table` of the results that has them."""
+    tables = []
+    for name in dict.fromkeys(row["table"] for row in rows):
+        of_table = [row for row in rows if (row["table"], row["predictor"]) == (name, predictor)]
+        objects = [one for one in dict.fromkeys(row["object"] for row in of_table) if one != ALL_OBJECTS]
+        body = [
+            [one, *(_short(row["skill"]) for row in of_table if row["object"] == one and row["skill"] is not None)]
+            for one in objects
+        ]
+        if body:
+            tables.append(Table(f"{name}: {predictor}, by object", ["skill", *MODALITIES, MEAN], body))
+    return tables
+
+
+def _worst(rows: Sequence[Row], predictor: str, modality: str) -> str:
+    """The object of least skill and that skill; empty for a single object, and where all are the same."""
+    found = [
+        (row["skill"], row["object"])
+        for row in rows
+        if (row["predictor"], row["modality"]) == (predictor, modality)
+        and row["object"] != ALL_OBJECTS
+        and row["skill"] is not None
+    ]
+    if len({skill for skill, _ in found}) < 2:
+        return ""
+    skill, name = min(found)
+    return f"\n{name} {_short(skill)}"
 
 
 def _cell(rows: Sequence[Row], predictor: str, modality: str, references: Sequence[str]) -> str:

@@ -23,8 +23,16 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.shared import real_grasps
-from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, SHRINKAGE, Fit, Fitted, find_predictor
-from foretouch.experiments.shared.skill import skill_tables
+from foretouch.experiments.shared.predictors import (
+    EARLIER,
+    NETWORKS,
+    PREDICTORS,
+    SHRINKAGE,
+    Fit,
+    Fitted,
+    find_predictor,
+)
+from foretouch.experiments.shared.skill import MODELS, skill_tables
 from foretouch.learning.data import Dataset, Indices, labels_of, make_folds
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES
@@ -49,7 +57,6 @@ __all__ = [
 _KNOWN_OBJECTS_ONLY: Final = ("object_mean", "object_time_trees")
 """Predictors that cannot predict a new object."""
 
-_RELEASED: Final = "contact"
 _LOWEST_SKILL: Final = -1.0
 _OFFSET: Final = 0.12  # between markers, so that intervals do not hide each other
 
@@ -60,7 +67,7 @@ class UnseenObjectSettings(real_grasps.RealGraspSettings):
 
     seeds: tuple[int, ...] = setting((0,), "Seeds of the predictors", minimum=0)
     predictors: tuple[str, ...] = setting(
-        tuple(name for name in PREDICTORS if name not in (*NETWORKS, *_KNOWN_OBJECTS_ONLY)),
+        tuple(name for name in PREDICTORS if name not in (*NETWORKS, *EARLIER, *_KNOWN_OBJECTS_ONLY)),
         "Predictors to compare",
         choices=tuple(PREDICTORS),
     )
@@ -172,7 +179,7 @@ def summarise_touches(rows: Sequence[Row]) -> list[Table]:
 def draw_touches(rows: Rows, folder: Path) -> list[Path]:
     """Draw `touches.png`: all objects together above, each object below (with the released model, if it was run)."""
     predictors = list(dict.fromkeys(row["predictor"] for row in rows))
-    chosen = _RELEASED if _RELEASED in predictors else predictors[-1]
+    chosen = next((name for name in MODELS if name in predictors), predictors[-1])
     objects = sorted({row["object"] for row in rows} - {real_grasps.ALL_OBJECTS})
     figure = new_figure(14.0, 7.5)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True, sharey="row")

@@ -25,14 +25,14 @@ from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 _FEWEST_SAMPLES: Final = 5
-_FEWEST_POINTS: Final = 100  # that a thinned cloud keeps, if it has them
+_FEWEST_POINTS: Final = 16  # that a thinned cloud keeps, if it has them
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConfig(Settings):
     """Settings of the fit of a contact model."""
 
-    trees: int = setting(100, "Trees of each forest", minimum=1, maximum=10_000)
+    trees: int = setting(60, "Trees of each forest", minimum=1, maximum=10_000)
     leaf: int = setting(3, "Fewest samples in a leaf", minimum=1, maximum=1000)
     thinned: float = setting(
         0.5,
@@ -139,7 +139,7 @@ def fit_contact(
     return ContactEstimator(
         forests={name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()},
         kernel=_kernel(inputs, scaled, objects, ridge, config.decay, config.object_effect if hand else 0.0),
-        novelty=(FamiliarityDetector if hand else SizeNoveltyDetector).fit(rows),
+        novelty=FamiliarityDetector.fit(rows, objects) if hand else SizeNoveltyDetector.fit(rows),
         mean=mean,
         deviation=deviation,
         ranges=config.ranges,

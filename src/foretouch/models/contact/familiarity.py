@@ -1,67 +1,85 @@
 # SPDX-License-Identifier: Apache-2.0
 """Familiarity: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
 
-Sizes of the object as in `novelty.SizeNoveltyDetector`, without the number of points; and conditions under which the
-training data say nothing: another distance, too few points, another width or direction of the hand.
+The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies between
+clouds of one object: its pose, and what is seen of it. (The number of points, by which `novelty.SizeNoveltyDetector` also
+judges, is not among the sizes.) Conditions under which the training data say nothing are unfamiliar too: another
+distance of the camera, too few points, another width or direction of the hand.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
 from foretouch.models.contact.hand_features import CHECKED, OBJECT_FEATURES
-from foretouch.models.novelty import NEAREST, SizeNoveltyDetector
+from foretouch.models.files import TensorRecord
+from foretouch.models.novelty import standardisation
 from foretouch.types import Float64
 
+_USUAL: Final = (0.93, 0.98)  # quantiles of the distances within training between which the score falls from 1 to 0
+_LEAST: Final = 0.05  # variance within objects that a size has at least, over that between all clouds
 _ALMOST_ALL: Final = (0.01, 0.99)  # quantiles of a condition in training
 _BEYOND: Final = {"distance": 2.0, "spacing": 2.5, "width": 1.5}  # factors beyond them
 _TURN: Final = 0.05  # what is added to the directions of the hand, which are cosines
+_SIZES: Final = [CHECKED.index(name) for name in OBJECT_FEATURES]
 _LIMITED: Final = tuple(name for name in CHECKED if name not in OBJECT_FEATURES)
 _LIMITED_COLUMNS: Final = [CHECKED.index(name) for name in _LIMITED]
 
 
 @dataclass(frozen=True, eq=False)
-class FamiliarityDetector(SizeNoveltyDetector):
+class FamiliarityDetector(TensorRecord):
     """Sizes of S training clouds, and the limits of the conditions in `CHECKED`."""
 
+    centre: Float64  # (11,) float64, mean of the sizes
+    turn: Float64  # (11, 11) float64: differences of sizes times it have unit variance within objects
+    known: Float64  # (S, 11) float64, sizes minus `centre`, times `turn`
+    span: Float64  # (2,) float64: the distances up to which the score is 1, and from which it is 0
     low: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
     high: Float64  # (5,) float64 of `CHECKED` without `OBJECT_FEATURES`
 
-    COLUMNS: ClassVar[list[int]] = [CHECKED.index(name) for name in OBJECT_FEATURES]
-
     @classmethod
-    def fit(cls, objects: Float64) -> Self:
-        """From (S, F) rows of training grasps, whose first columns are `CHECKED`; S of at least 5."""
-        low, high = np.quantile(objects[:, _LIMITED_COLUMNS], _ALMOST_ALL, axis=0)
+    def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
+        """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects; S of at least 5."""
+        sizes = rows[:, _SIZES]
+        centre, scale = standardisation(sizes)
+        within = (sizes - centre) / scale
+        names = np.asarray(objects)
+        for name in np.unique(names):
+            within[names == name] -= within[names == name].mean(axis=0)
+        values, axes = np.linalg.eigh(within.T @ within / len(within) + _LEAST * np.eye(len(centre)))
+        turn = axes / np.sqrt(values) / scale[:, None]
+        known = (sizes - centre) @ turn
+        nearest = np.sort(cdist(known, known), axis=1)[:, 1]
+        start, end = np.quantile(nearest, _USUAL)
+        low, high = np.quantile(rows[:, _LIMITED_COLUMNS], _ALMOST_ALL, axis=0)
         for k, name in enumerate(_LIMITED):
             factor = _BEYOND.get(name)
-            low[k], high[k] = (
-                (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
-            )
+            ends = (low[k] - _TURN, high[k] + _TURN) if factor is None else (low[k] / factor, high[k] * factor)
+            low[k], high[k] = ends
         low[_LIMITED.index("spacing")] = 0.0  # points cannot be too many
-        return cls(*cls._fit_sizes(objects), low, high)
+        return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]), low, high)
 
     def scores(self, rows: Float64) -> Float64:
-        """(K,) of (K, F) rows: as `in_distribution_score` by sizes, and 0 outside the limits."""
-        sizes = (rows[:, self.COLUMNS] - self.centre) / self.scale
-        distance = np.partition(cdist(sizes, self.known, "cityblock"), NEAREST - 1, axis=1)[:, :NEAREST].mean(axis=1)
-        low, high = self.span
+        """(K,) of (K, F) rows: 1 where they are like those of training, 0 where unlike; compare with `IN_DISTRIBUTION`."""
+        moved = ((rows[:, _SIZES] - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
+        distance = cdist(moved, self.known).min(axis=1)
+        start, end = self.span
         limited = rows[:, _LIMITED_COLUMNS]
         inside = ((limited >= self.low) & (limited <= self.high)).all(axis=1)
-        return np.where(inside, np.clip((high - distance) / (high - low), 0.0, 1.0), 0.0)
-
-    def in_distribution_score(self, row: Float64) -> float:
-        """As `scores`, of one row."""
-        return float(self.scores(row[None])[0])
+        return np.where(inside, np.clip((end - distance) / (end - start), 0.0, 1.0), 0.0)
 
     def _check(self) -> None:
-        super()._check()
-        for name in ("low", "high"):
+        size, limits = len(_SIZES), len(_LIMITED)
+        shapes = {"centre": (size,), "turn": (size, size), "known": (len(self.known), size), "span": (2,)}
+        for name, shape in {**shapes, "low": (limits,), "high": (limits,)}.items():
             found = getattr(self, name)
-            if found.shape != (len(_LIMITED),) or not np.isfinite(found).all():
-                raise ModelError(f"{name}: shape {found.shape} is not ({len(_LIMITED)},), or a value is not finite")
+            if found.shape != shape or not np.isfinite(found).all():
+                raise ModelError(f"{name}: shape {found.shape} is not {shape}, or a value is not finite")
+        if not len(self.known) or not self.span[0] < self.span[1]:
+            raise ModelError("known, span: no cloud, or a span that is empty")

@@ -14,7 +14,7 @@ from foretouch.learning.training.contact import ContactConfig, ContactPredictor
 from foretouch.learning.training.learners.learner import CardCalibration, Learner, RunConfig, register
 from foretouch.learning.training.run_folder import RunFolder
 from foretouch.models.contact.estimator import save_contact
-from foretouch.tactile import TactileRanges
+from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
 
 
@@ -59,5 +59,16 @@ class ContactLearner(Learner[ContactRun]):
         self, folder: Path, name: str, facts: Mapping[str, Any], calibration: CardCalibration | None = None
     ) -> Path:
         """As `Learner.save`, all files or none."""
-        config = self.config.contact.to_mapping()
-        return save_contact(folder, name, self._estimator, {**facts, "config": config}, calibration)
+        facts = {**facts, "config": self.config.contact.to_mapping()}
+        if self._estimator.claim is not None:
+            facts["limits"] = [*facts.get("limits", []), *hand_limits(self._estimator.claim)]
+        return save_contact(folder, name, self._estimator, facts, calibration)
+
+
+def hand_limits(claim: Float64) -> list[str]:
+    """Limits of a model whose features are in the hand's frame, for its card."""
+    shares = ", ".join(f"{name} {value:.2f}" for name, value in zip(MODALITIES, claim, strict=True))
+    return [
+        f"Unfamiliar objects get the mean of the training labels and this share of what the kernel predicts beyond it: {shares}.",
+        "The camera is taken to look along the vertical: grasps that approach from elsewhere than the camera are unfamiliar.",
+    ]

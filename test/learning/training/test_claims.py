@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a kernel may claim of new objects: shares known by hand, and that heavy objects do not decide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from foretouch.learning.training.claims import choose_claims, same_object, shrunken_slope
+
+RIDGES = (0.03, 0.3, 3.0, 30.0)
+
+
+def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Rows and standardised labels of objects, of which a share follows from the row and the rest is an object's own."""
+    objects = [f"o{k // 12}" for k in range(12 * count)]
+    rows = rng.normal(size=(len(objects), 12)) + np.repeat(rng.normal(size=(count, 12)), 12, axis=0)
+    labels = carries_over * rows @ rng.normal(size=(12, 50)) / np.sqrt(12.0)
+    labels += (1.0 - carries_over) * np.repeat(rng.normal(size=(count, 50)), 12, axis=0)
+    labels += 0.3 * rng.normal(size=labels.shape)
+    return rows, (labels - labels.mean(axis=0)) / labels.std(axis=0), objects
+
+
+def test_what_carries_over_is_claimed_and_what_does_not_is_not(rng) -> None:
+    ridge, claim = choose_claims(*made(rng, 1.0), 2.0, 1.0, RIDGES)
+    assert (claim > 0.7).all()
+    assert ridge < max(RIDGES)
+    _, nothing = choose_claims(*made(rng, 0.0), 2.0, 1.0, RIDGES)
+    assert (nothing < 0.3).all()
+
+
+def test_a_single_object_claims_nothing(rng) -> None:
+    rows, labels, _ = made(rng, 1.0)
+    ridge, claim = choose_claims(rows, labels, ["only"] * len(rows), 2.0, 1.0, RIDGES)
+    assert ridge == max(RIDGES)
+    assert_array_equal(claim, np.zeros(4))
+
+
+def test_slope_and_jackknife_by_hand() -> None:
+    """Three objects: slope (1 + 2 + 3) / (2 + 2 + 2) = 1; without each 5/4, 4/4, 3/4, whose jackknife variance is 2/3 · 1/8."""
+    assert shrunken_slope(np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.0, 2.0])) == pytest.approx(1.0 - 1.0 / 12.0)
+
+
+def test_one_object_that_disagrees_with_all_ends_the_claim() -> None:
+    agreeing = shrunken_slope(np.full(8, 0.5), np.full(8, 1.0))
+    assert agreeing == pytest.approx(0.5)
+    heavy = np.append(np.zeros(7), 4.0)
+    assert shrunken_slope(heavy, np.full(8, 1.0)) == 0.0  # all of it is from one
+    assert shrunken_slope(-heavy, np.full(8, 1.0)) == 0.0
+    assert shrunken_slope(np.zeros(8), np.zeros(8)) == 0.0
+
+
+def test_each_object_weighs_the_same(rng) -> None:
+    """An object far from the mean does not outweigh the others, since its own error divides its products."""
+    rows, labels, objects = made(rng, 1.0)
+    far = labels.copy()
+    far[np.array(objects) == "o0"] *= 30.0
+    assert_allclose(choose_claims(rows, labels, objects, 2.0, 1.0, (1.0,))[1], 1.0, atol=0.3)
+    assert (choose_claims(rows, far, objects, 2.0, 1.0, (1.0,))[1] < 1.0).any()
+
+
+def test_same_object() -> None:
+    assert_array_equal(same_object(["a", "b", "a"]), [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1.0]])

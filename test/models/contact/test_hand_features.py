@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features in the hand's frame: what neither the camera nor the density of points changes, and what is known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from contact_model_builders import HAND, cylinder, moved, patch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+from foretouch.errors import CloudError
+from foretouch.models.contact.hand_features import (
+    CHECKED,
+    CONDITIONS,
+    FEATURES,
+    OBJECT_FEATURES,
+    SLOPE_FEATURES,
+    HandScene,
+)
+from foretouch.types import Grasp
+
+HERE = np.array([0.05, -0.02, 1.2])
+SEEN = [name for name in FEATURES if name not in CONDITIONS]
+"""The columns that predictions depend on."""
+
+
+@pytest.fixture
+def lump(rng: np.random.Generator) -> np.ndarray:
+    """A box with three different sides and a bump, so that no axis is ambiguous."""
+    box = rng.uniform(-0.5, 0.5, (1500, 3)) * [0.05, 0.09, 0.14]
+    return HERE + np.concatenate([box, [0.02, 0.05, 0.05] + 0.01 * rng.normal(size=(200, 3))])
+
+
+@pytest.fixture
+def grasp() -> Grasp:
+    return Grasp(HERE + [0.025, 0.01, 0.01], HERE + [-0.025, 0.01, 0.01], HAND)
+
+
+def describe(points: np.ndarray, *grasps: Grasp) -> np.ndarray:
+    return HandScene(points).describe(grasps)
+
+
+def named(rows: np.ndarray, *names: str) -> np.ndarray:
+    return rows[..., [FEATURES.index(name) for name in names]]
+
+
+def slopes(row: np.ndarray, contact: str = "g1") -> np.ndarray:
+    """(3, 3): one slope a radius."""
+    return named(row, *(name for name in SLOPE_FEATURES if name.startswith(contact))).reshape(3, 3)
+
+
+def test_every_column_has_a_name_of_its_own(lump, grasp) -> None:
+    assert describe(lump, grasp, grasp).shape == (2, len(FEATURES))
+    assert len(set(FEATURES)) == len(FEATURES) == 58
+    assert FEATURES[: len(CHECKED)] == CHECKED
+    assert_array_equal(named(describe(lump, grasp)[0], *OBJECT_FEATURES), HandScene(lump).object_features)
+
+
+def test_plain_columns_are_what_their_names_say(lump, grasp) -> None:
+    (row,) = describe(lump, grasp)
+    centred = lump - lump.mean(axis=0)
+    singular = np.linalg.svd(centred, compute_uv=False)[::-1] / np.sqrt(len(lump))
+    assert_allclose(named(row, "spread_1", "spread_2", "spread_3"), singular)
+    assert_allclose(named(row, "width", "distance"), [0.05, np.linalg.norm(lump.mean(axis=0))])
+    assert_allclose(named(row, "approach", "rise"), [1.0, 0.0], atol=1e-12)  # X is the camera's z, Z its x
+    inside = (lump - grasp.midpoint) @ HAND
+    assert_allclose(named(row, "centre_hand_x", "centre_hand_y", "centre_hand_z"), inside.mean(axis=0), atol=1e-12)
+    assert_allclose(named(row, "spread_hand_x", "spread_hand_y", "spread_hand_z"), inside.std(axis=0))
+    near = np.maximum(1.0 - (np.linalg.norm(lump - grasp.g1, axis=1) / 0.02) ** 2, 0.0)
+    assert_allclose(named(row, "g1_share"), [near.mean()])
+    weighted = (near[:, None] * (lump - grasp.g1)).sum(axis=0) / near.sum()
+    closing = np.stack([HAND[:, 0], -HAND[:, 1], -HAND[:, 2]], axis=1)  # the first finger closes towards the second
+    assert_allclose(named(row, "g1_pad_x", "g1_pad_y", "g1_pad_z"), weighted @ closing, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [90.0, 180.0, 33.0])
+def test_a_roll_of_the_camera_changes_nothing(lump, grasp, degrees: float) -> None:
+    R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    assert_allclose(describe(lump @ R.T, moved(grasp, R, np.zeros(3))), describe(lump, grasp), atol=1e-9)
+
+
+def test_another_place_changes_the_distance_alone(lump, grasp) -> None:
+    shift = np.array([0.1, -0.05, -0.2])
+    (before,), (after,) = describe(lump, grasp), describe(lump + shift, moved(grasp, np.eye(3), shift))
+    assert_allclose(named(after, *SEEN), named(before, *SEEN), atol=1e-9)
+    assert named(after, "distance") < named(before, "distance")
+
+
+def test_every_point_twice_changes_the_spacing_alone(grasp, rng) -> None:
+    lump = HERE + rng.uniform(-0.5, 0.5, (20_000, 3)) * [0.05, 0.09, 0.14]  # slopes need four points
+    (before,), (after,) = describe(lump, grasp), describe(np.concatenate([lump, lump]), grasp)
+    means = [name for name in SEEN if not name.startswith(("extent", "radius", "height", "g1_depth", "g2_depth"))]
+    assert_allclose(named(after, *means), named(before, *means), atol=1e-9)
+    assert_allclose(named(after, *SEEN), named(before, *SEEN), atol=2e-3)  # quantiles between the same points
+    assert_allclose(named(after, "spacing") / named(before, "spacing"), np.sqrt(0.5), rtol=0.01)
+
+
+def test_thinning_moves_no_column_by_more_than_its_noise(grasp, rng) -> None:
+    dense = HERE + rng.uniform(-0.5, 0.5, (40_000, 3)) * [0.05, 0.09, 0.14]
+    (before,), (after,) = describe(dense, grasp), describe(dense[rng.random(len(dense)) < 0.5], grasp)
+    sizes = [name for name in SEEN if not name.startswith(("g1_slope", "g2_slope", "oblique", "along"))]
+    assert_allclose(named(after, *sizes), named(before, *sizes), atol=1.5e-3)
+    surface = cylinder(0.033, HERE)
+    before, after = (
+        slopes(describe(points, Grasp(HERE + [0.033, 0.0, 0.0], HERE - [0.3, 0.0, 0.0], HAND))[0])
+        for points in (surface, surface[rng.random(len(surface)) < 0.5])
+    )
+    assert_allclose(after[1:], before[1:], atol=0.05)
+
+
+def test_which_way_the_hand_s_x_is_told_does_not_matter(lump, grasp) -> None:
+    other = Grasp(grasp.g1, grasp.g2, HAND * [-1.0, -1.0, 1.0])
+    assert_array_equal(describe(lump, other), describe(lump, grasp))
+
+
+def test_an_axis_that_turns_with_the_noise_moves_nothing(rng) -> None:
+    """A round object seen from above has no axis; that of the sums of squares turns by any angle."""
+    angle, radius = rng.uniform(0.0, 2.0 * np.pi, 4000), 0.05 * np.sqrt(rng.random(4000))
+    disc = HERE + np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.001 * rng.normal(size=4000)])
+    grasp = Grasp(HERE + [0.04, 0.01, 0.0], HERE + [-0.04, 0.01, 0.0], HAND)
+    halves = describe(disc[::2], grasp), describe(disc[1::2], grasp)
+    names = [name for name in SEEN if not name.startswith(("g1", "g2", "extent"))]
+    assert_allclose(*(named(half[0], *names) for half in halves), atol=0.06)
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 25, 40])
+def test_slope_of_a_plane_tilted_away_from_the_camera(degrees: int) -> None:
+    a = np.radians(degrees)
+    facing = np.array([np.cos(a), 0.0, -np.sin(a)])  # against the finger, which closes towards -x, and to the camera
+    found = slopes(describe(patch(facing, HERE), Grasp(HERE, HERE - [0.3, 0.0, 0.0], HAND))[0])
+    assert_allclose(found, np.cos(a) * np.tile([-np.sin(a), 0.0, -np.cos(a)], (3, 1)), atol=1e-6)
+
+
+def test_slope_of_a_cylinder_is_its_radius_at_the_contact() -> None:
+    grasp = Grasp(HERE + [0.033, 0.0, 0.0], HERE - [0.3, 0.0, 0.0], HAND)
+    found = slopes(describe(cylinder(0.033, HERE), grasp)[0])
+    directions = found / np.linalg.norm(found, axis=1)[:, None]
+    assert_allclose(directions, np.tile([0.0, 0.0, -1.0], (3, 1)), atol=1e-6)
+
+
+def test_a_slope_across_the_finger_does_not_jump() -> None:
+    """Its normal's sign turns there; the column passes through zero."""
+    grasp = Grasp(HERE, HERE - [0.3, 0.0, 0.0], HAND)
+    found = [
+        slopes(describe(patch(np.array([np.cos(a), np.sin(a), 0.0]), HERE), grasp)[0]) for a in np.radians([89.9, 90.1])
+    ]
+    assert_allclose(found[0], found[1], atol=0.01)
+
+
+def test_a_grasp_is_described_alike_alone_and_among_others(lump, rng) -> None:
+    grasps = [Grasp(a, b, HAND) for a, b in HERE + rng.normal(0.0, 0.03, (20, 2, 3))]
+    grasps += [Grasp(grasps[0].g1, grasps[1].g2, HAND)]  # shares its contacts
+    together = describe(lump, *grasps)
+    assert_array_equal(together, np.concatenate([describe(lump, one) for one in grasps]))
+    assert describe(lump).shape == (0, len(FEATURES))
+
+
+def test_a_contact_in_empty_space_is_described_by_zeros(lump) -> None:
+    (row,) = describe(lump, Grasp(HERE + [1.0, 0.0, 0.0], HERE + [0.5, 0.0, 0.0], HAND))
+    assert_array_equal(slopes(row), np.zeros((3, 3)))
+    assert_array_equal(named(row, "g1_share", "g1_roughness", "g1_pad_x", "g1_pad_y", "g1_pad_z"), np.zeros(5))
+    assert np.isfinite(row).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(8, 24),
+    axes=st.sets(st.integers(0, 2), min_size=1),
+    step=st.sampled_from([1e-9, 1e-3, 0.01, 10.0]),
+)
+def test_lines_sheets_and_repeated_points_are_finite(seed: int, count: int, axes: set[int], step: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = np.zeros((count, 3)) + HERE
+    for axis in axes:
+        points[:, axis] += step * rng.integers(-2, 3, count)
+    points[0, min(axes)] += step  # not all in one place
+    points[1, min(axes)] -= step
+    g1, g2 = points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step]
+    assume((g1 != g2).any())
+    assert np.isfinite(describe(points, Grasp(g1, g2, HAND))).all()
+
+
+def test_what_shows_no_shape_is_refused() -> None:
+    with pytest.raises(CloudError, match="cloud: all 20 finite points are in one place"):
+        HandScene(np.ones((20, 3)))
