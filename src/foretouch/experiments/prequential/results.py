@@ -335,7 +335,7 @@ def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
     labels = _present(own, ("none", "1 touch", "2 touches", "3-9", "10+"))
-    figure = new_figure(9.2, 4.9)
+    figure = new_figure(9.0, 4.8)
     above, below = figure.subplots(2, len(MODALITIES), sharex=True)
     shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
     for axes, modality in zip(above, MODALITIES, strict=True):

@@ -50,7 +50,7 @@ _LIMITS: Final = np.log(
 def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationGroup) -> TrackerParameters:
     """Parameters of a tracker, from predictions of objects that were left out.
 
-    B is used within modalities only: across them, its correlations did not pay in any comparison (`docs/results/prequential`).
+    B is used within modalities only, since its correlations across them gained nothing on the recorded objects.
 
     Args:
         recording: Of at least one object.
