@@ -9,7 +9,12 @@ from foretouch.errors import ConfigError, ForetouchError, SimulationError
 
 @pytest.mark.parametrize(
     "err",
-    [ForetouchError("a\nb\0"), ConfigError("x" * 100_000), SimulationError("a\nb"), PairingError("why", "\x1b[2J" * 9999)],
+    [
+        ForetouchError("a\nb\0"),
+        ConfigError("x" * 100_000),
+        SimulationError("a\nb"),
+        PairingError("why", "\x1b[2J" * 9999),
+    ],
 )
 def test_a_failure_is_one_short_line(err: ForetouchError) -> None:
     assert str(err)

@@ -47,7 +47,9 @@ def test_a_table_that_was_not_found_is_refused_with_a_reason(
     assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
 
-def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     touch = Touch.from_vector(np.full(50, 2000.0))
     prediction = TouchPrediction(grasp=GRASP, value=touch, lower=None, upper=None)
     good, strange = (prediction_to_msg(prediction, grasp_to_msg(GRASP), HEADER) for _ in range(2))
