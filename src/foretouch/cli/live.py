@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from math import isnan
 from typing import TYPE_CHECKING
 
@@ -85,7 +86,7 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     table.add_column("based on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
-        width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
+        width_mm = 1e3 * math.dist((g1.x, g1.y, g1.z), (g2.x, g2.y, g2.z))  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
             table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", one.reason)
             continue
