@@ -36,7 +36,7 @@ def test_an_outage_explains_the_clouds_of_its_time_and_node() -> None:
 
 def test_each_counted_drop_explains_one_cloud() -> None:
     drop = accounting.Drop("segmentation", "superseded", 1, 20.0, 21.0)
-    fates, unexplained = accounting.account({1: 20.1, 2: 20.2}, {key: set() for key in outputs()}, [], [drop])
+    fates, unexplained = accounting.account({1: 20.1, 2: 20.2}, {topic: set() for topic in outputs()}, [], [drop])
     assert fates == {"dropped by segmentation: superseded": 1, "unexplained at segmentation": 1}
     assert unexplained == [(2, "segmentation")]
 

@@ -60,7 +60,7 @@ class Graph:
         self.folder = folder
         self.heard = Heard()
         self.sessions = 0
-        self.deaf = False  # while absurd answers are sent from here
+        self.own = ""  # topic on which absurd messages are being sent from here
         self._known_errors: Counter[str] = Counter()
         os.environ.update(ROS_DOMAIN_ID=str(DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
         from foretouch.ros.runtime.environment import prepare_environment
@@ -220,7 +220,7 @@ class Graph:
         return " | ".join(found[-2:])[-700:]
 
     def _hear_touch(self, message: Any) -> None:
-        if self.deaf:  # sent from here
+        if self.own == "touch":
             return
         self.heard.touch[valid_stamp(message.header.stamp)] = message
         self.heard.refused += message.status != 0
@@ -232,7 +232,7 @@ class Graph:
             self.heard.not_finite.append(f"touch: {err}")
 
     def _hear_grasps(self, message: Any) -> None:
-        if message.header.frame_id == OWN:  # sent from here
+        if self.own == "grasps":
             return
         for one in message.grasps:
             numbers = [one.g1.x, one.g1.y, one.g1.z, one.g2.x, one.g2.y, one.g2.z, *one.rotation]
@@ -243,9 +243,6 @@ class Graph:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             self.heard.reports[status.name.rpartition("/")[2]] = (time.monotonic(), values)
-
-
-OWN = "fuzz"  # frame of the grasps that are sent from here
 
 
 def valid_stamp(stamp: Any) -> int:
@@ -277,7 +274,6 @@ def topics() -> dict[str, tuple[Sequence[Any], Callable[[], Sequence[tuple[str, 
     clouds, grasps = valid.object_messages(), valid.grasps_message()
     scene = valid.scene_message()
     predictions = valid.touches().valid
-    grasps.header.frame_id = OWN
     cloud = clouds[0]
 
     def nothing() -> Sequence[tuple[str, Any]]:
@@ -432,12 +428,11 @@ def batch(
     slowest = 0.0
     refused = graph.heard.refused
     try:
-        graph.deaf = kind == "touch"
         if kind in TOPICS:
+            graph.own = kind
             flood(graph, kind, rng, size)
-        if graph.deaf:
             time.sleep(1.0)
-            graph.deaf = False
+            graph.own = ""
         for _ in range(0 if kind in TOPICS else size):
             began = time.monotonic()
             try:

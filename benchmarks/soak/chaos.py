@@ -127,7 +127,7 @@ class Soak:
                     pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
                 except (OSError, IndexError):
                     continue
-                if rows:
+                if rows and pages:  # a process that has just ended has none
                     rows[-1].times_s.append(time.monotonic())
                     rows[-1].megabytes.append(pages * PAGE / 1e6)
 
@@ -400,9 +400,9 @@ def verified(path: Path) -> str:
 
 
 def slopes(memory: list[Memory]) -> list[dict[str, Any]]:
-    """Memory of each process that lived long enough."""
+    """Memory of the last process of each node, if it lived long enough."""
     rows = []
-    for one in memory:
+    for one in {one.node: one for one in memory}.values():
         kept = [k for k, t in enumerate(one.times_s) if t >= one.began_s + WARM_UP_S]
         if len(kept) < 60:
             continue

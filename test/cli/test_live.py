@@ -12,10 +12,10 @@ from rich.console import Console
 from std_msgs.msg import Header
 
 from foretouch.cli.live import live_panel
-from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg
+from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.nodes.monitor import NodeView, View
 from foretouch.types import Grasp, Touch, TouchPrediction
-from foretouch_msgs.msg import TouchPredictionArray
+from foretouch_msgs.msg import Status, TouchPredictionArray
 
 GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3), object_id="1")
 
@@ -50,3 +50,12 @@ def test_without_a_calibration_there_is_no_half_width() -> None:
     assert "2779" in text
     assert "±" not in text
     assert "cloud only" in text
+
+
+def test_a_refused_grasp_of_any_width_is_shown() -> None:
+    message = refusal_to_msg(grasp_to_msg(GRASP), Header(), Status.BAD_GRASP, "grasp: too wide")
+    message.grasp.g1.x = 1e160
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(live_panel(View(last=TouchPredictionArray(predictions=[message])), "title"))
+    assert "too wide" in captured.get()

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from math import isnan
+from math import dist, isnan
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
 _MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _MAX_REASONS = 3
+_WIDEST_MM = 1e4
 _MAX_ROWS = 8  # of predictions, so that those of a planner do not push the nodes off the screen
 
 
@@ -85,13 +86,14 @@ def _predictions(predictions: list[TouchPrediction], touches: int) -> Table:
     table.add_column("based on", min_width=14, overflow="fold")
     for one in predictions:
         g1, g2 = one.grasp.g1, one.grasp.g2
-        width_mm = 1e3 * ((g1.x - g2.x) ** 2 + (g1.y - g2.y) ** 2 + (g1.z - g2.z) ** 2) ** 0.5
+        width_mm = 1e3 * dist((g1.x, g1.y, g1.z), (g2.x, g2.y, g2.z))
+        width = f"{width_mm:.0f}" if width_mm < _WIDEST_MM else "–"  # a refused grasp may be 1e160 m wide
         if one.reason and one.status:
-            table.add_row(one.grasp.object_id, f"{width_mm:.0f}", "", "", "", "", one.reason)
+            table.add_row(one.grasp.object_id, width, "", "", "", "", one.reason)
             continue
         table.add_row(
             one.grasp.object_id,
-            f"{width_mm:.0f}",
+            width,
             interval_text(one.pdc_th),
             interval_text(one.pdc_mf),
             _span(one.e_th),
