@@ -160,7 +160,11 @@ def test_a_single_object_tells_nothing_of_others(rng) -> None:
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
-    rows, labels, objects = describe_samples(SAMPLES, "camera"), labels_of(SAMPLES), [sample.object for sample in SAMPLES]
+    rows, labels, objects = (
+        describe_samples(SAMPLES, "camera"),
+        labels_of(SAMPLES),
+        [sample.object for sample in SAMPLES],
+    )
     one, again, other = (
         fit_contact(rows, labels, objects, CAMERA.replace(seed=seed)).to_tensors() for seed in (1, 1, 2)
     )

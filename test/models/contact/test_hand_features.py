@@ -12,7 +12,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import CloudError
-from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, OBJECT_FEATURES, SLOPE_FEATURES, HandScene
+from foretouch.models.contact.hand_features import (
+    CHECKED,
+    CONDITIONS,
+    FEATURES,
+    OBJECT_FEATURES,
+    SLOPE_FEATURES,
+    HandScene,
+)
 from foretouch.types import Grasp
 
 HERE = np.array([0.05, -0.02, 1.2])
@@ -29,7 +36,11 @@ def lump(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.fixture
 def grasp() -> Grasp:
-    return Grasp(HERE + [0.025, 0.01, 0.01], HERE + [-0.025, 0.01, 0.01], HAND)
+    return Grasp(here(0.025, 0.01, 0.01), here(-0.025, 0.01, 0.01), HAND)
+
+
+def here(x: float, y: float, z: float) -> np.ndarray:
+    return HERE + np.array([x, y, z])
 
 
 def describe(points: np.ndarray, *grasps: Grasp) -> np.ndarray:
@@ -98,7 +109,7 @@ def test_thinning_moves_no_column_by_more_than_its_noise(grasp, rng) -> None:
     assert_allclose(named(after, *sizes), named(before, *sizes), atol=1.5e-3)
     surface = cylinder(0.033, HERE)
     before, after = (
-        slopes(describe(points, Grasp(HERE + [0.033, 0.0, 0.0], HERE - [0.3, 0.0, 0.0], HAND))[0])
+        slopes(describe(points, Grasp(here(0.033, 0.0, 0.0), here(-0.3, 0.0, 0.0), HAND))[0])
         for points in (surface, surface[rng.random(len(surface)) < 0.5])
     )
     assert_allclose(after[1:], before[1:], atol=0.05)
@@ -113,7 +124,7 @@ def test_an_axis_that_turns_with_the_noise_moves_nothing(rng) -> None:
     """A round object seen from above has no axis; that of the sums of squares turns by any angle."""
     angle, radius = rng.uniform(0.0, 2.0 * np.pi, 4000), 0.05 * np.sqrt(rng.random(4000))
     disc = HERE + np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.001 * rng.normal(size=4000)])
-    grasp = Grasp(HERE + [0.04, 0.01, 0.0], HERE + [-0.04, 0.01, 0.0], HAND)
+    grasp = Grasp(here(0.04, 0.01, 0.0), here(-0.04, 0.01, 0.0), HAND)
     halves = describe(disc[::2], grasp), describe(disc[1::2], grasp)
     names = [name for name in SEEN if not name.startswith(("g1", "g2", "extent"))]
     assert_allclose(*(named(half[0], *names) for half in halves), atol=0.06)
@@ -123,12 +134,12 @@ def test_an_axis_that_turns_with_the_noise_moves_nothing(rng) -> None:
 def test_slope_of_a_plane_tilted_away_from_the_camera(degrees: int) -> None:
     a = np.radians(degrees)
     facing = np.array([np.cos(a), 0.0, -np.sin(a)])  # against the finger, which closes towards -x, and to the camera
-    found = slopes(describe(patch(facing, HERE), Grasp(HERE, HERE - [0.3, 0.0, 0.0], HAND))[0])
+    found = slopes(describe(patch(facing, HERE), Grasp(HERE, here(-0.3, 0.0, 0.0), HAND))[0])
     assert_allclose(found, np.cos(a) * np.tile([-np.sin(a), 0.0, -np.cos(a)], (3, 1)), atol=1e-6)
 
 
 def test_slope_of_a_cylinder_is_its_radius_at_the_contact() -> None:
-    grasp = Grasp(HERE + [0.033, 0.0, 0.0], HERE - [0.3, 0.0, 0.0], HAND)
+    grasp = Grasp(here(0.033, 0.0, 0.0), here(-0.3, 0.0, 0.0), HAND)
     found = slopes(describe(cylinder(0.033, HERE), grasp)[0])
     directions = found / np.linalg.norm(found, axis=1)[:, None]
     assert_allclose(directions, np.tile([0.0, 0.0, -1.0], (3, 1)), atol=1e-6)
@@ -136,10 +147,9 @@ def test_slope_of_a_cylinder_is_its_radius_at_the_contact() -> None:
 
 def test_a_slope_across_the_finger_does_not_jump() -> None:
     """Its normal's sign turns there; the column passes through zero."""
-    grasp = Grasp(HERE, HERE - [0.3, 0.0, 0.0], HAND)
+    grasp = Grasp(HERE, here(-0.3, 0.0, 0.0), HAND)
     found = [
-        slopes(describe(patch(np.array([np.cos(a), np.sin(a), 0.0]), HERE), grasp)[0])
-        for a in np.radians([89.9, 90.1])
+        slopes(describe(patch(np.array([np.cos(a), np.sin(a), 0.0]), HERE), grasp)[0]) for a in np.radians([89.9, 90.1])
     ]
     assert_allclose(found[0], found[1], atol=0.01)
 
@@ -153,7 +163,7 @@ def test_a_grasp_is_described_alike_alone_and_among_others(lump, rng) -> None:
 
 
 def test_a_contact_in_empty_space_is_described_by_zeros(lump) -> None:
-    (row,) = describe(lump, Grasp(HERE + [1.0, 0.0, 0.0], HERE + [0.5, 0.0, 0.0], HAND))
+    (row,) = describe(lump, Grasp(here(1.0, 0.0, 0.0), here(0.5, 0.0, 0.0), HAND))
     assert_array_equal(slopes(row), np.zeros((3, 3)))
     assert_array_equal(named(row, "g1_share", "g1_roughness", "g1_pad_x", "g1_pad_y", "g1_pad_z"), np.zeros(5))
     assert np.isfinite(row).all()

@@ -23,7 +23,15 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.shared import real_grasps
-from foretouch.experiments.shared.predictors import EARLIER, NETWORKS, PREDICTORS, SHRINKAGE, Fit, Fitted, find_predictor
+from foretouch.experiments.shared.predictors import (
+    EARLIER,
+    NETWORKS,
+    PREDICTORS,
+    SHRINKAGE,
+    Fit,
+    Fitted,
+    find_predictor,
+)
 from foretouch.experiments.shared.skill import MODELS, skill_tables
 from foretouch.learning.data import Dataset, Indices, labels_of, make_folds
 from foretouch.report.panels import Rows, new_figure, save

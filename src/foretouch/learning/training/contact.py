@@ -48,7 +48,9 @@ class ContactConfig(Settings):
         minimum=1e-3,
     )
     object_effect: float = setting(
-        1.0, "Variance of what is an object's own over that of the kernel, for features in the hand's frame", minimum=0.0
+        1.0,
+        "Variance of what is an object's own over that of the kernel, for features in the hand's frame",
+        minimum=0.0,
     )
     features: str = setting(
         "hand",
@@ -70,8 +72,9 @@ def describe_samples(samples: Sequence[GraspSample], features: str = "hand") -> 
     Raises:
         DatasetError: If a cloud cannot be used.
     """
-    scene = HandScene if features == "hand" else ContactScene
-    return np.concatenate([_scene(sample, scene).describe([sample.grasp]) for sample in samples])
+    if features == "hand":
+        return np.concatenate([_scene(sample, HandScene).describe([sample.grasp]) for sample in samples])
+    return np.concatenate([_scene(sample, ContactScene).describe([sample.grasp]) for sample in samples])
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
@@ -103,11 +106,7 @@ def _scene(sample: GraspSample, scene: type[Scene]) -> Scene:
 
 
 def fit_contact(
-    rows: Float64,
-    labels: Float64,
-    objects: Sequence[str],
-    config: ContactConfig,
-    thinned: Float64 | None = None,
+    rows: Float64, labels: Float64, objects: Sequence[str], config: ContactConfig, thinned: Float64 | None = None
 ) -> ContactEstimator:
     """Fit forests, kernel and novelty detection.
 

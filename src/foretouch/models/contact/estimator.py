@@ -123,7 +123,7 @@ class ContactEstimator:
             raise ModelError(f"{_CLAIM}: shape {claim.shape} is not ({len(MODALITIES)},), or a value is not in [0, 1]")
         forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *MODALITIES)}
         kernel = read_part(KernelRegression, tensors, "kernel/")
-        detector: type[SizeNoveltyDetector] | type[FamiliarityDetector]
+        detector: type[SizeNoveltyDetector | FamiliarityDetector]
         detector = SizeNoveltyDetector if claim is None else FamiliarityDetector
         novelty = read_part(detector, tensors, "novelty/")
         found = cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges, claim)

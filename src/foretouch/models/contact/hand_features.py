@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from foretouch.models.contact.features import usable_points
@@ -156,7 +155,9 @@ class HandScene:
         unique, back = np.unique(contacts, axis=0, return_inverse=True)
         back = back.reshape(-1)
         near = self._tree.query_ball_point(unique, max(_RADII_M), return_sorted=True)
-        pad, *patches = np.array([self._sums(at, one) for at, one in zip(unique - self._centre, near, strict=True)]).swapaxes(0, 1)
+        pad, *patches = np.array(
+            [self._sums(at, one) for at, one in zip(unique - self._centre, near, strict=True)]
+        ).swapaxes(0, 1)
         share, mean, spreads, _ = _moments(pad, unique - self._centre)
         found = [share[back], spreads[back, 0], *_into(fingers, mean[back]).T]
         for patch in patches:
