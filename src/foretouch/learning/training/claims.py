@@ -15,6 +15,7 @@ object is zero.
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.learning.data.folds import object_folds
 from foretouch.models.contact.regressors import laplacian
@@ -22,11 +23,13 @@ from foretouch.models.novelty import standardisation
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64
 
+Names = npt.NDArray[np.str_]
 
-def same_object(objects: Sequence[str]) -> Float64:
+
+def same_object(objects: Sequence[str] | Names) -> Float64:
     """(S, S) float64: 1 where two samples are of the same object, else 0."""
     _, index = np.unique(np.asarray(objects), return_inverse=True)
-    return (index[:, None] == index).astype(np.float64)
+    return np.asarray(index[:, None] == index, np.float64)
 
 
 def choose_claims(
@@ -53,7 +56,7 @@ def choose_claims(
 
 
 def _held_out(
-    rows: Float64, scaled: Float64, objects: np.ndarray, decay: float, effect: float, ridges: Sequence[float]
+    rows: Float64, scaled: Float64, objects: Names, decay: float, effect: float, ridges: Sequence[float]
 ) -> tuple[Float64, Float64]:
     """(R, 4, G) sums of predicted times actual differences from the mean, and of squared predicted ones.
 
@@ -65,7 +68,8 @@ def _held_out(
         centre, scale = standardisation(rows[fold.train])
         known, test = ((rows[index] - centre) / scale for index in (fold.train, fold.test))
         mean = scaled[fold.train].mean(axis=0)
-        values, vectors = np.linalg.eigh(laplacian(known, known, decay) + effect * same_object(objects[fold.train]))
+        kernel = np.asarray(laplacian(known, known, decay) + effect * same_object(objects[fold.train]), np.float64)
+        values, vectors = np.linalg.eigh(kernel)
         cross, turned = laplacian(test, known, decay) @ vectors, vectors.T @ (scaled[fold.train] - mean)
         actual = scaled[fold.test] - mean
         for r, ridge in enumerate(ridges):

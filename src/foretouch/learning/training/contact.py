@@ -72,8 +72,9 @@ def describe_samples(samples: Sequence[GraspSample], features: str = "hand") -> 
     Raises:
         DatasetError: If a cloud cannot be used.
     """
-    scene = HandScene if features == "hand" else ContactScene
-    return np.concatenate([_scene(sample, scene).describe([sample.grasp]) for sample in samples])
+    if features == "hand":
+        return np.concatenate([_scene(sample, HandScene).describe([sample.grasp]) for sample in samples])
+    return np.concatenate([_scene(sample, ContactScene).describe([sample.grasp]) for sample in samples])
 
 
 def describe_objects(samples: Sequence[GraspSample]) -> Float64:
