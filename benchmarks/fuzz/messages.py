@@ -184,11 +184,11 @@ def label_request() -> Any:
 def clouds() -> Kind:
     """Raw clouds: decode, and check what follows."""
     from foretouch.ros.messages.requests import read_cloud
-    from foretouch.ros.touch.tactile_state import _Extent
+    from foretouch.models.hand_history import Extent
 
     def read(message: Any) -> None:
         cloud = read_cloud(message)
-        _Extent.of(cloud)
+        Extent.of(cloud)
 
     return Kind([scene_message(), *object_messages()], read)
 
@@ -218,12 +218,12 @@ def segmented() -> Kind:
 def object_clouds() -> Kind:
     """Object clouds."""
     from foretouch.ros.messages.requests import read_targets
-    from foretouch.ros.touch.tactile_state import _Extent
+    from foretouch.models.hand_history import Extent
     from foretouch.types import ASSUMED_TABLE
 
     def read(message: Any) -> None:
         for target in read_targets(message, ASSUMED_TABLE):
-            _Extent.of(target.cloud)
+            Extent.of(target.cloud)
 
     return Kind(object_messages(), read)
 
@@ -315,6 +315,7 @@ def predicted() -> Kind:
 
 def sampled() -> Kind:
     """Goals of `sample_grasps`."""
+    from foretouch.pipeline import PipelineConfig
     from foretouch.ros.touch.config import TouchPredictorConfig
     from foretouch.ros.touch.grasp_sampler import GraspSampler
 
@@ -323,7 +324,8 @@ def sampled() -> Kind:
     def predict(target: Any, grasps: Any, header: Any) -> Any:
         return predictor.array([target], grasps, header, config).predictions
 
-    sampler = GraspSampler(predict, config.grasp, config.ranges, config.max_grasps)
+    settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
+    sampler = GraspSampler(predict, settings, config.ranges, config.max_grasps)
 
     def read(goal: Any) -> None:
         result = sampler.sample(goal, None, lambda _: None, lambda: False)
@@ -337,13 +339,17 @@ def _adapter(type_name: str) -> tuple[Any, Any]:
     """The online adapter of the predictor and the assembler of the recorder, for a tactile type."""
     from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler
     from foretouch.models import load_model
+    from foretouch.models.hand_history import HandHistory
     from foretouch.ros.touch.config import TouchPredictorConfig
     from foretouch.ros.touch.online_adapter import OnlineAdapter
+    from foretouch.ros.touch.tactile_state import HandMemory
     from foretouch.tactile.messages import TactileConfig, make_reader
 
     config = TouchPredictorConfig(tactile=TactileConfig(type=type_name))
     reader = make_reader(config.tactile)
-    adapter = OnlineAdapter(load_model("default"), reader, lambda: config, lambda: NOW_NS, lambda _: None)
+    model = load_model("default")
+    memory = HandMemory(HandHistory(model), lambda: NOW_NS)
+    adapter = OnlineAdapter(model, reader, memory, lambda: config, lambda: NOW_NS, lambda _: None)
     settings = AssemblerConfig(object="can", unlabelled_s=0.0, assume_grasps=True, watch_sensors=True)
     return adapter, SampleAssembler(settings, reader)
 

@@ -34,7 +34,7 @@ from foretouch.cloud.segmentation.rays import _least_squares
 from foretouch.grasp.axis import ObjectAxis, find_axis
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.hold import _measure
-from foretouch.ros.touch.tactile_state import _Extent
+from foretouch.models.hand_history import Extent
 from foretouch.simulation.view import CameraView
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
@@ -192,7 +192,7 @@ def _height(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 
 def _far_cloud(t: float, rng: np.random.Generator, n: int = 60) -> tuple[Cloud, Exact, Exact, float]:
-    """A cloud of 5 cm at 0.3 m to 10 km, its mean and deviation, and κ."""
+    """A cloud of 5 cm at 0.3 m to 10 km, its mean and standard deviation, and κ."""
     points = float32_cloud(
         rng.normal(size=(n, 3)) * [0.05, 0.03, 0.02] + span(t, 0.3, 1e4) * np.array([0.2, -0.3, 1.0])
     )
@@ -204,26 +204,28 @@ def _far_cloud(t: float, rng: np.random.Generator, n: int = 60) -> tuple[Cloud, 
 @kernel(
     "object identity: grasp",
     of="grasp.hold._measure",
-    error="of mean and deviation / smallest deviation",
+    error="of mean and mean deviation / smallest deviation",
     condition="max|p| / smallest deviation",
     constant=1.0,
 )
 def _hold(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
     computed = _measure(cloud)
-    return kappa, max(gap(computed[0], mean), gap(computed[1], deviation)) / float(min(deviation))
+    xyz = exact(cloud.xyz)
+    apart = np.abs(xyz - mean).sum(axis=0) / len(xyz)
+    return kappa, max(gap(computed[0], mean), gap(computed[1], apart)) / float(min(deviation))
 
 
 @kernel(
     "object identity: touches",
-    of="ros.touch.tactile_state._Extent",
+    of="models.hand_history.Extent",
     error="of mean and deviation / smallest deviation",
     condition="max|p| / smallest deviation",
     constant=1.0,
 )
 def _extent(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
-    computed = _Extent.of(cloud).numbers
+    computed = Extent.of(cloud).numbers
     return kappa, gap(computed, np.concatenate([mean, deviation])) / float(min(deviation))
 
 

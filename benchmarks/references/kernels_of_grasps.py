@@ -131,7 +131,7 @@ def _object(t: float, rng: np.random.Generator, n: int = 40) -> WeightedPoints:
     shape = spread_points(rng, n, [0.04, 0.04 * (1.0 - difference), 0.01])
     points = shape @ rotation(rng).T + far * np.array([0.1, -0.1, 1.0])
     inlier = rng.uniform(0.2, 1.0, n)
-    return WeightedPoints(points, inlier, inlier * rng.uniform(1e-6, 4e-6, n))
+    return WeightedPoints(points, inlier, inlier * rng.uniform(1e-6, 4e-6, n), 0)
 
 
 PREFERRED = [0.95, 0.3, 0.08]
@@ -202,7 +202,7 @@ def _asymmetry(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 def _flat_frame(rng: np.random.Generator, place: Float64) -> ObjectFrame:
     turn = rotation(rng)
-    return ObjectFrame(place, turn[:, 0], turn[:, 1], 0.5)
+    return ObjectFrame(place, turn[:, 0], turn[:, 1], 0.5, np.eye(3))
 
 
 @kernel(
@@ -218,7 +218,7 @@ def _extremes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     frame = _flat_frame(rng, place)
     local = rng.uniform(-1.0, 1.0, (40, 3)) * [0.007, size / 2.0, 0.02]
     xyz = place + local @ np.stack([frame.axis, frame.across, np.cross(frame.axis, frame.across)])
-    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 40), np.ones(40))
+    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 40), np.ones(40), 0)
     computed, _ = soft_extremes(points, frame, 0.001, 0.007)
     offset = exact(xyz) - exact(place)
     share = ((offset @ exact(frame.axis) - exact(0.001)) / (exact(1.5) * exact(0.007))) ** 2
@@ -243,7 +243,7 @@ def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
     place = span(t, 0.3, 1e3) * np.array([0.1, 0.2, 1.0])
     frame = _flat_frame(rng, place)
     xyz = place + rng.uniform(-0.015, 0.015, (15, 3))
-    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 15), np.ones(15))
+    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 15), np.ones(15), 0)
     found = stable_side(points, place, frame, 0.3, CONFIG)
     offset = exact(xyz) - exact(place)
     radius, voxel = exact(CONFIG.contact_radius_m), exact(CONFIG.voxel_m)
@@ -277,7 +277,7 @@ def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     turn, place = rotation(rng), span(t, 0.3, 1e3) * np.array([0.1, 0.2, 1.0])
     xyz = (flat + middle[:, None]).reshape(-1, 3) @ turn.T + place
     centres = middle @ turn.T + place
-    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 48), np.ones(48))
+    points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 48), np.ones(48), 0)
     normal, curvature = local_planes(points, centres, 0.03)
     kappa, error = 0.0, 0.0
     for k in range(2):
@@ -311,7 +311,7 @@ def _stable_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         curvature = rng.uniform(0.0, 0.3, 5) * span(t, 1.0, 1e-6)
         sides.append(StableSide(xyz, rng.uniform(0.1, 1.0, 5), normal, curvature, 5))
-    points = WeightedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    points = WeightedPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0)
     computed = StableRanking(points, (sides[0], sides[1]), frame, 0.0, 0.03).pairs().score
     axis, scaled, kappa = exact(frame.axis), [], 10.0
     for side in sides:

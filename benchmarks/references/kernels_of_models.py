@@ -300,7 +300,7 @@ def _half_width(t: float, rng: np.random.Generator) -> tuple[float, float]:
 def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Readings that vary less and less about 3000 counts: they are centred first."""
     sessions = np.repeat(["a", "b", "c"], 4)
-    noise = span(t, 100.0, 0.02)  # below, the floors of 1e-6 counts² take over
+    noise = span(t, 100.0, 8.0)  # below, the floor of 0.29 counts of rounding takes over
     predicted = 3000.0 + noise * rng.normal(size=(12, 50))
     labels = predicted + noise * (0.3 * rng.normal(size=(12, 50)))
     group = fit_group(HeldOutPredictions(predicted, labels, sessions, sessions))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Familiarity: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
+"""In-distribution check: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
 
 The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies between
 clouds of one object: its pose, and what is seen of it. (The number of points, by which `novelty.SizeNoveltyDetector` also
