@@ -39,7 +39,7 @@ class Components:
 
     @classmethod
     def predict(cls, estimator: ContactEstimator, rows: Float64) -> Components:
-        """Predictions for (S, F) feature rows, whose first columns are those of familiarity."""
+        """Predictions for (S, F) feature rows, whose first columns are those of `CHECKED`."""
         inputs = rows[:, len(CONDITIONS) :]
         separate = np.empty((len(rows), TOUCH_SIZE))
         for name in MODALITIES:
@@ -94,7 +94,7 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns are those by which familiarity is judged;
+"""By name of the variant, (S, F) feature rows. The first columns are those by which novelty is detected;
 `geometry_features` are those of the baseline's trees."""
 
 
