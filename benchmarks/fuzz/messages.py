@@ -183,8 +183,8 @@ def label_request() -> Any:
 
 def clouds() -> Kind:
     """Raw clouds: decode, and check what follows."""
-    from foretouch.ros.messages.requests import read_cloud
     from foretouch.models.hand_history import Extent
+    from foretouch.ros.messages.requests import read_cloud
 
     def read(message: Any) -> None:
         cloud = read_cloud(message)
@@ -217,8 +217,8 @@ def segmented() -> Kind:
 
 def object_clouds() -> Kind:
     """Object clouds."""
-    from foretouch.ros.messages.requests import read_targets
     from foretouch.models.hand_history import Extent
+    from foretouch.ros.messages.requests import read_targets
     from foretouch.types import ASSUMED_TABLE
 
     def read(message: Any) -> None:

@@ -64,7 +64,7 @@ def test_variants_that_differ_only_after_touches(models) -> None:
     np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.groups["new"].between)))
 
 
-def test_feature_sets_begin_with_what_familiarity_is_judged_by(sides) -> None:
+def test_feature_sets_begin_with_what_novelty_is_detected_by(sides) -> None:
     rows = {name: describe(sides[1]) for name, describe in FEATURE_SETS.items()}
     objects = rows[FULL][:, : len(CHECKED)]
     for one in rows.values():

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from foretouch.learning.evaluation.baselines import (
     FEATURE_NAMES,
+    clock,
     geometry_features,
     geometry_trees,
     object_mean,
@@ -66,3 +67,17 @@ def test_features_are_named_finite_and_blind_to_order(samples, rng) -> None:
     assert features[FEATURE_NAMES.index("width")] == sample.grasp.width_m
     far = dataclasses.replace(sample, cloud=Cloud(sample.cloud.xyz + np.float32(1.0)))
     assert geometry_features(far)[FEATURE_NAMES.index("g1_count")] == 0.0
+
+
+def test_the_clock_knows_the_time_and_nothing_else(samples) -> None:
+    """Samples of one time get the same; those of the past know nothing of the first recording."""
+    ordered = sorted(samples, key=lambda sample: sample.stamp_ns)
+    train, test = ordered[:-10], ordered[-10:]
+    labels = labels_of(train)
+    both, past = clock(train, labels, test, 0), clock(train, labels, test, 0, past_only=True)
+    one_time = [dataclasses.replace(sample, stamp_ns=test[0].stamp_ns) for sample in test]
+    assert np.ptp(clock(train, labels, one_time, 0), axis=0).max() < 1e-9
+    assert np.abs(both - labels.mean(axis=0)).max() > 1e-3
+    assert_allclose(past, both)  # all training samples are earlier
+    first = [dataclasses.replace(test[0], stamp_ns=0)]
+    assert_allclose(clock(train, labels, first, 0, past_only=True)[0], labels.mean(axis=0))

@@ -229,3 +229,18 @@ def test_the_order_of_samples_does_not_matter() -> None:
     one, other = fit_group(held), fit_group(mixed)
     for field in ("between", "within", "worth", "spread", "half_width"):
         assert_allclose(getattr(other, field), getattr(one, field), rtol=1e-9, atol=1e-9)
+
+
+def test_heavy_objects_do_not_set_how_much_a_pressure_lasts(rng) -> None:
+    """Two of eight objects lie far off; a touch of a ninth may not be taken for more than half of its error."""
+    objects = np.array([f"o{k // 20}" for k in range(160)])
+    residuals = rng.normal(0.0, 30.0, (160, 50))
+    residuals[:40] += 400.0
+    held_out = HeldOutPredictions(np.zeros_like(residuals), residuals, objects, objects)
+    capped, free = fit_group(held_out, new=True), fit_group(held_out)
+    pressure = columns(["PDC_TH", "PDC_MF"])
+    assert (np.diag(free.between)[pressure] > 10.0 * free.within[pressure]).all()
+    assert_allclose(np.diag(capped.between)[pressure], capped.within[pressure])
+    electrodes = columns(["E_TH", "E_MF"])
+    assert_allclose(capped.between[np.ix_(electrodes, electrodes)], free.between[np.ix_(electrodes, electrodes)])
+    assert np.linalg.eigvalsh(capped.between).min() > 0.0

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from foretouch.errors import ModelError
 from foretouch.learning.training.contact import ContactPredictor, describe_samples, fit_contact, thinned_samples
 from foretouch.models.contact.estimator import ContactEstimator, by_modality
-from foretouch.models.contact.familiarity import FamiliarityDetector
 from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, HandScene
+from foretouch.models.contact.hand_novelty import HandNoveltyDetector
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Cloud
 
@@ -127,9 +127,9 @@ def test_what_training_never_covered_is_unfamiliar(estimator) -> None:
     assert set(flagged.values()) == {10}
 
 
-def test_familiarity_of_rows_is_that_of_each(estimator) -> None:
+def test_scores_of_rows_are_those_of_each(estimator) -> None:
     rows = describe_samples(SAMPLES)
-    detector = FamiliarityDetector.fit(rows, [one.object for one in SAMPLES])
+    detector = HandNoveltyDetector.fit(rows, [one.object for one in SAMPLES])
     one_by_one = np.concatenate([detector.scores(row[None]) for row in rows])
     assert_array_equal(detector.scores(rows), one_by_one)
     assert detector.low[0] > 0.0  # distance

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model without one of its components, and predictions of each component alone.
 
-The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined
-here.
+The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined here.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Components:
 
     @classmethod
     def predict(cls, estimator: ContactEstimator, rows: Float64) -> Components:
-        """Predictions for (S, F) feature rows, whose first columns are those of familiarity."""
+        """Predictions for (S, F) feature rows, whose first columns are those of `CHECKED`."""
         inputs = rows[:, len(CONDITIONS) :]
         separate = np.empty((len(rows), TOUCH_SIZE))
         for name in MODALITIES:
@@ -95,7 +94,7 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
     "without slopes": _without_slopes,
     "geometry_features only": _geometry_only,
 }
-"""By name of the variant, (S, F) feature rows. The first columns are those by which familiarity is evaluated;
+"""By name of the variant, (S, F) feature rows. The first columns are those by which novelty is detected;
 `geometry_features` are those of the baseline's trees."""
 
 

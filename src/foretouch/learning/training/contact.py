@@ -16,9 +16,9 @@ from foretouch.learning.training.calibration import calibrate, calibration_folds
 from foretouch.learning.training.claims import choose_claims, same_object
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
-from foretouch.models.contact.familiarity import FamiliarityDetector
 from foretouch.models.contact.features import ContactScene
 from foretouch.models.contact.hand_features import CONDITIONS, HandScene
+from foretouch.models.contact.hand_novelty import HandNoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.novelty import SizeNoveltyDetector, standardisation
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
@@ -140,7 +140,7 @@ def fit_contact(
     return ContactEstimator(
         forests={name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()},
         kernel=_kernel(inputs, scaled, objects, ridge, config.decay, config.object_effect if hand else 0.0),
-        novelty=FamiliarityDetector.fit(rows, objects) if hand else SizeNoveltyDetector.fit(rows),
+        novelty=HandNoveltyDetector.fit(rows, objects) if hand else SizeNoveltyDetector.fit(rows),
         mean=mean,
         deviation=deviation,
         ranges=config.ranges,

@@ -3,14 +3,14 @@
 
     cloud, grasp ─► 61 features ─┬─ forests ── readings of similar training grasps ───────┐
                                  └─ kernel ─── an estimate that fades to the mean ─── · λ ─┴─ w·forests + (1 - w)·λ·kernel
-    cloud, grasp ─► sizes, conditions ─► familiarity ─► in-distribution score w, 1 … 0
+    cloud, grasp ─► sizes, conditions ─► novelty detector ─► in-distribution score w, 1 … 0
 
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
 multiplied by λ, the share of it that held on them (`learning.training.claims`).
 
 `contact-v1` has no λ, describes a grasp by 88 features in the camera's frame (`features`) instead of those in the hand's
-(`hand_features`), and is familiar with an object by sizes alone.
+(`hand_features`), and detects new objects by sizes alone.
 
 Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
 kernel and novelty detector; `<name>.trust.safetensors` the calibration.
@@ -30,7 +30,7 @@ from foretouch.errors import ConfigError, ModelError, quoted
 from foretouch.models.calibration import Calibration, calibration_file, load_calibration
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact import features, hand_features
-from foretouch.models.contact.familiarity import FamiliarityDetector
+from foretouch.models.contact.hand_novelty import HandNoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
@@ -60,7 +60,7 @@ class ContactEstimator:
 
     forests: Mapping[str, Forest]
     kernel: KernelRegression
-    novelty: SizeNoveltyDetector | FamiliarityDetector
+    novelty: SizeNoveltyDetector | HandNoveltyDetector
     mean: Float64
     deviation: Float64
     ranges: TactileRanges = P2_RANGES
@@ -125,8 +125,8 @@ class ContactEstimator:
             raise ModelError(f"{_CLAIM}: shape {claim.shape} is not ({len(MODALITIES)},), or a value is not in [0, 1]")
         forests = {name: read_part(Forest, tensors, f"forest_{name}/") for name in (TOGETHER, *MODALITIES)}
         kernel = read_part(KernelRegression, tensors, "kernel/")
-        detector: type[SizeNoveltyDetector | FamiliarityDetector]
-        detector = SizeNoveltyDetector if claim is None else FamiliarityDetector
+        detector: type[SizeNoveltyDetector | HandNoveltyDetector]
+        detector = SizeNoveltyDetector if claim is None else HandNoveltyDetector
         novelty = read_part(detector, tensors, "novelty/")
         found = cls(forests, kernel, novelty, tensors["mean"], tensors["deviation"], ranges, claim)
         found._check()

@@ -47,7 +47,7 @@ CONDITIONS: Final = ("distance", "spacing")
 """Of the recording: distance of the object from the camera, and of its points from each other. No prediction depends on them."""
 
 CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
-"""The first columns of a row, by which familiarity is evaluated."""
+"""The first columns of a row, by which novelty is detected."""
 
 _GRASP_FEATURES: Final = (
     *("width", "approach", "rise", "offset", "along", "along_y"),

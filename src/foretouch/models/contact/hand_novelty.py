@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In-distribution check: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
+"""Novelty detection in the frame of the hand: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
 
 The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies between
 clouds of one object: its pose, and what is seen of it. (The number of points, by which `novelty.SizeNoveltyDetector` also
@@ -33,7 +33,7 @@ _LIMITED_COLUMNS: Final = [CHECKED.index(name) for name in _LIMITED]
 
 
 @dataclass(frozen=True, eq=False)
-class FamiliarityDetector(TensorRecord):
+class HandNoveltyDetector(TensorRecord):
     """Sizes of S training clouds, and the limits of the conditions in `CHECKED`."""
 
     centre: Float64  # (11,) float64, mean of the sizes
