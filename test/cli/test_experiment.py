@@ -52,7 +52,7 @@ def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
 def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]
-    assert "'phrenology' is none of cross_validation" in call("experiment", "phrenology", *out).err
+    assert "'phrenology' is none of prequential, cross_validation" in call("experiment", "phrenology", *out).err
     assert "No module named" in call("experiment", "no.such", *out).err
     assert "contains no EXPERIMENT" in call("experiment", "foretouch.types", *out).err
     assert "-o DIR is required" in call("experiment", OWN).err
@@ -83,6 +83,7 @@ def test_a_folder_of_another_experiment_is_not_redrawn(call, tmp_path, numbers) 
 def test_list_names_all(call) -> None:
     names = [record["name"] for record in call("experiment", "list", "--json").records]
     assert names == [
+        "prequential",
         "cross_validation",
         "time_blocked",
         "cross_type",

@@ -41,7 +41,7 @@ def copied(tmp_path: Path) -> Path:
 def test_models_and_references_are_as_expected_here() -> None:
     status, rows = doctor(PACKAGE.parent, "models", "references")
     assert (status, [(one["row"], one["state"]) for one in rows]) == (0, [("models", "ok"), ("references", "ok")])
-    assert rows[0]["found"] == "2 of 2 as expected"
+    assert rows[0]["found"] == "3 of 3 as expected"
 
 
 def test_a_damaged_model_is_reported_with_its_fix(copied: Path) -> None:
@@ -50,7 +50,7 @@ def test_a_damaged_model_is_reported_with_its_fix(copied: Path) -> None:
     content[-5] ^= 1
     weights.write_bytes(content)
     status, (row,) = doctor(copied, "models")
-    assert (status, row["state"], row["found"]) == (1, "failed", "1 of 2 as expected")
+    assert (status, row["state"], row["found"]) == (1, "failed", "2 of 3 as expected")
     assert "model: contact-v1: is refused: " in row["cause"]
     assert "sha256" in row["cause"]
     assert row["fix"] == "pip install --force-reinstall foretouch"

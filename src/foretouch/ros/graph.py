@@ -104,6 +104,8 @@ class Graph:
 
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
+        for node in self.nodes.values():
+            node.look_for_second_graph()  # a short replay ends before the nodes' timers
         return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
 
     def played(self) -> int:

@@ -54,7 +54,7 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(
     prediction = TouchPrediction(grasp=GRASP, value=touch, lower=None, upper=None)
     good, strange = (prediction_to_msg(prediction, grasp_to_msg(GRASP), HEADER) for _ in range(2))
     strange.reference = 77
-    with pytest.raises(ModelError, match="reference: 77 is none of none, tare, touches"):
+    with pytest.raises(ModelError, match="reference: 77 is none of none, tare, touches, history"):
         prediction_from_msg(strange)
     assert reference_text(strange) == "reference 77"
     bad = grasp_to_msg(GRASP)
@@ -63,5 +63,5 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(
     _print_answer(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))
     lines = json.loads(capsys.readouterr().out)["predictions"]
     assert lines[0]["status"] == "ok"
-    assert lines[1] == {"status": "failed", "reason": "reference: 77 is none of none, tare, touches"}
+    assert lines[1] == {"status": "failed", "reason": "reference: 77 is none of none, tare, touches, history"}
     assert lines[2] == {"status": "bad_grasp", "reason": "g1: is not finite"}
