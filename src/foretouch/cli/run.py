@@ -259,10 +259,9 @@ def _prediction_record(message: Any) -> dict[str, Any]:
     from foretouch.cli.predict import prediction_record
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
-    from foretouch_msgs.msg import Status
 
     try:
         return dict(prediction_record(prediction_from_msg(message)))
     except ForetouchError as err:
-        status = message.status or Status.FAILED
-        return {"status": status_name(status), "reason": message.reason or str(err)}
+        status = status_name(message.status) if message.status else "failed"
+        return {"status": status, "reason": message.reason or str(err)}

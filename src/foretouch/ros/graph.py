@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
 _POLL_S = 0.2  # between checks whether the graph is being closed
 _IDLE_S = 5.0  # longest time between two answers
+_DISCOVERY_S = 2.0  # until the nodes of another graph are known
 _SOURCES = ("replay", "camera")
 
 
@@ -60,6 +61,7 @@ class Graph:
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
+        self._began_s = time.monotonic()
         self.nodes: dict[str, ForetouchNode[Any]] = {}
         self.monitor: MonitorNode
 
@@ -104,9 +106,13 @@ class Graph:
 
     def conflicts(self) -> list[str]:
         """Signs of a second graph in the namespace, a line each, now or before."""
-        for node in self.nodes.values():
-            node.look_for_second_graph()  # a short replay ends before the nodes' timers
-        return list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
+        while True:
+            for node in self.nodes.values():
+                node.look_for_second_graph()
+            found = list(dict.fromkeys(text for node in self.nodes.values() for text in node.past_conflicts))
+            if found or time.monotonic() > self._began_s + _DISCOVERY_S:
+                return found
+            time.sleep(0.1)  # a short replay ends before all others are discovered
 
     def played(self) -> int:
         """Clouds published by the replay or the camera; 0 without one."""
