@@ -14,7 +14,7 @@ def _raise(error: Exception) -> None:
     raise error
 
 
-class _TwoLines(CloudError):
+class _TwoLinesError(CloudError):
     """Errors of the package have one line, whatever they are made of."""
 
     def __str__(self) -> str:
@@ -31,7 +31,7 @@ class _TwoLines(CloudError):
         (HardCase("a", lambda: _raise(CloudError("is too small")), "too small"), ""),
         (HardCase("a", lambda: _raise(CloudError("is red")), "too small"), "for another reason than 'too small': is red"),
         (HardCase("a", lambda: _raise(CloudError("is red"))), "is refused: is red"),
-        (HardCase("a", lambda: _raise(_TwoLines("too small")), "too"), "several lines"),
+        (HardCase("a", lambda: _raise(_TwoLinesError("too small")), "too"), "several lines"),
         (HardCase("a", lambda: _raise(ValueError("x"))), "ValueError: x at test_case.py"),
         (HardCase("a", lambda: warnings.warn("dubious", stacklevel=1)), "UserWarning: dubious"),
     ],
