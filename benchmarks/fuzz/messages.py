@@ -623,7 +623,7 @@ def messages_of(kind: Kind, seed: int, number: int, index: int) -> Any:
         import copy
 
         return change(copy.deepcopy(valid), rng)
-    data = _SERIALISED.setdefault(id(valid), bytes(serialize_message(valid)))
+    _, data = _SERIALISED.setdefault(id(valid), (valid, bytes(serialize_message(valid))))
     if rng.random() < DAMAGED:
         head, body = data[:4], mutated(data[4:], rng)
         try:
@@ -633,7 +633,8 @@ def messages_of(kind: Kind, seed: int, number: int, index: int) -> Any:
     return change(deserialize_message(data, type(valid)), rng)
 
 
-_SERIALISED: dict[int, bytes] = {}
+_SERIALISED: dict[int, tuple[Any, bytes]] = {}
+"""By id, with the message itself: its id would be given to another one after it."""
 
 
 def read_case(kind: Kind, seed: int, number: int, index: int) -> tuple[str, str, float]:
