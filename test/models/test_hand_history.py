@@ -221,3 +221,10 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match=r"file/right.safetensors: cannot be written: .*"):
         HistoryFile(tmp_path / "file" / "right.safetensors", "right")
+
+
+def test_a_file_that_cannot_be_set_aside_is_named(path: Path) -> None:
+    file = HistoryFile(path, "right")
+    (path.parent / f"{path.name}.unused").mkdir()
+    with pytest.raises(FileError, match=r"right\.safetensors: cannot be renamed: Is a directory"):
+        file.set_aside()

@@ -24,7 +24,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchErro
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.models.hand_history import HandHistory
-    from foretouch.models.touch_model import History, ObjectResiduals, TouchModel
+    from foretouch.models.touch_model import Estimate, History, ObjectResiduals, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
@@ -91,8 +91,8 @@ class Adaptation:
         self._tare = tare
         self._own = own
         self._history = history
-        self._tracked = model.calibration is not None and model.calibration.tracker is not None
-        self._residuals = None if own or not touched or self._tracked else self._residuals_of(self.touched, tare)
+        self._estimates: dict[int, Estimate] = {}  # of readings, by the id of their sample
+        self._residuals = None if own or not touched or model.tracks else self._residuals_of(self.touched, tare)
 
     def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
         """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
@@ -113,7 +113,7 @@ class Adaptation:
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
         tare = _own_tare(sample) if self._own else self._tare
         touched = self.touches_for(sample)
-        if self._history is not None or (touched and self._tracked):
+        if self._history is not None or (touched and self._model.tracks):
             history = self._history_of(touched, tare, sample)
             return pipeline.predict(target, grasps, history=history)
         if not touched:
@@ -129,12 +129,29 @@ class Adaptation:
         stamp_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = read.hand.copy() if read.hand is not None else HandHistory(self._model)
         before = [one for one in read.samples if sample is None or not _same(one, sample)]
-        _add_samples(hand, before, stamp_ns)
+        last = None
+        for one in sorted(before, key=lambda one: one.stamp_ns):
+            if one.stamp_ns <= stamp_ns:
+                self._add(hand, one, one.stamp_ns, new_object=one.object != last)
+                last = one.object
         for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
-            _add_sample(hand, one, one.stamp_ns or stamp_ns, new_object=number == 0)
+            self._add(hand, one, one.stamp_ns or stamp_ns, new_object=number == 0)
         if tare is not None:
             hand.add_tare(stamp_ns, tare)
         return hand.at(stamp_ns, same_object=bool(touched), tare=tare is not None)
+
+    def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
+        """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
+        assert sample.touch is not None  # noqa: S101  only labelled samples are passed
+        try:
+            if sample.tare is not None:
+                hand.add_tare(stamp_ns, sample.tare)
+            if id(sample) not in self._estimates:
+                self._estimates[id(sample)] = self._model.estimate_executed(sample.cloud, [sample.grasp])
+            estimate = self._estimates[id(sample)]
+            hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object, estimate=estimate)
+        except ForetouchError as err:
+            raise DatasetError(f"{sample.id}: {err}") from err
 
     def _residuals_of(self, touched: Sequence[GraspSample], tare: Touch | None) -> ObjectResiduals:
         """Residuals of some touches, with their readings shifted to this tare."""
@@ -157,25 +174,6 @@ class ReadHistory:
 
     samples: tuple[GraspSample, ...]  # labelled, with stamps
     hand: HandHistory | None = None  # from the file of a hand; None without
-
-
-def _add_samples(hand: HandHistory, samples: Sequence[GraspSample], until_ns: int) -> None:
-    """Add samples in order of time; those after `until_ns` are left out."""
-    last = None
-    for one in sorted(samples, key=lambda one: one.stamp_ns):
-        if one.stamp_ns <= until_ns:
-            _add_sample(hand, one, one.stamp_ns, new_object=one.object != last)
-            last = one.object
-
-
-def _add_sample(hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
-    assert sample.touch is not None  # noqa: S101  only labelled samples are passed
-    try:
-        if sample.tare is not None:
-            hand.add_tare(stamp_ns, sample.tare)
-        hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object)
-    except ForetouchError as err:
-        raise DatasetError(f"{sample.id}: {err}") from err
 
 
 def _read_history(paths: Sequence[str], model: TouchModel) -> ReadHistory | None:

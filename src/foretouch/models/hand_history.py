@@ -28,7 +28,7 @@ from foretouch.checked_files import read_bytes
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits
 from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models.files import packed, replace_files
-from foretouch.models.touch_model import History, TouchModel
+from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import check_touch
 from foretouch.types import Cloud, Float64, Grasp, Touch
@@ -122,6 +122,7 @@ class HandHistory:
         new_object: bool = False,
         now_ns: int | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
+        estimate: Estimate | None = None,
     ) -> tuple[str, ...]:
         """Add the reading of an executed grasp.
 
@@ -133,6 +134,7 @@ class HandHistory:
             new_object: Whether it is another object than before.
             now_ns: As of `add_tare`.
             limits: Range and size of objects.
+            estimate: The model's of this grasp, if it is known already (see `TouchModel.estimate_executed`).
 
         Returns:
             As `add_tare`.
@@ -145,7 +147,7 @@ class HandHistory:
         faults = check_touch(reading).faults
         if faults:
             raise TactileError(f"touched: {faults[0]}")
-        estimate = self.model.estimate_executed(cloud, [grasp], limits)
+        estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)
         if new_object or not self.touches:
             self.tracker.start_object(known=bool(estimate.in_distribution[0]))
         restarted = self.tracker.add_touch(stamp_ns, reading.vector(), estimate.counts[0], now_ns=now_ns)
@@ -163,7 +165,7 @@ class HandHistory:
 
     def forget(self) -> int:
         """Forget everything, such as after the sensors were exchanged; gives the number of readings."""
-        count = self.tracker.level(0).readings_of_history
+        count = self.tracker.evidence(0).readings
         self.tracker = self.model.new_tracker()
         self.extent, self._tare_ns = None, -1
         self._forgotten += 1
@@ -274,9 +276,16 @@ class HistoryFile:
         replace_files({self.path: _content(history, self._hand)})
 
     def set_aside(self) -> Path:
-        """Rename a file that cannot be used, so that it is not overwritten, and return its new path."""
+        """Rename a file that cannot be used, so that it is not overwritten, and return its new path.
+
+        Raises:
+            FileError: If it cannot be renamed.
+        """
         kept = self.path.with_name(self.path.name + ".unused")
-        self.path.replace(kept)
+        try:
+            self.path.replace(kept)
+        except OSError as err:
+            raise FileError(self.path, f"cannot be renamed: {err.strerror or err}") from err
         return kept
 
 

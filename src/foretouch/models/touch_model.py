@@ -59,16 +59,14 @@ class History:
     def adapt(self, estimate: Estimate) -> _Adapted:
         """Predictions by sight, adapted to the readings."""
         counts, half = estimate.counts.copy(), np.empty_like(estimate.counts)
-        level = self.tracker.level(self.stamp_ns, same_object=self.same_object)
-        same = level.touches_of_object > 0
+        same = self.same_object and self.tracker.touches > 0
         for inside in np.unique(estimate.in_distribution):
             rows = estimate.in_distribution == inside
-            counts[rows], half[rows] = self.tracker.predict(
-                self.stamp_ns, estimate.counts[rows], same_object=same, known=bool(inside)
-            )
-        evidence = Evidence(level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s)
+            level = self.tracker.level(self.stamp_ns, same_object=same, known=bool(inside))
+            counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
+        evidence = self.tracker.evidence(self.stamp_ns, same_object=same)
         reference: Reference = (
-            "touches" if same else "tare" if self.tare else "history" if level.readings_of_history else "none"
+            "touches" if same else "tare" if self.tare else "history" if evidence.readings else "none"
         )
         return _Adapted(counts, half, reference, evidence)
 
@@ -111,8 +109,13 @@ class TouchModel:
         self.calibration = calibration
         self.ranges = estimator.ranges
         self._estimator = estimator
-        tracked = calibration is not None and calibration.tracker is not None
-        self._unread = SensorTracker(calibration.tracker_parameters()) if calibration and tracked else None
+        parameters = None if calibration is None else calibration.tracker
+        self._unread = None if parameters is None else SensorTracker(parameters)
+
+    @property
+    def tracks(self) -> bool:
+        """Whether its calibration has the parameters of a tracker, so that predictions may adapt to a `history`."""
+        return self._unread is not None
 
     def new_tracker(self) -> SensorTracker:
         """A tracker of a hand whose readings are compared with this model's predictions.
@@ -120,9 +123,9 @@ class TouchModel:
         Raises:
             ModelError: If the calibration has no parameters of a tracker.
         """
-        if self.calibration is None or self.calibration.tracker is None:
+        if self._unread is None:
             raise ModelError(f"{self.name}: history: cannot be used: its calibration does not model the sensors' drift")
-        return SensorTracker(self.calibration.tracker)
+        return self._unread.copy()
 
     def predict(
         self,
@@ -169,8 +172,7 @@ class TouchModel:
             tare = residuals.tare
         if history is not None and (tare is not None or residuals is not None):
             raise ModelError("history: has tares and touches of its own")
-        if history is not None and (self._unread is None or history.tracker.parameters is not self._unread.parameters):
-            self.new_tracker()  # names a calibration without a tracker
+        if history is not None and history.tracker.parameters is not self.new_tracker().parameters:
             raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         check_object(cloud.xyz, limits)
         refusals = [_refusal(grasp, cloud, reach.max_width_m, reach.max_distance_m) for grasp in grasps]

@@ -34,7 +34,7 @@ from foretouch.errors import ModelError, TactileError
 from foretouch.models.files import packed
 from foretouch.models.state_space import FINGERS, KNOWN, NEW, StateFilter, TrackerParameters
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.types import TOUCH_SIZE, Evidence, Float64
 
 MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
@@ -71,6 +71,8 @@ class Level:
 
     offset: Float64  # (50,) [counts]
     variance: Float64  # (50,) of the offset, without the noise of a grasp [counts²]
+    same_object: bool  # whether it is for the current object
+    kind: int  # of the object, KNOWN or NEW
     touches_of_object: int  # touches of the current object; 0 for another object
     readings_of_history: int  # all touches and tares, of whatever object, since the sensor's state was unknown
     object_age_s: float | None  # since the last touch of the object; None without
@@ -205,20 +207,32 @@ class SensorTracker:
             same_object: Whether it is for the current object, else for one that was not touched.
             known: Of another object, as of `start_object`.
         """
+        kind = self._kind if same_object else (KNOWN if known else NEW)
         at = self._filter.copy()
-        seconds = self._seconds_to(stamp_ns)
-        at.advance(seconds)
+        at.advance(self._seconds_to(stamp_ns))
         if not same_object:
-            at.start_object(self.parameters.object[KNOWN if known else NEW])
+            at.start_object(self.parameters.object[kind])
         mean, variance = at.predicted()
-        touches = self._touches if same_object else 0
+        evidence = self.evidence(stamp_ns, same_object=same_object)
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
-            touches_of_object=touches,
-            readings_of_history=self._readings,
-            object_age_s=max(0, int(stamp_ns) - self._object_ns) / 1e9 if touches else None,
-            history_age_s=seconds if self._readings else None,
+            same_object=same_object,
+            kind=kind,
+            touches_of_object=evidence.touches,
+            readings_of_history=evidence.readings,
+            object_age_s=evidence.touch_age_s,
+            history_age_s=evidence.reading_age_s,
+        )
+
+    def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
+        """Numbers and ages of the readings behind a level; arguments as of `level`."""
+        touches = self._touches if same_object else 0
+        return Evidence(
+            touches=touches,
+            touch_age_s=max(0, int(stamp_ns) - self._object_ns) / 1e9 if touches else None,
+            readings=self._readings,
+            reading_age_s=self._seconds_to(stamp_ns) if self._readings else None,
         )
 
     def predict(
@@ -237,14 +251,16 @@ class SensorTracker:
         Returns:
             (K, 50) predictions and (K, 50) half widths [counts].
         """
-        level = self.level(stamp_ns, same_object=same_object, known=known)
-        kind = self._kind if same_object else (KNOWN if known else NEW)
+        return self.adapt(self.level(stamp_ns, same_object=same_object, known=known), expected)
+
+    def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
+        """As `predict`, at a level of this tracker since its last reading."""
         counts = expected + level.offset
         if level.touches_of_object:
             anchor = self._expected / level.touches_of_object
-            counts = anchor + self.parameters.worth[kind] * (expected - anchor) + level.offset
-        factor = np.exp(self._log_factor if same_object else self._other_log_factor())[_MODALITY]
-        half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[kind])
+            counts = anchor + self.parameters.worth[level.kind] * (expected - anchor) + level.offset
+        factor = np.exp(self._log_factor if level.same_object else self._other_log_factor())[_MODALITY]
+        half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])
         return counts, np.broadcast_to(half, counts.shape)
 
     def _adapt_factor(self, outside: npt.NDArray[np.bool_]) -> None:

@@ -145,8 +145,8 @@ def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.b
         names: tuple[str, ...] = ()
         if recording.tares is not None and np.isfinite(recording.tares[k]).all():
             names = tracker.add_tare(stamp, recording.tares[k])
-        (counts[k],), (half[k],) = tracker.predict(stamp, expected[None])
         levels.append(tracker.level(stamp))
+        (counts[k],), (half[k],) = tracker.adapt(levels[k], expected[None])
         if np.isfinite(reading).all():
             names += tracker.add_touch(stamp, reading, expected)
         restarted.append(tuple(dict.fromkeys(names)))

@@ -207,7 +207,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if predictor.model is None or predictor.model.calibration is None:
             return
         memory: ObjectMemory | HandMemory = ObjectMemory(predictor.model)
-        if predictor.model.calibration.tracker is not None:
+        if predictor.model.tracks:
             self._keeper = HistoryKeeper(
                 predictor.model, self.config.hand, self.config.history_folder, say=self._say, warn=self._warn
             )

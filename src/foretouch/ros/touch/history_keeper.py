@@ -88,9 +88,9 @@ class HistoryKeeper:
 
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
-        level = self.history.tracker.copy().level(time.time_ns())
-        age = "none" if level.history_age_s is None else f"{level.history_age_s:.1f}"
-        found = {"history.readings": str(level.readings_of_history), "history.age_s": age}
+        read = self.history.tracker.evidence(time.time_ns())
+        age = "none" if read.reading_age_s is None else f"{read.reading_age_s:.1f}"
+        found = {"history.readings": str(read.readings), "history.age_s": age}
         found |= {f"history.restarts.{finger}": str(count) for finger, count in self.history.restarts.items()}
         named = {"history.file": self.path, "history.fault": self.fault}
         return found | {name: text for name, text in named.items() if text}
@@ -116,9 +116,9 @@ class HistoryKeeper:
         if history is None:
             say(f"history: {self._file.path}: does not exist yet")
         else:
-            level = history.tracker.level(time.time_ns())
-            age = "none" if level.history_age_s is None else f"{level.history_age_s / 3600.0:.1f} h ago"
-            say(f"history: {self._file.path}: {level.readings_of_history} readings, the last one {age}")
+            read = history.tracker.evidence(time.time_ns())
+            age = "none" if read.reading_age_s is None else f"{read.reading_age_s / 3600.0:.1f} h ago"
+            say(f"history: {self._file.path}: {read.readings} readings, the last one {age}")
         return history
 
     def _run(self) -> None:

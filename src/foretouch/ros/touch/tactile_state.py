@@ -241,7 +241,7 @@ class HandMemory:
     def expire(self, now_s: float, after_s: float) -> None:
         """Forget the object if its last touch is older than this [s]."""
         del now_s
-        age_s = self.history.tracker.level(self._now_ns()).object_age_s if self.history.touches else None
+        age_s = self.history.tracker.evidence(self._now_ns()).touch_age_s
         if age_s is not None and age_s > after_s:
             self.forget()
 
