@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from calibrated_models import REST as TOUCH_REST
 from calibrated_models import make_tracked_calibration, save_calibrated_network
 from pair_builders import REST, level
 from rcl_interfaces.srv import SetParameters
@@ -23,18 +24,19 @@ from std_srvs.srv import Trigger
 from foretouch.dataset.messages import decode_grasp
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
+from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import ObjectResiduals
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.tactile_state import ObjectMemory
+from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile import offsets, restore
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 from foretouch_msgs.srv import PredictTouch
@@ -481,3 +483,20 @@ def test_a_named_hand_remembers_across_a_restart(graph: Any, tracked: str, tmp_p
     assert (after.reference, after.touches, after.readings) == (TouchPredictionMsg.TOUCHES, 1, 1)
     assert after.pdc_th.value == pytest.approx(before.pdc_th.value, abs=1.0)
     assert hand.notes()["history.file"] == str(tmp_path / "right.safetensors")
+
+
+def test_a_clock_that_was_set_back_is_reported_once(tracked: str) -> None:
+    model, said, settings = load_model(tracked), [], TouchPredictorConfig()
+    tare, now = Touch.from_vector(TOUCH_REST), [START]
+    history = HandHistory(model)
+    history.add_tare(START, tare)
+    memory = HandMemory(history, lambda: now[0])
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), memory, lambda: settings, lambda: now[0], said.append)
+    adapter._recent_tare = lambda _: tare
+    cloud = Cloud(np.random.default_rng(0).uniform(-0.04, 0.04, (300, 3)).astype(np.float32) + np.float32([0, 0, 0.8]))
+    grasp = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.eye(3))
+    for hours, lines in ((1, 1), (1, 1), (0, 1), (2, 2)):
+        now[0] = START - hours * 3_600_000 * MS
+        (found,) = adapter.predict(cloud, [grasp], limits=settings.limits, reach=settings)
+        assert (found.reference, len(said)) == ("tare", lines)
+    assert said[0].startswith("tare: refused: stamp: is 3600.0 s before that of the newest reading")

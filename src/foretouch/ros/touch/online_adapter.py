@@ -74,6 +74,7 @@ class OnlineAdapter:
         self._on_reading = on_reading
         self._touch_counts: Counter[str] = Counter()
         self._last_refusal = ""
+        self._tare_refused = False
         self._calibration_group = ""
 
     # Input, from callbacks and from the worker.
@@ -141,8 +142,11 @@ class OnlineAdapter:
             with self._memory_lock:
                 try:
                     basis = self._memory.basis(cloud, tare, config.same_object_m)
+                    self._tare_refused = False
                 except TactileError as err:  # such as after the clock was set back
-                    self._warn(f"tare: refused: {err}")
+                    if not self._tare_refused:  # not for every cloud
+                        self._warn(f"tare: refused: {err}")
+                    self._tare_refused = True
                 if "residuals" in basis:  # which the next touch changes
                     residuals = basis["residuals"]
                     predictions = self._model.predict(cloud, grasps, residuals=residuals, limits=limits, reach=reach)
