@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 from experiment_samples import make_samples
+from hypothesis import assume
+from hypothesis import strategies as st
 
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact
 from foretouch.models.contact.estimator import ContactEstimator
@@ -102,3 +104,19 @@ def scaled(cloud: Cloud, factor: float) -> Cloud:
     """The same object, larger or smaller, where it was."""
     centre = cloud.xyz.mean(axis=0)
     return Cloud((centre + factor * (cloud.xyz - centre)).astype(np.float32))
+
+
+@st.composite
+def lines_sheets_and_repeated_points(draw: st.DrawFn, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 3) points on a line, a sheet or a grid around a place, many of them equal, and two contacts."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    count, axes = draw(st.integers(8, 24)), draw(st.sets(st.integers(0, 2), min_size=1))
+    step = draw(st.sampled_from([1e-9, 1e-3, 0.01, 10.0]))
+    points = np.zeros((count, 3)) + place
+    for axis in axes:
+        points[:, axis] += step * rng.integers(-2, 3, count)
+    points[0, min(axes)] += step  # not all in one place
+    points[1, min(axes)] -= step
+    g1, g2 = points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step]
+    assume((g1 != g2).any())
+    return points, g1, g2

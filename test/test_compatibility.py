@@ -12,12 +12,12 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_answer import Answer
 
 from foretouch.cli.main import main
 
@@ -32,19 +32,6 @@ COMPUTED = 1e-5
 
 TRAINED = 1e-3
 """The same after a few epochs."""
-
-
-@dataclass
-class Answer:
-    """What a command returned and printed."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def records(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines()]
 
 
 Call = Callable[..., Answer]

@@ -408,6 +408,14 @@ def _generators(kind: str, cases: int, seed: int) -> Iterator[tuple[int, np.rand
         yield number, np.random.default_rng([seed, list(KINDS).index(kind), number])
 
 
+def write_table(path: Path, rows: list[dict[str, object]]) -> None:
+    """Write rows of `COLUMNS` as CSV."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main() -> int:
     """Run all kinds; the exit status is 1 if a case broke a rule."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -433,10 +441,7 @@ def main() -> int:
             print(f"  {fault}", flush=True)
         failed |= bool(faults)
     if arguments.out:
-        with arguments.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_table(arguments.out, rows)
     return int(failed)
 
 

@@ -8,7 +8,6 @@ that is not finite, no node may count an internal error, and the recording must 
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import signal
 import subprocess
@@ -26,7 +25,7 @@ from typing import Any
 import messages as valid
 import numpy as np
 from absurd import change, pick, value_of
-from files import COLUMNS, mutated
+from files import COLUMNS, mutated, write_table
 
 DOMAIN = 92
 NAMESPACE = "/foretouch"
@@ -511,10 +510,7 @@ def main() -> int:
     print("  ".join(COLUMNS))
     rows, faults = run(options.cases, options.seed, options.kind or KINDS, options.batch)
     if options.out:
-        with options.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_table(options.out, rows)
     return int(bool(faults))
 
 

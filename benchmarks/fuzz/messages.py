@@ -8,7 +8,6 @@ converts it as the nodes do; `live.py` sends such messages to the live graph.
 from __future__ import annotations
 
 import argparse
-import csv
 import gc
 import json
 import math
@@ -30,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from absurd import change, pick
-from files import COLUMNS, LINE, MEMORY, SECONDS, mutated
+from files import COLUMNS, LINE, MEMORY, SECONDS, mutated, write_table
 
 PATIENCE_S = 15.0  # of CPU time for one case, until the child is killed; the first one includes the imports
 STILL_S = 600.0  # of wall time, for a case that waits for something
@@ -784,10 +783,7 @@ def main() -> int:
             print(f"  {count} x {text}", flush=True)
         failed |= bool(faults)
     if options.out:
-        with options.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_table(options.out, rows)
     return int(failed)
 
 

@@ -25,7 +25,10 @@ ELECTRODES = 24  # per BioTac SP
 TOUCH_SIZE = 2 + 2 * ELECTRODES  # PDC_TH, PDC_MF, E_TH (24), E_MF (24)
 
 SQUARABLE = (1e-145, 1e150)
-"""Numbers between these have squares of full precision; a vector with a larger or smaller one is scaled before its norm."""
+"""Numbers between these have squares of full precision.
+
+A vector with a larger or smaller one is scaled before its norm.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,10 @@ class Plane:
 
     @classmethod
     def from_coefficients(cls, coefficients: npt.ArrayLike) -> Plane:
-        """A plane from (a, b, c, d) of any scale; a `CloudError` if they or the offset are not finite or (a, b, c) is zero."""
+        """A plane from (a, b, c, d) of any scale.
+
+        A `CloudError` if they or the offset are not finite or (a, b, c) is zero.
+        """
         abcd = np.asarray(coefficients, dtype=np.float64)
         if abcd.shape != (4,) or not np.isfinite(abcd).all():
             raise CloudError(f"plane: {coefficients!r} is not four finite numbers")

@@ -3,32 +3,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from command_answer import Answer
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
-
-
-@dataclass
-class Answer:
-    """What a command returned and printed."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def records(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines()]
 
 
 @pytest.fixture

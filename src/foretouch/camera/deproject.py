@@ -56,7 +56,8 @@ class Deprojector:
             coefficients: k1, k2, p1, p2, k3 of Brown's model.
 
         Raises:
-            CameraError: If another model has coefficients that are not zero, or the distortion is too strong to be undone.
+            CameraError: If another model has coefficients that are not zero, or the distortion is too strong to be
+                undone.
         """
         x = np.broadcast_to((np.arange(width) - matrix[0, 2]) / matrix[0, 0], (height, width))
         y = np.broadcast_to(((np.arange(height) - matrix[1, 2]) / matrix[1, 1])[:, None], (height, width))

@@ -2,8 +2,8 @@
 """`foretouch predict`: predict the tactile readings of each grasp on each object.
 
 `--tare`, `--touched` and `--history` adapt the predictions to a reading without contact, to touches of the same object,
-and to earlier readings of the same hand. `--prequential` replays datasets in order of time instead, each sample predicted
-from all readings before it.
+and to earlier readings of the same hand. `--prequential` replays datasets in order of time instead, each sample
+predicted from all readings before it.
 """
 
 from __future__ import annotations

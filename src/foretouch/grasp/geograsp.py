@@ -137,8 +137,9 @@ def plan_grasps(
         pixels: (N,) integer, for an unorganised cloud cut from an image: flat index of each point into it.
         image_shape: (H, W) of that image.
         limits: Range and size of objects; others have no grasp.
-        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless another
-            one is better by more than `hold`, on three clouds in a row. Its own axis counts if it is as good an axis of the present cloud.
+        held: Best grasp of this object in the previous cloud of a stream; method "stable" returns it again unless
+            another one is better by more than `hold`, on three clouds in a row. Its own axis counts if it is as good an
+            axis of the present cloud.
         hold: In units of the score.
 
     Returns:

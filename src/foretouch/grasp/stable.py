@@ -70,7 +70,7 @@ class ObjectFrame:
     covariance: Float64  # (3, 3) float64 [m²], of the visible surface
 
     def axis_near(self, other: Float64) -> Float64:
-        """(3,) float64: another direction, if it is as good an axis as this frame's up to noise, else the frame's axis."""
+        """(3,) float64: another direction, if it is as good an axis up to noise, else the frame's own axis."""
         moments = [float(one @ self.covariance @ one) for one in (other, self.axis)]
         return other if moments[0] >= (1.0 - _AXIS_NOISE) * moments[1] else self.axis
 

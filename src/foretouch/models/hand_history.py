@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the fingertips of one hand have read so far, of whatever object, and the file that keeps it across restarts.
 
-`HandHistory` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`. Another object
-forgets the last one's part and keeps the state of the sensors.
+`HandHistory` compares readings with the predictions of one model and feeds the differences to a `SensorTracker`.
+Another object forgets the last one's part and keeps the state of the sensors.
 
-The file of a hand is a safetensors file that is replaced as a whole and holds a hash of its content. Its age needs no limit: while nothing is
-read, the tracker's variance grows back to that of an unknown sensor.
+The file of a hand is a safetensors file that is replaced as a whole and holds a hash of its content. Its age needs no
+limit: while nothing is read, the tracker's variance grows back to that of an unknown sensor.
 """
 
 from __future__ import annotations

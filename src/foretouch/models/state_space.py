@@ -3,10 +3,11 @@
 
     reading - prediction by sight = slow state of the sensor + fast state + object + noise of the grasp        (1)
 
-The two states are Ornstein-Uhlenbeck processes: they drift, and revert to zero over a time constant (days for the slow one, an hour
-for the fast one) [Uhlenbeck and Ornstein 1930]. The object's part is constant while the same object is touched. A tare observes the
-two states without object and grasp. In the coordinates of a fixed basis in which all four covariances are diagonal, (1) falls apart into
-50 independent filters of three numbers each [Kalman 1960], so that a reading and a prediction cost the same however many were before.
+The two states are Ornstein-Uhlenbeck processes: they drift, and revert to zero over a time constant (days for the slow
+one, an hour for the fast one) [Uhlenbeck and Ornstein 1930]. The object's part is constant while the same object is
+touched. A tare observes the two states without object and grasp. In the coordinates of a fixed basis in which all four
+covariances are diagonal, (1) falls apart into 50 independent filters of three numbers each [Kalman 1960], so that a
+reading and a prediction cost the same however many were before.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ class TrackerParameters(TensorRecord):
     ) -> Self:
         """Without a state: on new objects the filter is then B (B + W/n)⁻¹ r, as of `CalibrationGroup.counts_after`.
 
-        The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are used.
+        The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are
+        used.
 
         Args:
             between: B of new and of known objects, (50, 50) each [counts²].

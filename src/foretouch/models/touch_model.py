@@ -3,9 +3,9 @@
 
 cloud, K grasps ─ estimator ─► counts ─ adapted to earlier readings ─► value ± half width, flags
 
-Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. A calibration with the parameters
-of a tracker (`models.tracker`) adapts to all of them by it; one without, such as that of contact-v1, to a tare and to touches of one
-object in closed form (`models.calibration`).
+Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. A calibration with
+the parameters of a tracker (`models.tracker`) adapts to all of them by it; one without, such as that of contact-v1, to
+a tare and to touches of one object in closed form (`models.calibration`).
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ class TouchModel:
         Returns:
             One prediction a grasp, in order; a grasp that no hand can execute is refused with a reason. `reference`
             names the strongest reading that it was adapted to: touches of the object, tare, history or none. Flags:
-            `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or grasp
-            is out of the training distribution.
+            `out_of_range` where a value leaves the model's ranges (it is not clipped), `unfamiliar` where cloud or
+            grasp is out of the training distribution.
 
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.

@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking of a sensor's state over readings of many objects, and prediction intervals that stay calibrated while it drifts.
+"""Tracking of a sensor's state over readings of many objects, with intervals that stay calibrated while it drifts.
 
     tare ────────────► state ◄──┐
     touch - sight ───► state + object ──► level ± deviation ──► prediction ± factor · deviation
                                                                     factor ◄── did the interval contain the reading?
 
-Half widths are the predicted deviation times one factor per modality. Each touch adapts the factor by adaptive conformal inference [Gibbs and
-Candès 2021], as quantile tracking [Angelopoulos, Candès and Tibshirani 2023] of the logarithm: log factor += rate · (share of values outside -
-0.1). Over many touches the share outside tends to 10 %, whatever the sensors do, as long as the factor stays within its limits. What was adapted
-is partly of the object: at another object, the logarithm goes half of the way back to its first value.
+Half widths are the predicted deviation times one factor per modality. Each touch adapts the factor by adaptive
+conformal inference [Gibbs and Candès 2021], as quantile tracking [Angelopoulos, Candès and Tibshirani 2023] of the
+logarithm: log factor += rate · (share of values outside - 0.1). Over many touches the share outside tends to 10 %,
+whatever the sensors do, as long as the factor stays within its limits. What was adapted is partly of the object: at
+another object, the logarithm goes half of the way back to its first value.
 
-Innovation test. For each finger, of the innovations of its 25 values in units of their predicted deviations, the mean square (a wrong pattern)
-and the squared mean (a common jump) are compared with limits: scaled chi-square variables for Gaussian noise; since recorded noise has heavier
-tails, each limit is above in one of 100 recorded touches. A touch that fails is not used. If the next one fails as well, the finger was exchanged
-or jumped: it is named, and all that was learned about it is forgotten. So a finger without fault is restarted at most once in 2500 touches, if these are
-independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an unusual object. A
-tare, which is the median of many readings, restarts a finger at once.
+Innovation test. For each finger, of the innovations of its 25 values in units of their predicted deviations, the mean
+square (a wrong pattern) and the squared mean (a common jump) are compared with limits: scaled chi-square variables for
+Gaussian noise; since recorded noise has heavier tails, each limit is above in one of 100 recorded touches. A touch that
+fails is not used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was
+learned about it is forgotten. So a finger without fault is restarted at most once in 2500 touches, if these are
+independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an
+unusual object. A tare, which is the median of many readings, restarts a finger at once.
 """
 
 from __future__ import annotations
@@ -82,8 +84,9 @@ class Level:
 class SensorTracker:
     """State of the sensors of a hand, and offset of the object that is touched; not for several threads at once.
 
-    Every method that adds a reading takes its stamp on the wall clock, which goes on while the robot is off. Stamps may be up to 60 s out of order.
-    Readings and predictions are vectors as of `Touch.vector()`; predictions are those by sight, without a shift by a tare.
+    Every method that adds a reading takes its stamp on the wall clock, which goes on while the robot is off. Stamps may
+    be up to 60 s out of order. Readings and predictions are vectors as of `Touch.vector()`; predictions are those by
+    sight, without a shift by a tare.
 
     Args:
         parameters: Of the model that predicts by sight.
@@ -240,7 +243,8 @@ class SensorTracker:
     ) -> tuple[Float64, Float64]:
         """Predictions adapted to all readings, and the half widths of their 90 % intervals.
 
-        After touches of the object, differences of the predictions by sight from their mean at the touches are multiplied by `worth`.
+        After touches of the object, differences of the predictions by sight from their mean at the touches are
+        multiplied by `worth`.
 
         Args:
             stamp_ns: Time of the prediction [ns].
@@ -334,8 +338,8 @@ class SensorTracker:
         """From `to_tensors`.
 
         Raises:
-            ModelError: Names the array that is missing, of another shape or type or not possible, or `parameters` if it is the state of
-                another model.
+            ModelError: Names the array that is missing, of another shape or type or not possible, or `parameters` if it
+                is the state of another model.
         """
         tracker = cls(parameters)
         for name, own in tracker.to_tensors().items():

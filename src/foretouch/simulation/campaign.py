@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a recording campaign: when each grasp is executed, which sensors are mounted, and how far their levels have drifted.
+"""The course of a recording campaign: when each grasp is executed, which sensors are mounted, and how they drift.
 
-All of it is a function of the scene, its seed and time alone: the paths are made once, over the whole campaign, and each grasp
-reads them at its own time. So neither the number of workers nor the order in which samples are made changes a value.
+All of it is a function of the scene, its seed and time alone: the paths are made once, over the whole campaign, and
+each grasp reads them at its own time. So neither the number of workers nor the order in which samples are made changes
+a value.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +39,7 @@ class Moment:
 
 
 def object_index(scene: SceneConfig, slot: int) -> int:
-    """Which object a slot shows: objects take turns, in a campaign after all grasps of a visit and in an order that changes."""
+    """Which object a slot shows: objects take turns, in a campaign visit by visit and in an order that changes."""
     count = len(scene.objects)
     if scene.campaign is None:
         return slot % count
@@ -175,7 +176,7 @@ class Campaign:
 
     @cached_property
     def _paths(self) -> list[tuple[Float64, list[list[Float64]]]]:
-        """Of each term the path of the hand, and those of each finger's sensors, at unit variance and at equal distances."""
+        """Of each term the path of the hand, and those of each finger's sensors, at unit variance and equal steps."""
         config, seed = self._config, self._scene.seed
         end_s = config.days[-1] * DAY_S + config.longest_session_s
         paths = []

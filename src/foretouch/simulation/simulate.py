@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of a scene, in order, on one process or several.
 
-A data set has slots; slot k shows object k modulo their number, or what a campaign has on the table. A slot whose try fails (GeoGrasp finds no grasp, a
-finger closes beside the object...) is tried again with other random numbers, each failure counted by reason. What
-stands in a slot depends on the scene, the seed and the slot alone, hence not on the number of workers.
+A data set has slots; slot k shows object k modulo their number, or what a campaign has on the table. A slot whose try
+fails (GeoGrasp finds no grasp, a finger closes beside the object...) is tried again with other random numbers, each
+failure counted by reason. What stands in a slot depends on the scene, the seed and the slot alone, hence not on the
+number of workers.
 """
 
 from collections import Counter, deque

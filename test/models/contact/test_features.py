@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from contact_model_builders import HAND, cylinder, moved, named, patch, sphere
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from contact_model_builders import HAND, cylinder, lines_sheets_and_repeated_points, moved, named, patch, sphere
+from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
@@ -216,21 +215,9 @@ def test_a_contact_in_empty_space_tells_how_far_the_object_is(lump) -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    count=st.integers(8, 24),
-    axes=st.sets(st.integers(0, 2), min_size=1),
-    step=st.sampled_from([1e-9, 1e-3, 0.01, 10.0]),
-)
-def test_lines_sheets_and_repeated_points_are_finite(seed: int, count: int, axes: set[int], step: float) -> None:
-    rng = np.random.default_rng(seed)
-    points = np.zeros((count, 3)) + HERE
-    for axis in axes:
-        points[:, axis] += step * rng.integers(-2, 3, count)
-    points[0, min(axes)] += step  # not all in one place
-    points[1, min(axes)] -= step
-    g1, g2 = points[0] + step * rng.integers(-1, 2, 3), points[1] + [0.0, 0.0, 2 * step]
-    assume((g1 != g2).any())
+@given(found=lines_sheets_and_repeated_points(HERE))
+def test_lines_sheets_and_repeated_points_are_finite(found: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    points, g1, g2 = found
     grasp = Grasp(g1, g2, HAND)
     assert np.isfinite(describe(points, grasp)).all()
 

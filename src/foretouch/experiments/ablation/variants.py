@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model without one of its components, and predictions of each component alone.
 
-The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined here.
+The released model has no switches for this: its components are fitted as `ContactPredictor` fits them, and combined
+here.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """P1's network, trained and tested as its public code does it; with and without `eval()`, by its scoring and by ours.
 
-The public code (https://github.com/yayaneath/vision2tactile) never calls `eval()`: in testing, batch norm standardises each
-batch of five test clouds by their own statistics. It also has no ReLU before the maximum over the points, trains on the
-partial batch at the end of an epoch, adds 1e-6 under the root of the loss, and draws new points of a test cloud
-each time. Its "5-fold cross-validation" is `ShuffleSplit`: five independent random splits whose test share is n / 500 of n
-samples. A score is the mean over the batches of their RMSE, then over the splits.
+The public code (https://github.com/yayaneath/vision2tactile) never calls `eval()`: in testing, batch norm standardises
+each batch of five test clouds by their own statistics. It also has no ReLU before the maximum over the points, trains
+on the partial batch at the end of an epoch, adds 1e-6 under the root of the loss, and draws new points of a test cloud
+each time. Its "5-fold cross-validation" is `ShuffleSplit`: five independent random splits whose test share is n / 500
+of n samples. A score is the mean over the batches of their RMSE, then over the splits.
 
-What still departs from that code: clouds are mapped to the unit sphere before their points are drawn and not after, all 24
-electrodes of the thumb are learned and not 23, and the sugar box is not in the public data, so `boxes` are all boxes of it.
+What still departs from that code: clouds are mapped to the unit sphere before their points are drawn and not after, all
+24 electrodes of the thumb are learned and not 23, and the sugar box is not in the public data, so `boxes` are all boxes
+of it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predict each real grasp from sight and all that was read before it, of whatever object, in order of time.
 
-This is what a robot at work sees. The predictor by sight of an object is fitted to the other objects, earlier and later ones; the parameters of the
-tracker are fitted without the object too, from predictions of the others by models that know neither them nor the object (a fit for each
-pair). `past_mean` predicts by sight the mean of all readings before the object was taken, so that nothing later enters but the parameters.
+This is what a robot at work sees. The predictor by sight of an object is fitted to the other objects, earlier and later
+ones; the parameters of the tracker are fitted without the object too, from predictions of the others by models that
+know neither them nor the object (a fit for each pair). `past_mean` predicts by sight the mean of all readings before
+the object was taken, so that nothing later enters but the parameters.
 """
 
 from __future__ import annotations

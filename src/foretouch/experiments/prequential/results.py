@@ -331,7 +331,7 @@ def _jump_table(sight: str, rows: Rows) -> Table:
 
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `touches.png`: above the skill, with 95 % intervals of the first two, below width and coverage, over touches."""
+    """Draw `touches.png`: skill over touches, with 95 % intervals of the first two; below it width and coverage."""
     sight = rows[0]["sight"]
     own = _find(rows, sight=sight)
     labels = _present(own, ("none", "1 touch", "2 touches", "3-9", "10+"))

@@ -138,8 +138,8 @@ def clock(
     The mean of a Gaussian process in time [Rasmussen and Williams 2006, eq. 2.25]: a level with a memory of 10 days, an
     effect of each object and noise, with variances of 1, 1 and 1, around the mean of the labels.
 
-    With `past_only`, each sample is predicted from the recordings that were made before it, as a robot has to; otherwise
-    from those before and after it.
+    With `past_only`, each sample is predicted from the recordings that were made before it, as a robot has to;
+    otherwise from those before and after it.
     """
     del seed
     known, wanted = (np.array([sample.stamp_ns for sample in side]) / _DAY_NS for side in (train, test))

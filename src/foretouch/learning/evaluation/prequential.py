@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of recorded readings in order of time: each grasp is predicted from sight and all earlier readings [Dawid 1984].
+"""Replay of recorded readings: each grasp is predicted from sight and all earlier readings [Dawid 1984].
 
-This is what a robot at work sees. The tracker learns of another object wherever the name of the object changes, also where an object
-returns: what was learned about it before is forgotten.
+This is what a robot at work sees. The tracker learns of another object wherever the name of the object changes, also
+where an object returns: what was learned about it before is forgotten.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Recording:
 
     @classmethod
     def of_samples(cls, samples: Sequence[GraspSample], labels: Float64, expected: Float64, rest: Float64) -> Self:
-        """From samples with their (S, 50) labels, (S, 50) predictions by sight and the (50,) rest level of these [counts].
+        """From samples with their (S, 50) labels, and (S, 50) predictions by sight at a (50,) rest level [counts].
 
         Raises as `ordered`.
         """
@@ -178,9 +178,9 @@ def baselines(recording: Recording, reference: Float64) -> dict[str, Float64]:
         reference: (S, 50) prediction where nothing was read before [counts].
 
     Returns:
-        `running mean` of all earlier readings; mean of the `last run` of another object; `object mean` of the earlier touches of the
-        object; `clock`: mean of all earlier readings, with weights that fall by e in a day; `clock both ways`: the same over all
-        readings of other runs, earlier and later.
+        `running mean` of all earlier readings; mean of the `last run` of another object; `object mean` of the earlier
+        touches of the object; `clock`: mean of all earlier readings, with weights that fall by e in a day; `clock both
+        ways`: the same over all readings of other runs, earlier and later.
     """
     readings, runs, touches = recording.readings, recording.runs(), recording.touches()
     seconds = (recording.stamps_ns - recording.stamps_ns[0]) / 1e9
@@ -266,7 +266,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
 def evaluate_prequential(
     model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()
 ) -> dict[str, Any]:
-    """Scores over touches of the object, of the tracker, the memory of the calibration, sight alone, and baselines without a cloud.
+    """Scores over touches of the object: tracker, memory of the calibration, sight alone, baselines without a cloud.
 
     Args:
         model: With a calibration.
@@ -274,9 +274,9 @@ def evaluate_prequential(
         history: As of `replay_model`, labelled.
 
     Returns:
-        `touches`: by name from `BINS` (those without a grasp are left out), `grasps` and by method and modality `rmse`, `skill` against the
-        mean of the other objects, and `coverage90` and `half_width` (None without intervals). `samples`; `history`; `restarted`: ids of
-        samples whose reading restarted a finger, with its name.
+        `touches`: by name from `BINS` (those without a grasp are left out), `grasps` and by method and modality `rmse`,
+        `skill` against the mean of the other objects, and `coverage90` and `half_width` (None without intervals).
+        `samples`; `history`; `restarted`: ids of samples whose reading restarted a finger, with its name.
 
     Raises:
         DatasetError: As `replay_model`, or if all samples are of one object.

@@ -112,7 +112,8 @@ def calibrate(
 ) -> tuple[Calibration, dict[str, Any]]:
     """A calibration from held-out predictions, without a tare and, where tares were recorded, with one.
 
-    Where all samples have a stamp and are of several objects, the parameters of the tracker of the sensors' state are fitted as well.
+    Where all samples have a stamp and are of several objects, the parameters of the tracker of the sensors' state are
+    fitted as well.
 
     Args:
         samples: Training samples.

@@ -2,14 +2,14 @@
 """What the kernel of a contact model may claim of an object that it was not fitted to.
 
 The kernel predicts each training object from the others. What held there is a share λ of its predicted differences from
-the mean, one for each modality: the slope of the actual differences over the predicted ones, where every object weighs the
-same, since it is divided by its own error of the mean. The share is shrunk by how much it changes with the objects, as
-the jackknife over objects shows [Efron and Stein 1981]: λ · max(0, 1 - var(λ) / λ²), within [0, 1].
+the mean, one for each modality: the slope of the actual differences over the predicted ones, where every object weighs
+the same, since it is divided by its own error of the mean. The share is shrunk by how much it changes with the objects,
+as the jackknife over objects shows [Efron and Stein 1981]: λ · max(0, 1 - var(λ) / λ²), within [0, 1].
 
-Objects differ in more than their shape shows, and a training set of a few objects confounds the two. The kernel is fitted
-beside an effect of each object, as in a mixed model [Rasmussen and Williams 2006, section 2.7]: K + ρ [same object] +
-ridge I. What an object has of its own is then not taken for a consequence of its shape, and the effect of an unknown
-object is zero.
+Objects differ in more than their shape shows, and a training set of a few objects confounds the two. The kernel is
+fitted beside an effect of each object, as in a mixed model [Rasmussen and Williams 2006, section 2.7]: K + ρ [same
+object] + ridge I. What an object has of its own is then not taken for a consequence of its shape, and the effect of an
+unknown object is zero.
 """
 
 from collections.abc import Sequence

@@ -115,7 +115,8 @@ def fit_contact(
         labels: (S, 50) [counts].
         objects: (S,) names.
         config: Settings.
-        thinned: (S, F) of the same grasps on thinned clouds. Forests are fitted to both, with twice the samples in a leaf.
+        thinned: (S, F) of the same grasps on thinned clouds. Forests are fitted to both, with twice the samples in a
+            leaf.
 
     Raises:
         DatasetError: If there are fewer than five samples, or a value of the labels is constant.

@@ -15,8 +15,8 @@ Departures from P2, which specifies neither:
   are a function of the cloud alone, in training as in prediction. `per_source`: each source is normalised
   by its own batch, and prediction by running statistics of the labelled clouds; kept to show the difference.
 - An epoch is one pass over the labelled samples, so that a supervised network with the same batches takes as many
-  steps; or over the unlabelled ones (`epoch_over`). The others are shuffled again in each epoch, and repeated where they are
-  fewer.
+  steps; or over the unlabelled ones (`epoch_over`). The others are shuffled again in each epoch, and repeated where
+  they are fewer.
 
 Shapes: B samples, N points, C channels, F features.
 """

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the parameters of the tracker of a sensor's state to recordings with stamps, by maximum likelihood.
 
-The readings are replayed in order of time, and the variances and time constants maximise the likelihood of the innovations
-[Schweppe 1965], for each modality on its own: multiples of the calibration's B as variance of the slow state, the fast state and the object, their
-time constants, the noise of tares where tares were recorded, and a multiple of W, which also holds what drifts while an object is touched. The 24 electrodes of a finger are correlated and count as 5 values. Since a lab
-records few objects on few days, weak priors keep values that the recordings cannot determine in a plausible range.
+The readings are replayed in order of time, and the variances and time constants maximise the likelihood of the
+innovations [Schweppe 1965], for each modality on its own: multiples of the calibration's B as variance of the slow
+state, the fast state and the object, their time constants, the noise of tares where tares were recorded, and a multiple
+of W, which also holds what drifts while an object is touched. The 24 electrodes of a finger are correlated and count as
+5 values. Since a lab records few objects on few days, weak priors keep values that the recordings cannot determine in a
+plausible range.
 """
 
 from __future__ import annotations
@@ -102,7 +104,7 @@ class _Replay:
         self._weights = np.eye(len(MODALITIES))[self.owner] * np.minimum(1.0, _EFFECTIVE_VALUES / sizes)  # (50, 4)
 
     def most_likely(self) -> Float64:
-        """(4, 7) multiples of the lasting variance, time constants [s], noise of tares and multiple of W, by modality."""
+        """(4, 7) multiples of the lasting variance, time constants [s], noise of tares, multiple of W, by modality."""
         from scipy.optimize import minimize
 
         start = np.tile(_PRIOR[0], (len(MODALITIES), 1))

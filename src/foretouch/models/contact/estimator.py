@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contact model: touch from the geometry at each contact.
 
-    cloud, grasp ─► 61 features ─┬─ forests ── readings of similar training grasps ───────┐
-                                 └─ kernel ─── an estimate that fades to the mean ─── · λ ─┴─ w·forests + (1 - w)·λ·kernel
+    cloud, grasp ─► 56 features ─┬─ forests ── readings of similar training grasps ──┐
+                                 └─ kernel ─── an estimate that fades to the mean ───┴─ w·forests + (1 - w)·λ·kernel
     cloud, grasp ─► sizes, conditions ─► novelty detector ─► in-distribution score w, 1 … 0
 
 Forests predict best on objects that were trained on, and worse than the mean of the training labels on others.
 The kernel's parameters are selected on objects left out, so that it predicts only what generalises, and its estimate is
 multiplied by λ, the share of it that held on them (`learning.training.claims`).
 
-`contact-v1` has no λ, describes a grasp by 88 features in the camera's frame (`features`) instead of those in the hand's
-(`hand_features`), and detects new objects by sizes alone.
+`contact-v1` has no λ, describes a grasp by 88 features in the camera's frame (`features`) instead of those in the
+hand's (`hand_features`), and detects new objects by sizes alone.
 
 Its files are the card `<name>.json`, which names the others with their hashes, and `<name>.safetensors` holds forests,
 kernel and novelty detector; `<name>.trust.safetensors` the calibration.
@@ -55,7 +55,8 @@ class ContactEstimator:
         mean, deviation: (50,) float64 of the training labels [counts], which standardise the outputs of forests and
             kernel.
         ranges: Ranges outside which a predicted value is flagged.
-        claim: (4,) float64 in [0, 1], λ of each modality; None if features are in the camera's frame, as in `contact-v1`.
+        claim: (4,) float64 in [0, 1], λ of each modality; None if features are in the camera's frame, as in
+            `contact-v1`.
     """
 
     forests: Mapping[str, Forest]

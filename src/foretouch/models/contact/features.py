@@ -150,6 +150,11 @@ def _slope(near: Float64) -> Float64:
 
 
 def _principal(centred: Float64) -> tuple[Float64, Float64]:
-    """(3,) standard deviations along the principal axes, ascending, and the axes as columns of (3, 3)."""
-    values, axes = np.linalg.eigh(centred.T @ centred / len(centred))
+    """`principal_axes` of points around their mean."""
+    return principal_axes(centred.T @ centred / len(centred))
+
+
+def principal_axes(covariance: Float64) -> tuple[Float64, Float64]:
+    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
+    values, axes = np.linalg.eigh(covariance)
     return np.sqrt(np.maximum(values, 0.0)), axes

@@ -5,13 +5,13 @@
     grasp ─► width, place on the object, the object in the hand's frame ─────┼─► one row for each grasp
     points around each contact ─► slope, size and place of the pad's patch ──┘
 
-All lengths and directions are in the frame of the hand (x away from the camera, z from the second contact to the first),
-along the object's principal axes, or along the optical axis: where the object is in the picture, and how the camera is
-rolled, changes none of them. All are means, moments, quantiles or shares of points, which thinning does not shift; points
-around a contact weigh less the farther they are, so that no point enters or leaves by a step.
+All lengths and directions are in the frame of the hand (x away from the camera, z from the second contact to the
+first), along the object's principal axes, or along the optical axis: where the object is in the picture, and how the
+camera is rolled, changes none of them. All are means, moments, quantiles or shares of points, which thinning does not
+shift; points around a contact weigh less the farther they are, so that no point enters or leaves by a step.
 
-The camera is assumed to look down on the table, as in the public recordings (`foretouch.types.ASSUMED_TABLE`): heights are
-along the optical axis, and `approach` and `rise` are the directions of the hand relative to it.
+The camera is assumed to look down on the table, as in the public recordings (`foretouch.types.ASSUMED_TABLE`): heights
+are along the optical axis, and `approach` and `rise` are the directions of the hand relative to it.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from foretouch.models.contact.features import usable_points
+from foretouch.models.contact.features import principal_axes, usable_points
 from foretouch.types import Float64, Grasp
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
@@ -44,7 +44,7 @@ OBJECT_FEATURES: Final = (
 """Sizes of the object alone, by which novelty is detected."""
 
 CONDITIONS: Final = ("distance", "spacing")
-"""Of the recording: distance of the object from the camera, and of its points from each other. No prediction depends on them."""
+"""Distances of the object from the camera and of its points from each other. No prediction depends on them."""
 
 CHECKED: Final = (*CONDITIONS, *OBJECT_FEATURES, "width", "approach", "rise")
 """The first columns of a row, by which novelty is detected."""
@@ -89,7 +89,7 @@ class HandScene:
         self._centre = self._points.mean(axis=0)
         centred = self._points - self._centre
         self._covariance = centred.T @ centred / len(centred)
-        spreads, axes = _principal(self._covariance)
+        spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
         along = np.quantile(centred @ axes, _LOW_HIGH, axis=0)
         low, high = np.quantile(self._points[:, 2], _LOW_HIGH)
@@ -170,7 +170,7 @@ class HandScene:
         return np.column_stack(found)
 
     def _sums(self, contact: Float64, index: list[int]) -> Float64:
-        """(4, 11) of the pad and the patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz, and number of points."""
+        """(4, 11) of pad and patches: weighted shares of 1, x, y, z, xx, xy, xz, yy, yz, zz; number of points."""
         powers = self._powers[index]
         offset = powers[:, 1:4] - contact
         weight = np.maximum(1.0 - (offset * offset).sum(axis=1) / _SQUARES[:, None], 0.0)
@@ -188,15 +188,9 @@ def _moments(sums: Float64, contacts: Float64) -> tuple[Float64, Float64, Float6
     scaled = sums[:, 1:10] / np.maximum(total, _NOTHING)[:, None]
     mean = scaled[:, :3]
     covariance = scaled[:, 3:][:, _SYMMETRIC].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
-    return total, np.where((total > 0.0)[:, None], mean - contacts, 0.0), *_principal(covariance)
+    return total, np.where((total > 0.0)[:, None], mean - contacts, 0.0), *principal_axes(covariance)
 
 
 def _into(frames: Float64, vectors: Float64) -> Float64:
     """(K, 3) vectors in the (K, 3, 3) frames, whose axes are columns; the same to the last bit for any K."""
     return np.asarray((frames * vectors[:, :, None]).sum(axis=1), np.float64)
-
-
-def _principal(covariance: Float64) -> tuple[Float64, Float64]:
-    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(values, 0.0)), axes

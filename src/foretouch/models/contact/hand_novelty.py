@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Novelty detection in the frame of the hand: whether a cloud and a grasp, described in the hand's frame, resemble those that a model was trained on.
+"""Novelty detection: whether a cloud and a grasp, in the frame of the hand, resemble those that a model was trained on.
 
-The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies between
-clouds of one object: its pose, and what is seen of it. (The number of points, by which `novelty.SizeNoveltyDetector` also
-judges, is not among the sizes.) Conditions under which the training data say nothing are unfamiliar too: another
-distance of the camera, too few points, another width or direction of the hand.
+The sizes of a cloud are compared with those of the nearest training cloud, by a distance that counts less what varies
+between clouds of one object: its pose, and what is seen of it. (The number of points, by which
+`novelty.SizeNoveltyDetector` also judges, is not among the sizes.) Conditions under which the training data say nothing
+are unfamiliar too: another distance of the camera, too few points, another width or direction of the hand.
 """
 
 from __future__ import annotations
@@ -45,7 +45,10 @@ class HandNoveltyDetector(TensorRecord):
 
     @classmethod
     def fit(cls, rows: Float64, objects: Sequence[str]) -> Self:
-        """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects; S of at least 5."""
+        """From (S, F) rows of training grasps, whose first columns are `CHECKED`, and their objects.
+
+        S of at least 5.
+        """
         sizes = rows[:, _SIZES]
         centre, scale = standardisation(sizes)
         within = (sizes - centre) / scale
@@ -66,7 +69,10 @@ class HandNoveltyDetector(TensorRecord):
         return cls(centre, turn, known, np.array([start, max(end, start + 1e-9)]), low, high)
 
     def scores(self, rows: Float64) -> Float64:
-        """(K,) of (K, F) rows: 1 where they are like those of training, 0 where unlike; compare with `IN_DISTRIBUTION`."""
+        """(K,) of (K, F) rows: 1 where they are like those of training, 0 where unlike.
+
+        Compare with `IN_DISTRIBUTION`.
+        """
         moved = ((rows[:, _SIZES] - self.centre)[:, :, None] * self.turn).sum(axis=1)  # the same for any K
         distance = cdist(moved, self.known).min(axis=1)
         start, end = self.span

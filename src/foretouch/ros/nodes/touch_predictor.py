@@ -2,8 +2,8 @@
 """`object_cloud` + `grasps` -> `touch`, the service `predict_touch` and the action `sample_grasps`.
 
 If a hand sends tactile messages and reports executed grasps, predictions adapt to them (see `online_adapter`): to the
-tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the object, and
-`forget_history` after changing a fingertip. Without tactile messages,
+tare, to touches of the current object, and to the readings of the hand before. Call `forget_touches` after changing the
+object, and `forget_history` after changing a fingertip. Without tactile messages,
 predictions use vision alone.
 
 Service and action run in threads of their own (see `ThreadPool`), beside the worker that answers the topics: the

@@ -153,7 +153,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
     def subscribe(
         self, message: type, topic: str, callback: Callable[[Any], None], *, depth: int = _INPUT_DEPTH
     ) -> None:
-        """Subscribe with sensor-data QoS; at most `depth` messages wait. Callbacks of a node never run at the same time."""
+        """Subscribe with sensor-data QoS.
+
+        At most `depth` messages wait. Callbacks of a node never run at the same time.
+        """
         losses = self._losses[topic] = Losses(self.statistics.lose)
 
         def receive(content: Any, info: Any) -> None:

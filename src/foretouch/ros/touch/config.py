@@ -17,7 +17,7 @@ from foretouch.topics import TACTILE_TOPIC
 
 @dataclass(frozen=True, kw_only=True)
 class TouchPredictorConfig(ProcessingConfig, ReachConfig):
-    """Settings of the touch predictor: it is the hand's reach too. Tactile settings have the names of the recorder's."""
+    """Settings of the touch predictor, with the hand's reach. Tactile settings have the names of the recorder's."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
     fallback_model: str = setting(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a campaign: when a grasp is executed, which sensors are mounted, and what has become of their levels."""
+"""The course of a campaign: when a grasp is executed, which sensors are mounted, and how their levels drifted."""
 
 import numpy as np
 

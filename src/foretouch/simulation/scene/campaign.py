@@ -17,8 +17,8 @@ TARES = ("grasp", "object", "session", "none")
 class DriftTermConfig(Settings):
     """One stationary Ornstein-Uhlenbeck process of the readings: correlation exp(-Δt / memory) at a distance of Δt.
 
-    The defaults are the slow term of 400 public grasps, by `benchmarks/simulation/drift.py`: maximum likelihood of a slow and a
-    fast term, the object and the grasp. Between 5 and 40 days of memory the likelihood hardly differs.
+    The defaults are the slow term of 400 public grasps, by `benchmarks/simulation/drift.py`: maximum likelihood of a
+    slow and a fast term, the object and the grasp. Between 5 and 40 days of memory the likelihood hardly differs.
     """
 
     memory_days: float = setting(
@@ -53,8 +53,8 @@ class ExchangeConfig(Settings):
 class CampaignConfig(Settings):
     """When grasps are executed, and what the sensors do in the course of the campaign.
 
-    In each session some objects are grasped one after the other, each several times. All objects of the scene have their turn before
-    the first comes again, in another order.
+    In each session some objects are grasped one after the other, each several times. All objects of the scene have
+    their turn before the first comes again, in another order.
 
     Raises:
         ConfigError: If sessions overlap, or an exchange is not within the campaign.
