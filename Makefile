@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 setup: $(VENV)/.installed
 
-$(VENV)/.installed: setup.cfg setup.py pyproject.toml $(MESSAGE_FILES)
+$(VENV)/.installed: setup.cfg setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg pins (a minute or two)"

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Literal
 
+from foretouch import kernels
 from foretouch.cli.output import print_json, print_table
 
 State = Literal["ok", "mismatch", "missing", "broken", "optional"]
@@ -72,6 +73,7 @@ def examine() -> Iterator[Finding]:
     yield from _pins()
     yield from _imports()
     yield from _ros()
+    yield _kernels()
     yield _shared_memory()
     yield from _models()
     yield _camera()
@@ -135,6 +137,16 @@ def _ros() -> Iterator[Finding]:
     ):
         present = _failure(f"import {name}") is None
         yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
+
+
+def _kernels() -> Finding:
+    """The package gives the same answers without its compiled functions, but later."""
+    name = "compiled kernels"
+    if kernels.why_absent:
+        return Finding(
+            name, "mismatch", f"NumPy runs instead: {kernels.why_absent}", "install gcc, then foretouch again"
+        )
+    return Finding(name, "ok", "loaded")
 
 
 def _shared_memory() -> Finding:

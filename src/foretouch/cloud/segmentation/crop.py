@@ -8,8 +8,10 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError
+from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32
 
+_count_range = Kernel("count_range", np.float32, int, float, float, np.int64)
 _CHUNK = 131_072  # points counted at once: their depths stay in the cache
 
 
@@ -36,6 +38,10 @@ def count_range(xyz: Float32, config: CropConfig) -> tuple[int, int]:
 
     Only z is checked: a pixel without depth has no z, and reading one number takes a third of the time of three.
     """
+    if _count_range and xyz.dtype == np.float32 and xyz.flags.c_contiguous:
+        counts = np.empty(2, np.int64)
+        _count_range(xyz, xyz.size // 3, config.min_range_m, config.max_range_m, counts)
+        return int(counts[0]), int(counts[1])
     rows = max(1, _CHUNK // max(1, xyz[0].size // 3)) if len(xyz) else 1
     finite = within = 0
     for start in range(0, len(xyz), rows):
