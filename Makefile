@@ -14,22 +14,29 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check format clean
+.PHONY: setup runtime demo test check format clean
 
+# What a robot needs, for the demo; and what the tests need besides.
+runtime: $(VENV)/.runtime
 setup: $(VENV)/.installed
 
-$(VENV)/.installed: setup.cfg setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
+$(VENV)/.runtime: setup.cfg constraints.txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "setup: installing what setup.cfg pins (a minute or two)"
-	@$(PIP) install -e '.[ros,camera,test,dev]'
+	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two)"
+	@$(PIP) install -c constraints.txt -e '.[ros,camera]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
 	  && $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.runtime
+	@echo "setup: installing what the tests need (half a minute)"
+	@$(PIP) install -c constraints.txt -e '.[open3d,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 
-demo: setup
+demo: runtime
 	@rm -rf demo-output
 	$(BIN)/foretouch run --source config/scenes/clean.yaml --count 30 --picture demo-output/touch.png
 

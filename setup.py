@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metadata and pins stand in setup.cfg; here is what has to be listed by code."""
+"""Metadata and requirements stand in setup.cfg; here is what has to be listed by code."""
 
+import sys
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -17,7 +18,11 @@ KERNELS = Extension(
     optional=True,
 )
 
+# colcon asks for the arguments of setup() with --dry-run, and cannot read the object that this becomes.
+REQUIRED_PYTHON = {} if "--dry-run" in sys.argv else {"python_requires": ">=3.11"}
+
 setup(
+    **REQUIRED_PYTHON,
     ext_modules=[KERNELS],
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/foretouch"]),

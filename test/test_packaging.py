@@ -3,16 +3,23 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import os
 import pkgutil
+import re
+import shutil
 import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+import zipfile
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
+from packaging.requirements import Requirement
 
 import foretouch
 
@@ -80,3 +87,126 @@ def _cpu_seconds_of_help() -> float:
     after = os.times()
     used = after.children_user - before.children_user + after.children_system - before.children_system
     return min(used, time.perf_counter() - began)
+
+
+IMPORT_NAMES = {  # of distributions whose modules are named otherwise
+    "PyYAML": "yaml",
+    "scikit-learn": "sklearn",
+    "python-neo-lzf": "lzf",
+    "libusb-package": "libusb_package",
+}
+NOT_IN_ROSDEP = {"torch", "safetensors", "small_gicp", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "lzf"}
+COMES_WITH = {"mpl_toolkits": "matplotlib"}
+
+
+def imported(*folders: str) -> set[str]:
+    """Names of the top-level modules that are imported anywhere in the folders, those of Python and ours left out."""
+    found = set()
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    found |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                    found.add(node.module.partition(".")[0])
+    ours = {"foretouch", "foretouch_launch_helpers"}
+    return {COMES_WITH.get(name, name) for name in found - ours if name not in sys.stdlib_module_names}
+
+
+def required(*extras: str | None) -> dict[str, Requirement]:
+    """Requirements of the metadata by import name, of the package itself (None) or of extras."""
+    lines = [Requirement(line) for line in metadata.requires("foretouch") or []]
+    wanted = [one for one in lines for extra in extras if (one.marker is None) == (extra is None)]
+    kept = [one for one in wanted if one.marker is None or any(one.marker.evaluate({"extra": e or ""}) for e in extras)]
+    return {IMPORT_NAMES.get(one.name, one.name.replace("-", "_")): one for one in kept}
+
+
+def test_the_metadata_requires_what_is_imported() -> None:
+    ros = {name.removeprefix("ros_") for name in required("ros")}
+    from_ros = {
+        *ros,
+        "foretouch_msgs",
+        "rcl_interfaces",
+        "builtin_interfaces",
+        "std_msgs",
+        "ament_index_python",
+        "action_msgs",
+    }
+    optional = set(required("camera", "sweep", "tensorboard", "open3d"))
+    only_in_full_ros = {"sr_robot_msgs"}
+    needed = imported("src") - from_ros - optional - only_in_full_ros
+    assert needed == set(required(None))
+
+
+def test_package_xml_declares_what_is_imported() -> None:
+    declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
+    modules = {{"python3-yaml": "yaml"}.get(name, name.removeprefix("python3-")) for name in declared}
+    optional = set(required("camera", "sweep", "tensorboard", "open3d")) | {"sr_robot_msgs"}
+    undeclared = imported("src", "launch") - modules - optional - NOT_IN_ROSDEP
+    assert undeclared == set()
+    assert modules - imported("src", "launch") == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle
+
+
+def test_the_constraints_are_within_the_ranges_and_complete() -> None:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = {one.name: str(one.specifier)[2:] for one in map(Requirement, (x for x in lines if not x.startswith("#")))}
+    every = [Requirement(line) for line in metadata.requires("foretouch") or []]
+    for one in every:
+        exact = str(one.specifier).startswith("==")
+        assert exact or one.specifier.contains(pins[one.name]), one
+    assert pins.keys() <= {one.name for one in every}
+
+
+@pytest.fixture(scope="module")
+def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The content of the wheel, as `pip install foretouch` would install it."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"  # built in a copy: setuptools leaves its build folder beside setup.py
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "build", "test", "docs", "benchmarks", "*.so"))
+    code = f"import sys; sys.path.insert(0, ''); from setuptools import build_meta; build_meta.build_wheel({str(folder)!r})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    (wheel,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder / "site")
+    return folder / "site"
+
+
+def test_the_wheel_predicts_without_ros(unpacked_wheel: Path, tmp_path: Path) -> None:
+    """In a process in which nothing of ROS can be imported, with nothing but the wheel."""
+    rng = np.random.default_rng(0)
+    np.savez(tmp_path / "can.npz", xyz=rng.normal((0.0, 0.0, 0.8), 0.02, (2000, 3)).astype(np.float32))
+    code = (
+        "import sys\n"
+        "class NoRos:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        top = name.partition('.')[0]\n"
+        "        if top in ('rclpy', 'open3d', 'pyrealsense2') or top.endswith('_msgs') or top.startswith('ros_'):\n"
+        "            raise ModuleNotFoundError(name)\n"
+        "sys.meta_path.insert(0, NoRos())\n"
+        "import foretouch.kernels\n"
+        "assert foretouch.kernels.why_absent == '', foretouch.kernels.why_absent\n"
+        f"assert foretouch.__file__.startswith({str(unpacked_wheel)!r}), foretouch.__file__\n"
+        "from foretouch.cli.main import main\n"
+        f"sys.exit(main(['predict', {str(tmp_path / 'can.npz')!r}, '--json']))\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(unpacked_wheel)}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        env=environment,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[0])["predictions"][0]["PDC_TH"]["value"] > 0.0
+
+
+def test_the_wheel_holds_metadata_that_pip_needs(unpacked_wheel: Path) -> None:
+    (file,) = unpacked_wheel.glob("*.dist-info/METADATA")
+    text = file.read_text(encoding="utf-8")
+    assert "Requires-Python: >=3.11" in text
+    assert "Project-URL: " in text
+    assert "==" not in "".join(re.findall(r"^Requires-Dist: (?!.*extra ==).*", text, re.MULTILINE))

@@ -13,7 +13,7 @@ State = Literal["ok", "failed", "skipped"]
 
 _REINSTALL: Final = "pip install --force-reinstall foretouch"
 _LIBRARIES: Final = "foretouch doctor: compare the versions of numpy, scipy and torch"
-_FORMATS: Final = "foretouch doctor: compare the versions of open3d, pyarrow and rosbags"
+_FORMATS: Final = "foretouch doctor: compare the versions of python-neo-lzf, pyarrow and rosbags"
 
 
 @dataclass(frozen=True)

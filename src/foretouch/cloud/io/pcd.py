@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write PCD files (version 0.7 of the Point Cloud Library), organised or not.
 
-ASCII and binary data are decoded here: real recordings consist of many small files, and Open3D takes half a second to
-import, drops the image order, and only warns about a truncated file. Compressed data (LZF) is decoded by
-Open3D and checked against the header. VIEWPOINT is ignored: clouds are in their own frame.
+They are decoded here: real recordings consist of many small files, and Open3D takes half a second to import, drops the
+image order, and only warns about a truncated file. Compressed data are LZF, and hold all values of one field before those
+of the next. VIEWPOINT is ignored: clouds are in their own frame.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ import numpy.typing as npt
 from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.numpy_files import SIZE_LIMIT, check_unpacked
 from foretouch.errors import FileError, shown
-from foretouch.libusb import ensure_libusb
 from foretouch.types import Cloud, UInt8
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -56,9 +55,8 @@ def read_pcd(path: Path) -> Cloud:
     header = _parse_header(path, content)
     body = content[header.size :]
     if header.data == "binary_compressed":
-        _check_compressed(path, header, body)
-        return _read_with_open3d(path, header)
-    if header.data == "binary":
+        records = _unpacked_records(path, header, body)
+    elif header.data == "binary":
         expected = header.points * header.dtype.itemsize
         if len(body) < expected:
             raise FileError(
@@ -179,10 +177,11 @@ def ascii_records(path: Path, words: list[bytes], points: int, dtype: np.dtype[A
     return records
 
 
-def _check_compressed(path: Path, header: _Header, body: bytes) -> None:
-    """Check the sizes before and after compression, with which compressed data starts."""
+def _unpacked_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
+    """(points,) records of compressed data, which start with their sizes before and after compression."""
+    records = np.zeros(header.points, header.dtype)
     if header.points == 0:
-        return
+        return records
     if len(body) < 8:
         raise FileError(path, "is truncated before the sizes of the compressed data", field="DATA")
     packed, unpacked = (int(n) for n in np.frombuffer(body[:8], "<u4"))
@@ -192,27 +191,21 @@ def _check_compressed(path: Path, header: _Header, body: bytes) -> None:
     check_unpacked(path, expected, len(body), "DATA")
     if unpacked != expected:
         raise FileError(path, f"unpacks to {unpacked} bytes, not to {header.points} points = {expected}", field="DATA")
+    import lzf
 
-
-def _read_with_open3d(path: Path, header: _Header) -> Cloud:
-    """Read a cloud and check its size against the header; requires libusb (`MissingDependencyError`)."""
-    if header.points == 0:
-        return Cloud(np.empty((0, 3), np.float32))
-    ensure_libusb()
-    import open3d
-
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        try:
-            read = open3d.io.read_point_cloud(path, remove_nan_points=False, remove_infinite_points=False)
-        except RuntimeError as err:
-            raise FileError(path, f"Open3D: {' '.join(str(err).split())}") from err
-    xyz = np.asarray(read.points).astype(np.float32)
-    if len(xyz) != header.points:
-        raise FileError(path, f"holds {len(xyz)} readable points, the header specifies {header.points}")
-    rgb = None
-    if read.has_colors():
-        rgb = np.rint(np.asarray(read.colors) * 255.0).astype(np.uint8).reshape(*header.shape, 3)
-    return Cloud(xyz.reshape(*header.shape, 3), rgb)
+    try:
+        content = lzf.decompress(body[8 : 8 + packed], unpacked)
+    except ValueError as err:
+        raise FileError(path, f"is no LZF data: {err}", field="DATA") from err
+    if content is None or len(content) != unpacked:
+        raise FileError(path, f"does not unpack to the {unpacked} bytes that it names", field="DATA")
+    start = 0
+    for name in header.dtype.names or ():
+        kind = header.dtype[name]
+        column = np.frombuffer(content, kind.base, header.points * kind.itemsize // kind.base.itemsize, start)
+        records[name] = column.reshape(records[name].shape)
+        start += column.nbytes
+    return records
 
 
 def _colours(path: Path, records: npt.NDArray[Any]) -> UInt8 | None:
