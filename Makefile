@@ -1,38 +1,42 @@
 # Everything for everyone: make setup, make demo, make test, make check. Each can be repeated and reuses what stands.
+# ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
 PYTHON ?= python3
-VENV := .venv
+ROS ?= kilted
+VENV := .venv$(if $(filter-out kilted,$(ROS)),-$(ROS))
+ROS_EXTRA := $(if $(filter-out kilted,$(ROS)),$(ROS),ros)
+CONSTRAINTS := -c constraints.txt -c constraints-$(ROS).txt
 BIN := $(VENV)/bin
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/foretouch
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 
 # The messages take a compiler and most of a minute: their wheel is built once for each content and Python, and kept.
 MESSAGE_FILES := $(sort $(shell find foretouch_msgs -type f -not -name '*.pyc'))
-MESSAGE_KEY := $(shell { cat $(MESSAGE_FILES); $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)'; } | sha256sum | cut -c1-16)
+MESSAGE_KEY := $(shell { cat $(MESSAGE_FILES); $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)'; echo $(ROS); } | sha256sum | cut -c1-16)
 MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 
 # Two cores are enough for everything; more threads than cores only make the small matrices slower.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup runtime demo test check format clean
+.PHONY: setup runtime demo test test-ros check format clean
 
 # What a robot needs, for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
 setup: $(VENV)/.installed
 
-$(VENV)/.runtime: setup.cfg constraints.txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
+$(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pyproject.toml $(wildcard src/foretouch/kernels/*.[ch]) $(MESSAGE_FILES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "foretouch needs Python 3.11 or newer: make setup PYTHON=python3.11")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "setup: installing what setup.cfg requires, in the versions of constraints.txt (a minute or two)"
-	@$(PIP) install -c constraints.txt -e '.[ros,camera]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[$(ROS_EXTRA),camera]'
 	@test -d $(MESSAGE_WHEEL) || { echo "setup: building the ROS messages (once)"; mkdir -p $(CACHE) \
-	  && $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
+	  && FORETOUCH_ROS=$(ROS) $(PIP) wheel --no-deps -w $(MESSAGE_WHEEL).part ./foretouch_msgs && mv $(MESSAGE_WHEEL).part $(MESSAGE_WHEEL); }
 	@$(PIP) install --no-deps --force-reinstall $(MESSAGE_WHEEL)/*.whl
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute)"
-	@$(PIP) install -c constraints.txt -e '.[open3d,test,dev]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 
@@ -42,6 +46,9 @@ demo: runtime
 
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+test-ros: setup
+	$(BIN)/pytest -n 2 --dist loadgroup test/ros
 
 check: setup
 	$(BIN)/ruff format --check .
@@ -55,4 +62,4 @@ format: setup
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf $(VENV) build install log dist demo-output
+	rm -rf .venv .venv-jazzy build install log dist demo-output

@@ -123,6 +123,7 @@ def required(*extras: str | None) -> dict[str, Requirement]:
 
 def test_the_metadata_requires_what_is_imported() -> None:
     ros = {name.removeprefix("ros_") for name in required("ros")}
+    assert ros == {name.removeprefix("ros_jazzy_") for name in required("jazzy")}
     from_ros = {
         *ros,
         "foretouch_msgs",
@@ -148,7 +149,8 @@ def test_package_xml_declares_what_is_imported() -> None:
 
 
 def test_the_constraints_are_within_the_ranges_and_complete() -> None:
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    files = [ROOT / f"constraints{name}.txt" for name in ("", "-kilted", "-jazzy")]
+    lines = [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]
     pins = {one.name: str(one.specifier)[2:] for one in map(Requirement, (x for x in lines if not x.startswith("#")))}
     every = [Requirement(line) for line in metadata.requires("foretouch") or []]
     for one in every:

@@ -97,14 +97,24 @@ def _requirements() -> Iterator[Finding]:
     """Compare the requirements of setup.cfg with what is installed."""
     from packaging.requirements import Requirement
 
-    from_ros_install = bool(os.environ.get("ROS_DISTRO"))
+    other_ros = {"kilted": {"jazzy"}, "jazzy": {"ros"}}.get(_wheels_of_ros(), {"ros", "jazzy"})
     for line in metadata.requires("foretouch") or []:
         match = _EXTRA.search(line)
         extra = match[1] if match else None
-        if extra in {"test", "dev"} or (extra == "ros" and from_ros_install):
+        if extra in {"test", "dev", *other_ros}:
             continue
         wanted = Requirement(line)
         yield _requirement(wanted.name, wanted.specifier, extra)
+
+
+def _wheels_of_ros() -> str:
+    """The distribution of ROS 2 whose wheels run, "kilted" where none is installed; "" beside a ROS 2 of its own."""
+    if os.environ.get("ROS_DISTRO"):
+        return ""
+    try:
+        return "jazzy" if metadata.version("ros-rclpy").startswith("7.") else "kilted"
+    except metadata.PackageNotFoundError:
+        return "kilted"
 
 
 def _requirement(name: str, wanted: SpecifierSet, extra: str | None) -> Finding:
@@ -112,7 +122,7 @@ def _requirement(name: str, wanted: SpecifierSet, extra: str | None) -> Finding:
     try:
         found = metadata.version(name)
     except metadata.PackageNotFoundError:
-        state: State = "missing" if extra in {None, "ros"} else "optional"
+        state: State = "missing" if extra in {None, "ros", "jazzy"} else "optional"
         return Finding(name, state, "absent", fix)
     if not wanted.contains(found, prereleases=True):
         return Finding(name, "mismatch", f"{found} is not {wanted}", fix)
@@ -132,7 +142,7 @@ def _imports() -> Iterator[Finding]:
 
 
 def _ros() -> Iterator[Finding]:
-    distro = os.environ.get("ROS_DISTRO", "PyPI wheels")
+    distro = os.environ.get("ROS_DISTRO") or f"{_wheels_of_ros()}, wheels of PyPI"
     environment = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
     yield _tried(f"rclpy loads ({distro})", f"{environment}; import rclpy", "pip install 'foretouch[ros]'")
     yield _tried(

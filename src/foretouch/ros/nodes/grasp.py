@@ -39,7 +39,7 @@ class GraspNodeConfig(ProcessingConfig):
 class GraspNode(ProcessingNode[GraspNodeConfig]):
     """Plans with GeoGrasp (`Pipeline.plan`)."""
 
-    _grasps: LifecyclePublisher[Any]
+    _grasps: LifecyclePublisher
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]

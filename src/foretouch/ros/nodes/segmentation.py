@@ -36,10 +36,10 @@ class SegmentationNodeConfig(ProcessingConfig):
 class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     """Finds the table and the objects (`Pipeline.segment`)."""
 
-    _objects: LifecyclePublisher[Any]
-    _table: LifecyclePublisher[Any]
-    _object_cloud: LifecyclePublisher[Any]
-    _markers: LifecyclePublisher[Any]
+    _objects: LifecyclePublisher
+    _table: LifecyclePublisher
+    _object_cloud: LifecyclePublisher
+    _markers: LifecyclePublisher
 
     def __init__(self, **options: Any) -> None:
         super().__init__("segmentation", SegmentationNodeConfig, [(PointCloud2, "points")], **options)

@@ -73,8 +73,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             raise
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
-        self._outputs: list[LifecyclePublisher[Any]] = []
-        self._inputs: list[Subscription[Any]] = []
+        self._outputs: list[LifecyclePublisher] = []
+        self._inputs: list[Subscription] = []
         self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
         self.conflicts: tuple[str, ...] = ()
@@ -135,9 +135,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     # What a node uses.
 
-    def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher[Any]:
+    def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher:
         """Make a reliable publisher, which publishes only while the node is active."""
-        publisher: LifecyclePublisher[Any] = self.create_lifecycle_publisher(
+        publisher: LifecyclePublisher = self.create_lifecycle_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
