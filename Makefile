@@ -47,7 +47,8 @@ demo: runtime
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup
 
-test-ros: setup
+test-ros: runtime
+	@$(PIP) install $(CONSTRAINTS) -e '.[test]'
 	$(BIN)/pytest -n 2 --dist loadgroup test/ros
 
 check: setup

@@ -135,3 +135,27 @@ def test_a_plane_that_is_not_four_numbers_is_wrong_usage(command: tuple[str, ...
     assert status == 2
     assert "argument --plane" in err
     assert "Traceback" not in err
+
+
+def test_without_a_camera_it_says_what_it_waits_for_and_ends_with_a_status_of_its_own(
+    environment: dict[str, str],
+) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "foretouch.cli.main", "run", "--source", "camera", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    assert process.stderr is not None
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if "waiting for the first cloud" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    _, rest = process.communicate(timeout=60)
+    assert process.returncode == 3, rest
+    assert "no RealSense device" in lines[-1], lines
+    assert "no cloud came from the camera" in rest
+    assert "Traceback" not in "".join(lines) + rest

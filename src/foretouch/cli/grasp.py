@@ -63,7 +63,7 @@ def _show(record: dict[str, Any]) -> None:
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
     title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']}"
-    print_table(title, ["rank", "g1 [m]", "g2 [m]", "score"], rows)
+    print_table(title, ["rank", "g1 [m]", "g2 [m]", "score (higher is better)"], rows)
 
 
 def _point(xyz: Any) -> str:

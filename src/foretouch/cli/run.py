@@ -25,6 +25,8 @@ _SCENE_FILES = (".yaml", ".yml")
 _SCENE_FPS = 5  # so that a small computer has time for the rest of the graph
 _LONGEST_GRASP_S = 10.0
 _TOLERANCE_M = 0.1  # between the middle of a scene's object and its visible part
+_WAITING_S = 5.0  # between two lines about a camera that sends nothing
+_NO_CLOUDS = 3  # exit status where the camera never sent a cloud
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
 
 
@@ -62,7 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Return exit status 1 if a node did not start, a cloud was not answered, or there was no prediction at all."""
+    """Return exit status 1 if a node did not start, a cloud was not answered, or there was no prediction at all.
+
+    3 if the camera never sent a cloud.
+    """
     from foretouch.ros.graph import Graph
 
     nodes = _nodes(arguments)
@@ -160,8 +165,12 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
     try:
         if arguments.json or not sys.stdout.isatty():
+            said = time.monotonic()
             while not ended():
                 time.sleep(_REFRESH_S)
+                if not graph.played() and time.monotonic() - said > _WAITING_S:
+                    said = time.monotonic()
+                    warn(f"waiting for the first cloud: {_source_state(graph)}")
         else:
             _draw_until(ended, graph, title)
     except KeyboardInterrupt:
@@ -172,6 +181,12 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     graph.wait_for_hand(_LONGEST_GRASP_S)
     # A live source does not wait for answers: the nodes count what they had to drop.
     return replay is None or graph.wait_for_answers(graph.played())
+
+
+def _source_state(graph: Graph) -> str:
+    """What the source does, or what keeps it from sending."""
+    source = graph.nodes["replay" if graph.replay else "camera"]
+    return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
 
 
 def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
@@ -188,7 +203,7 @@ def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
     """Print the table or the counts, and save the picture."""
     time.sleep(_DIAGNOSED_S)
-    view = graph.monitor.view()
+    view = graph.monitor.close_view()
     answered, played = sum(view.answers.values()), graph.played()
     conflicts = report_conflicts(graph)
     if arguments.json:
@@ -205,6 +220,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         )
     if arguments.picture:
         _draw(graph, arguments.picture)
+    if graph.replay is None and not played:
+        warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
+        return _NO_CLOUDS
     if (fault := replay_fault(graph.replay)) is not None:
         warn(f"{arguments.source}: {fault}")
     if not complete:

@@ -235,10 +235,10 @@ def _best_grasps(
                 (sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s))
                 for a, b, s in zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
             ]
-            reason = f"{ranked} of {ranking.counts['n_pairs']} pairs of candidates rank"
+            reason = f"{ranked} of {ranking.counts['n_pairs']} pairs of candidates pass the filters"
         else:
             contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
-            reason = f"none of {ranking.counts['n_pairs']} pairs of candidates ranks"
+            reason = f"grasp at the initial points: none of {ranking.counts['n_pairs']} pairs of candidates passes the filters"
         axis = grasp_plane.normal
         grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
         parallel = sum(is_parallel(g.g1, g.g2, axis) for g in grasps)
@@ -300,5 +300,7 @@ def _plan_stable(
             i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
             others = [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
         grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
-    reason = f"the mean of {counts['n_pairs']} weighted pairs of candidates"
-    return builder.plan("ok" if passes else "initial_points", reason if passes else f"{reason} does not rank", grasps)
+    reason = f"mean of {counts['n_pairs']} weighted pairs of candidates"
+    if not passes:
+        reason += ", which passes no filter of a ranked pair"
+    return builder.plan("ok" if passes else "initial_points", reason, grasps)

@@ -79,7 +79,7 @@ class MonitorNode(GuardedCallbacks, Node):
         namespace: Namespace of the graph.
         with_clouds: Whether to keep the last clouds, so that an answer can be drawn.
         with_hand: Whether to assemble the readings of executed grasps, as the recorder does, to show them too.
-        on_touch: Called with each `touch` message, in the executor's thread.
+        on_touch: Called with each `touch` message, in the executor's thread; must not call the monitor.
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self._lock = threading.Lock()
         self._view = View()
         self._on_touch = on_touch
+        self._closed = False
         self._scenes: OrderedDict[int, PointCloud2] = OrderedDict()
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
         self._kept = _KEPT_WHILE_GRASPING if with_hand else _KEPT_CLOUDS
@@ -121,6 +122,12 @@ class MonitorNode(GuardedCallbacks, Node):
             view = self._view
             return View(Counter(view.answers), Counter(view.reasons), view.last, view.executed, dict(view.nodes))
 
+    def close_view(self) -> View:
+        """The state at the end: later answers are neither counted nor passed on."""
+        with self._lock:
+            self._closed = True
+        return self.view()
+
     def last_drawable(self) -> Drawable | None:
         """The last prediction whose grasp was executed, else the newest whose clouds are still kept."""
         with self._lock:
@@ -146,6 +153,8 @@ class MonitorNode(GuardedCallbacks, Node):
 
     def _receive_touch(self, message: TouchPredictionArray) -> None:
         with self._lock:
+            if self._closed:
+                return
             self._view.answers[status_name(message.status)] += 1
             if message.reason:
                 self._view.reasons[message.reason] += 1
@@ -155,8 +164,8 @@ class MonitorNode(GuardedCallbacks, Node):
                 if self._with_hand:
                     header, grasps = message.header, [one.grasp for one in message.predictions]
                     self._assembler.add_grasps(stamp_ns(header.stamp), header.frame_id, grasps)
-        if self._on_touch is not None:
-            self._on_touch(message)
+            if self._on_touch is not None:
+                self._on_touch(message)
 
     def _receive_cloud(self, data: bytes) -> None:
         self._assemble("cloud", SerializedCloud(data, partial(read_serialized, data, PointCloud2)))
