@@ -12,7 +12,8 @@ KERNELS = Extension(
     "foretouch.kernels._kernels",
     sources=sorted(map(str, Path("src/foretouch/kernels").glob("*.c"))),
     depends=sorted(map(str, Path("src/foretouch/kernels").glob("*.h"))),
-    extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
+    # -Wno-psabi: vectors are only passed between functions that are inlined.
+    extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
     libraries=["m"],
     optional=True,
 )

@@ -13,7 +13,10 @@ from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_dis
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32
+
+_compiled_order = Kernel("canonical_order", np.float32, int, np.int64)
 
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
 _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
@@ -30,7 +33,7 @@ class FinitePoints:
 
     def in_canonical_order(self) -> FinitePoints:
         """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
-        order = np.lexsort(self.xyz.T[::-1])
+        order = _canonical_order(self.xyz)
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
@@ -73,6 +76,15 @@ class FinitePoints:
         if self.pixels is None or self.image_shape is None:
             return PixelGrid.from_rays(self.xyz)
         return PixelGrid.from_pixels(self.pixels, self.image_shape)
+
+
+def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
+    if _compiled_order and len(xyz):
+        order = np.empty(len(xyz), np.int64)
+        _compiled_order(np.ascontiguousarray(xyz), len(xyz), order)
+        if order[0] >= 0:  # else there was no memory
+            return order
+    return np.lexsort(xyz.T[::-1])
 
 
 def finite_points(

@@ -6,7 +6,7 @@
 
 /* Eigenvalues of the symmetric matrix xx, xy, xz, yy, yz, zz, ascending, and the unit vector of the smallest, by Jacobi's
  * rotations: as accurate as LAPACK, also where two values are nearly equal, which a closed form is not. */
-static inline void eigen3(const double *matrix, double *values, double *minor) {
+INLINE void eigen3(const double *matrix, double *values, double *minor) {
     double a[3][3] = {{matrix[0], matrix[1], matrix[2]}, {matrix[1], matrix[3], matrix[4]}, {matrix[2], matrix[4], matrix[5]}};
     double v[3][3] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
     for (int sweep = 0; sweep < 20; sweep++) {

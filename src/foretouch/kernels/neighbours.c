@@ -13,67 +13,66 @@ typedef struct {
 } crowd;
 
 /* The points of all leaves whose box is within a squared radius of a box; 0 if they are too many. */
-static inline int gather(const tree *t, const float *box, float reach, crowd *c) {
-    int64_t stack[64];
-    int depth = 0;
+INLINE int gather(const tree *t, const float *low, const float *high, float reach, crowd *c) {
+    int64_t stack[128];
+    int depth = start_nodes(t, stack);
     c->n = 0;
-    stack[depth++] = 1;
     while (depth) {
         const int64_t node = stack[--depth];
-        if (!(gap(t->boxes + 6 * node, box, box + 3) <= reach)) {
-            continue;
-        }
         if (node < t->width) {
-            stack[depth++] = 2 * node + 1;
-            stack[depth++] = 2 * node;
-            continue;
+            float apart[8];
+            *(float8u *)apart = gaps(box_of(t, 8 * node), low, high);
+            for (int i = 7; i >= 0; i--) {
+                stack[depth] = 8 * node + i;
+                depth += apart[i] <= reach;
+            }
+        } else if (node - t->width < t->leaves) {
+            if (c->n == MOST_LEAVES * LEAF) {
+                return 0;
+            }
+            const float8u *column = (const float8u *)(t->columns + (node - t->width) * 3 * LEAF);
+            *(float8u *)(c->x + c->n) = column[0];
+            *(float8u *)(c->y + c->n) = column[1];
+            *(float8u *)(c->z + c->n) = column[2];
+            c->n += LEAF;
         }
-        if (c->n == MOST_LEAVES * LEAF) {
-            return 0;
-        }
-        const float *column = t->columns + (node - t->width) * 3 * LEAF;
-        memcpy(c->x + c->n, column, LEAF * sizeof(float));
-        memcpy(c->y + c->n, column + LEAF, LEAF * sizeof(float));
-        memcpy(c->z + c->n, column + 2 * LEAF, LEAF * sizeof(float));
-        c->n += LEAF;
     }
     return 1;
 }
 
 /* Squares compare as their bits do. */
-static inline int32_t bits_of(float value) {
+INLINE int32_t bits_of(float value) {
     int32_t bits;
     memcpy(&bits, &value, sizeof bits);
     return bits;
 }
 
-static inline float value_of(int32_t bits) {
+INLINE float value_of(int32_t bits) {
     float value;
     memcpy(&value, &bits, sizeof value);
     return value;
 }
 
-static inline int32_t count_up_to(const float *squared, int64_t n, int32_t limit) {
-    int32_t count = 0;
-    for (int64_t i = 0; i < n; i++) {
-        int32_t bits;
-        memcpy(&bits, squared + i, sizeof bits);
-        count += bits <= limit;
+INLINE int32_t count_up_to(const float *squared, int64_t n, int32_t limit) {
+    int8x32 count = {0};
+    for (int64_t i = 0; i < n; i += LEAF) {
+        count -= *(const int8x32u *)(squared + i) <= limit;
     }
-    return count;
+    return ((count[0] + count[4]) + (count[2] + count[6])) + ((count[1] + count[5]) + (count[3] + count[7]));
 }
 
-static inline void squared_distances(crowd *c, const float *point) {
-    const float x = point[0], y = point[1], z = point[2];
-    for (int64_t i = 0; i < c->n; i++) {
-        const float dx = c->x[i] - x, dy = c->y[i] - y, dz = c->z[i] - z;
-        c->squared[i] = dx * dx + dy * dy + dz * dz;
+INLINE void squared_distances(crowd *c, const float *point) {
+    for (int64_t i = 0; i < c->n; i += LEAF) {
+        const float8 x = *(const float8u *)(c->x + i) - point[0];
+        const float8 y = *(const float8u *)(c->y + i) - point[1];
+        const float8 z = *(const float8u *)(c->z + i) - point[2];
+        *(float8u *)(c->squared + i) = x * x + y * y + z * z;
     }
 }
 
 /* Sum of the roots of the `wanted` smallest squares, of which there are `count` up to `limit`, no less than wanted.
  * Also the largest of them, or a number between it and the next. */
-static inline double sum_of_nearest(const float *squared, int64_t n, int32_t wanted, float limit, int32_t count,
+INLINE double sum_of_nearest(const float *squared, int64_t n, int32_t wanted, float limit, int32_t count,
                                     float *largest) {
     int32_t low = -1, high = bits_of(limit), below = 0;
     for (int round = 0; count != wanted && high - low > 1; round++) {
@@ -127,11 +126,12 @@ VECTORISED void mean_neighbour_distance(const float *xyz, int64_t n, int64_t k, 
         crowd c = {memory, memory + MOST_LEAVES * LEAF, memory + 2 * MOST_LEAVES * LEAF, memory + 3 * MOST_LEAVES * LEAF, 0};
         const slot *slots = t.slots + leaf * LEAF;
         const int size = (int)(t.n - leaf * LEAF < LEAF ? t.n - leaf * LEAF : LEAF);
-        const float *box = t.boxes + 6 * (t.width + leaf);
+        const float *box = box_of(&t, t.width + leaf);
+        const float low[3] = {box[0], box[8], box[16]}, high[3] = {box[24], box[32], box[40]};
         float reach = start, few = -1.0f, many = INFINITY, farthest = 0.0f;
         int left = size, done[LEAF] = {0};
         for (int round = 0; left && round < TRIES; round++) {
-            if (!gather(&t, box, reach, &c)) {
+            if (!gather(&t, low, high, reach, &c)) {
                 many = reach;
                 reach = few > 0.0f ? sqrtf(few) * sqrtf(many) : many / 4.0f;
                 if (!(reach > few && reach < many)) {
@@ -180,8 +180,8 @@ VECTORISED void summed_moments(const float *xyz, int64_t n, const float *places,
     double *of_points = NULL, *of_nodes = NULL;
     const float within = (float)limit;
     if (build_tree(&t, xyz, n)) {
-        of_points = calloc((size_t)t.leaves * LEAF * MOMENTS, sizeof(double));
-        of_nodes = calloc((size_t)t.width * 2 * MOMENTS, sizeof(double));
+        of_points = calloc((size_t)t.leaves * LEAF * PADDED, sizeof(double));
+        of_nodes = calloc((size_t)t.width * 2 * PADDED, sizeof(double));
     }
     if (!of_points || !of_nodes) {
         for (int64_t i = 0; i < q; i++) {
@@ -193,46 +193,48 @@ VECTORISED void summed_moments(const float *xyz, int64_t n, const float *places,
         return;
     }
     for (int64_t i = 0; i < t.n; i++) {
-        double *m = of_points + i * MOMENTS;
+        double *m = of_points + i * PADDED;
         moments_of(t.slots[i].c, origin, m);
-        add_moments(of_nodes + (t.width + i / LEAF) * MOMENTS, m, 1.0);
+        for (int j = 0; j < MOMENTS; j++) {
+            of_nodes[(t.width + i / LEAF) * PADDED + j] += m[j];
+        }
     }
     for (int64_t node = t.width - 1; node > 0; node--) {
-        add_moments(of_nodes + node * MOMENTS, of_nodes + 2 * node * MOMENTS, 1.0);
-        add_moments(of_nodes + node * MOMENTS, of_nodes + (2 * node + 1) * MOMENTS, 1.0);
+        for (int j = 0; j < MOMENTS; j++) {
+            of_nodes[node * PADDED + j] = of_nodes[2 * node * PADDED + j] + of_nodes[(2 * node + 1) * PADDED + j];
+        }
     }
     for (int64_t i = 0; i < q; i++) {
         const float *p = places + 3 * i;
-        double sum[MOMENTS] = {0.0};
-        int64_t stack[64];
-        int depth = 0;
-        stack[depth++] = 1;
+        double4 sum[3] = {{0.0}};
+        int64_t stack[128];
+        int depth = start_nodes(&t, stack);
         while (depth) {
             const int64_t node = stack[--depth];
-            const float *box = t.boxes + 6 * node;
-            if (!(gap(box, p, p) < within)) {
-                continue;
-            }
-            if (span(box, p) < within) {
-                add_moments(sum, of_nodes + node * MOMENTS, 1.0);
-            } else if (node < t.width) {
-                stack[depth++] = 2 * node + 1;
-                stack[depth++] = 2 * node;
-            } else {
-                const int64_t leaf = node - t.width;
-                const float *column = t.columns + leaf * 3 * LEAF;
-                const double *m = of_points + leaf * LEAF * MOMENTS;
-                double weight[LEAF];
-                for (int j = 0; j < LEAF; j++) {
-                    const float dx = column[j] - p[0], dy = column[LEAF + j] - p[1], dz = column[2 * LEAF + j] - p[2];
-                    weight[j] = dx * dx + dy * dy + dz * dz < within ? 1.0 : 0.0;
+            if (node < t.width) {
+                float apart[8], wide[8];
+                *(float8u *)apart = gaps(box_of(&t, 8 * node), p, p);
+                *(float8u *)wide = spans(box_of(&t, 8 * node), p);
+                for (int j = 7; j >= 0; j--) {
+                    if (wide[j] < within) {
+                        add_moments(sum, of_nodes + (8 * node + j) * PADDED, 1.0);
+                    } else {
+                        stack[depth] = 8 * node + j;
+                        depth += apart[j] < within;
+                    }
                 }
+            } else if (node - t.width < t.leaves) {
+                const float8u *column = (const float8u *)(t.columns + (node - t.width) * 3 * LEAF);
+                const double *m = of_points + (node - t.width) * LEAF * PADDED;
+                const float8 x = column[0] - p[0], y = column[1] - p[1], z = column[2] - p[2];
+                int32_t near[8];
+                *(int8x32u *)near = (x * x + y * y + z * z) < within;
                 for (int j = 0; j < LEAF; j++) {
-                    add_moments(sum, m + j * MOMENTS, weight[j]);
+                    add_moments(sum, m + j * PADDED, (double)-near[j]);
                 }
             }
         }
-        memcpy(sums + i * MOMENTS, sum, sizeof sum);
+        memcpy(sums + i * MOMENTS, sum, MOMENTS * sizeof(double));
     }
     free(of_points);
     free(of_nodes);

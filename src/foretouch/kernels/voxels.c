@@ -76,8 +76,10 @@ void cell_means(const double *values, int64_t n, int64_t columns, const int64_t 
 void cell_moments(const float *xyz, int64_t n, const float *origin, const int64_t *cell, int64_t m, double *sums) {
     memset(sums, 0, (size_t)(m * MOMENTS) * sizeof(double));
     for (int64_t i = 0; i < n; i++) {
-        double moments[MOMENTS];
+        double moments[PADDED];
         moments_of(xyz + 3 * i, origin, moments);
-        add_moments(sums + cell[i] * MOMENTS, moments, 1.0);
+        for (int j = 0; j < MOMENTS; j++) {
+            sums[cell[i] * MOMENTS + j] += moments[j];
+        }
     }
 }
