@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32
+from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32, heights
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.types import Cloud, Float64, Plane
@@ -115,7 +115,7 @@ def _plausible(candidate: ObjectSegment, plane: Plane, config: ClusterConfig) ->
     return bool(
         candidate.n_points >= config.min_points
         and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
-        and plane.height(candidate.cloud.xyz).max() >= config.min_top_m
+        and heights(plane, candidate.cloud.xyz).max() >= config.min_top_m
     )
 
 
