@@ -156,15 +156,18 @@ done:
     free(tall);
 }
 
+enum { TABLE, ABOVE, LOW_EDGE }; /* of a pixel by its height: LOW_EDGE may be the foot of an object */
+
 typedef struct {
     int64_t h, w, stride, gh, gw; /* size of the window, step and size of its part of the coarse grid */
-    float *z, *height;            /* (h, w) */
-    uint8_t *above;               /* (h, w) */
+    int64_t line;                 /* from one row of `z` and `height` to the next */
+    float *z, *height;            /* (h + 2, w + 2), of their first pixels; NaN around the window */
+    uint8_t *kind;                /* (h, w) */
     int32_t *nodes;               /* (gh, gw), labels of the grid */
     const double *s;
 } window;
 
-/* Whether two neighbours of the grid, `step` pixels apart between each of `stride`, are joined. */
+/* Whether two neighbours of the grid, `step` numbers apart for each of `stride` pixels, are joined. */
 INLINE int is_joined(const window *v, int64_t first, int64_t step) {
     const float *z = v->z + first, *height = v->height + first;
     int hole = 0;
@@ -192,13 +195,14 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
         for (int64_t row = 0; row < gh; row++) {
             for (int64_t column = 0; column < gw; column++) {
                 const int32_t i = (int32_t)(row * gw + column);
-                const int64_t pixel = row * v->stride * v->w + column * v->stride;
-                v->nodes[i] = v->above[pixel] && patches[row * across + column] == patch;
+                const int64_t pixel = row * v->stride * v->line + column * v->stride;
+                v->nodes[i] = patches[row * across + column] == patch &&
+                              v->kind[row * v->stride * v->w + column * v->stride] == ABOVE;
                 parent[i] = i;
                 if (!v->nodes[i]) {
                     continue;
                 }
-                if (row && v->nodes[i - gw] && is_joined(v, pixel - v->stride * v->w, v->w)) {
+                if (row && v->nodes[i - gw] && is_joined(v, pixel - v->stride * v->line, v->line)) {
                     join(parent, i, i - (int32_t)gw);
                 }
                 if (column && v->nodes[i - 1] && is_joined(v, pixel - v->stride, 1)) {
@@ -225,14 +229,31 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
     return last;
 }
 
+/* The label of a pixel in a cell whose corners have different ones: that of the corner which is nearest in depth. */
+INLINE int32_t nearest_label(const window *v, const int64_t *corners, float z) {
+    int nearest = 0;
+    float least = INFINITY;
+    for (int i = 0; i < 4; i++) {
+        const int64_t at = corners[i] / v->gw * v->stride * v->line + corners[i] % v->gw * v->stride;
+        const float apart = fabsf(v->z[at] - z);
+        if (v->nodes[corners[i]] && apart < least) {
+            least = apart;
+            nearest = i;
+        }
+    }
+    return v->nodes[corners[nearest]];
+}
+
 /* The labels of the grid at full resolution. */
 INLINE void grow(const window *v, int32_t *labels) {
-    for (int64_t row = 0; row < v->h; row++) {
-        const int64_t top = row / v->stride, bottom = top + 1 < v->gh ? top + 1 : top;
+    memset(labels, 0, (size_t)(v->h * v->w) * sizeof(int32_t));
+    for (int64_t top = 0; top < v->gh; top++) {
+        const int64_t bottom = top + 1 < v->gh ? top + 1 : top;
+        const int64_t end_row = (top + 1) * v->stride < v->h ? (top + 1) * v->stride : v->h;
         for (int64_t cell = 0; cell < v->gw; cell++) {
-            const int64_t right = cell + 1 < v->gw ? cell + 1 : cell, start = row * v->w + cell * v->stride;
+            const int64_t right = cell + 1 < v->gw ? cell + 1 : cell;
+            const int64_t end = (cell + 1) * v->stride < v->w ? (cell + 1) * v->stride : v->w;
             const int64_t at[4] = {top * v->gw + cell, top * v->gw + right, bottom * v->gw + cell, bottom * v->gw + right};
-            const int64_t size = v->w - cell * v->stride < v->stride ? v->w - cell * v->stride : v->stride;
             int32_t most = 0;
             int shared = 0;
             for (int i = 0; i < 4; i++) {
@@ -241,45 +262,24 @@ INLINE void grow(const window *v, int32_t *labels) {
             for (int i = 0; i < 4; i++) {
                 shared |= v->nodes[at[i]] > 0 && v->nodes[at[i]] != most;
             }
-            for (int64_t i = start; i < start + size; i++) {
-                labels[i] = v->above[i] ? most : 0;
-                if (!shared || !v->above[i]) {
-                    continue;
-                }
-                int nearest = 0;
-                float least = INFINITY;
-                for (int j = 0; j < 4; j++) {
-                    const float z = v->z[at[j] / v->gw * v->stride * v->w + at[j] % v->gw * v->stride];
-                    const float apart = fabsf(z - v->z[i]);
-                    if (v->nodes[at[j]] && apart < least) {
-                        least = apart;
-                        nearest = j;
+            for (int64_t row = top * v->stride; most && row < end_row; row++) {
+                for (int64_t i = cell * v->stride; i < end; i++) {
+                    if (v->kind[row * v->w + i] == ABOVE) {
+                        labels[row * v->w + i] = shared ? nearest_label(v, at, v->z[row * v->line + i]) : most;
                     }
                 }
-                labels[i] = v->nodes[at[nearest]];
             }
         }
     }
 }
 
-/* Differences in depth of the eight neighbours of a pixel, row by row; NaN beyond the window. */
-INLINE void neighbour_steps(const window *v, int64_t row, int64_t column, float *steps) {
-    int next = 0;
-    for (int64_t i = row - 1; i <= row + 1; i++) {
-        for (int64_t j = column - 1; j <= column + 1; j++) {
-            if (i != row || j != column) {
-                const int outside = i < 0 || i >= v->h || j < 0 || j >= v->w;
-                steps[next++] = outside ? NAN : v->z[i * v->w + j] - v->z[row * v->w + column];
-            }
-        }
-    }
-}
-
-INLINE int is_flying(const window *v, int64_t row, int64_t column) {
-    const float near = step_at(v->z[row * v->w + column], v->s[SUPPORTED], v->s);
-    float steps[8];
+/* Whether a pixel is in the air between two surfaces. */
+INLINE int is_flying(const window *v, const float *z) {
+    const float near = step_at(*z, v->s[SUPPORTED], v->s);
+    const float *up = z - v->line, *down = z + v->line;
+    const float steps[8] = {up[-1] - *z, up[0] - *z,    up[1] - *z,  z[-1] - *z,
+                            z[1] - *z,   down[-1] - *z, down[0] - *z, down[1] - *z};
     int support = 0, straight = 0;
-    neighbour_steps(v, row, column, steps);
     for (int i = 0; i < 8; i++) {
         support += fabsf(steps[i]) <= near;
     }
@@ -291,55 +291,65 @@ INLINE int is_flying(const window *v, int64_t row, int64_t column) {
 
 enum { NO, SOLID, FLYING, BASE }; /* of a pixel while the outlines are refined */
 
-/* Removes flying pixels from the labels and adds base pixels; `solid` tells which are left or added. */
-INLINE void refine(const window *v, int32_t *labels, uint8_t *solid) {
-    const int64_t h = v->h, w = v->w;
-    const float *z = v->z;
-    float least = NAN;
-    for (int64_t i = 0; i < h * w; i++) {
-        least = z[i] == z[i] && !(least <= z[i]) ? z[i] : least;
+/* Whether a solid pixel around a flying one has its label. */
+INLINE int is_outline(const window *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
+    const int32_t own = labels[row * v->w + column];
+    for (int64_t i = row ? row - 1 : 0; i <= row + 1 && i < v->h; i++) {
+        for (int64_t j = column ? column - 1 : 0; j <= column + 1 && j < v->w; j++) {
+            if (solid[i * v->w + j] == SOLID && labels[i * v->w + j] == own) {
+                return 1;
+            }
+        }
     }
+    return 0;
+}
+
+/* The label of the last solid pixel around a low one that is at its depth, or 0. */
+INLINE int32_t owner_of(const window *v, const int32_t *labels, const uint8_t *solid, int64_t row, int64_t column) {
+    const float own = v->z[row * v->line + column], near = step_at(own, v->s[SUPPORTED], v->s);
+    int32_t owner = 0;
+    for (int64_t i = row ? row - 1 : 0; i <= row + 1 && i < v->h; i++) {
+        for (int64_t j = column ? column - 1 : 0; j <= column + 1 && j < v->w; j++) {
+            if (solid[i * v->w + j] == SOLID && fabsf(v->z[i * v->line + j] - own) <= near) {
+                owner = labels[i * v->w + j];
+            }
+        }
+    }
+    return owner;
+}
+
+/* Removes flying pixels from the labels and adds base pixels; `solid` tells which are left or added. `least` is the
+ * smallest depth, with which a cheap superset of the flying pixels is found first; jump: (w). */
+INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels, uint8_t *solid) {
+    const int64_t h = v->h, w = v->w;
     const float limit = step_at(least, v->s[SUPPORTED], v->s);
     for (int64_t row = 0; row < h; row++) {
-        const float *line = z + row * w, *before = row ? line - w : line, *after = row + 1 < h ? line + w : line;
-        for (int64_t column = 0; column < w; column++) {
-            solid[row * w + column] = labels[row * w + column] > 0;
+        const float *z = v->z + row * v->line, *up = z - v->line, *down = z + v->line;
+        const int32_t *label = labels + row * w;
+        uint8_t *kind = solid + row * w;
+        for (int64_t i = 0; i < w; i++) {
+            const int32_t across = (fabsf(z[i] - z[i - 1]) > limit) | (fabsf(z[i + 1] - z[i]) > limit);
+            const int32_t along = (fabsf(z[i] - up[i]) > limit) | (fabsf(down[i] - z[i]) > limit);
+            jump[i] = (across | along) & (label[i] > 0);
         }
-        for (int64_t column = 0; column < w; column++) { /* a cheap superset first, as in the reference */
-            const float here = line[column], left = line[column ? column - 1 : 0], right = line[column + 1 < w ? column + 1 : column];
-            const int jump = (fabsf(here - before[column]) > limit) | (fabsf(after[column] - here) > limit) |
-                             (fabsf(here - left) > limit) | (fabsf(right - here) > limit);
-            if (jump && labels[row * w + column] > 0 && is_flying(v, row, column)) {
-                solid[row * w + column] = FLYING;
+        for (int64_t i = 0; i < w; i++) {
+            kind[i] = label[i] > 0;
+        }
+        for (int64_t i = 0; i < w; i++) {
+            if (jump[i] && is_flying(v, z + i)) {
+                kind[i] = FLYING;
             }
         }
     }
     for (int64_t row = 0; row < h; row++) {
         for (int64_t column = 0; column < w; column++) {
             const int64_t i = row * w + column;
-            const int64_t top = row ? row - 1 : 0, bottom = row + 1 < h ? row + 1 : row;
-            const int64_t left = column ? column - 1 : 0, right = column + 1 < w ? column + 1 : column;
             if (solid[i] == FLYING) {
-                int outline = 0;
-                for (int64_t j = top; j <= bottom; j++) {
-                    for (int64_t k = left; k <= right; k++) {
-                        outline |= solid[j * w + k] == SOLID && labels[j * w + k] == labels[i];
-                    }
+                if (!is_outline(v, labels, solid, row, column)) {
+                    labels[i] = 0;
                 }
-                labels[i] = outline ? labels[i] : -labels[i]; /* negative is removed below: others may still ask for it */
-            } else if (!v->above[i]) {
-                const float own = z[i], height = v->height[i], threshold = threshold_at(own, v->s);
-                if (!(height > threshold * BASE_FRACTION && height <= threshold)) {
-                    continue;
-                }
-                const float near = step_at(own, v->s[SUPPORTED], v->s);
-                int32_t owner = 0;
-                for (int64_t j = top; j <= bottom; j++) {
-                    for (int64_t k = left; k <= right; k++) {
-                        const int64_t other = j * w + k;
-                        owner = solid[other] == SOLID && fabsf(z[other] - own) <= near ? labels[other] : owner;
-                    }
-                }
+            } else if (v->kind[i] == LOW_EDGE) {
+                const int32_t owner = owner_of(v, labels, solid, row, column);
                 if (owner) {
                     labels[i] = owner;
                     solid[i] = BASE;
@@ -348,9 +358,74 @@ INLINE void refine(const window *v, int32_t *labels, uint8_t *solid) {
         }
     }
     for (int64_t i = 0; i < h * w; i++) {
-        solid[i] = solid[i] == SOLID || solid[i] == BASE;
-        labels[i] = labels[i] > 0 ? labels[i] : 0;
+        solid[i] = (solid[i] == SOLID) | (solid[i] == BASE);
     }
+}
+
+/* The tangents x / z and y / z of the rays of a row of pixels. */
+INLINE void rays_of(double row, int64_t column, int64_t w, const double *s, float *x, float *y) {
+    for (int64_t i = 0; i < w; i++) {
+        x[i] = (float)(s[RAY_X] + s[RAY_X + 1] * (double)(column + i) + s[RAY_X + 2] * row);
+        y[i] = (float)(s[RAY_Y] + s[RAY_Y + 1] * (double)(column + i) + s[RAY_Y + 2] * row);
+    }
+}
+
+/* Depth, height and kind of a row of a window; the smallest depth so far. Points beside their ray become holes. */
+INLINE float read_row(const window *v, const float *points, int64_t row, const float *ray_x, const float *ray_y, float least,
+                      uint8_t *off, int64_t *any_off, int32_t *kinds) {
+    const double *s = v->s;
+    float *z = v->z + row * v->line, *height = v->height + row * v->line;
+    uint8_t *kind = v->kind + row * v->w;
+    int32_t beside = 0;
+    const float a = (float)s[PLANE_A], b = (float)s[PLANE_B], c = (float)s[PLANE_C], d = (float)s[PLANE_D];
+    const float noise = (float)s[NOISE], low = (float)s[LOW], high = (float)s[HIGH], deviation = (float)s[DEVIATION];
+    const float nearest = (float)s[NEAREST], farthest = (float)s[FARTHEST];
+    for (int64_t i = 0; i < v->w; i++) {
+        const float x = points[3 * i], y = points[3 * i + 1], depth = points[3 * i + 2];
+        const float raised = x * a + y * b + depth * c + d;
+        const float least_height = depth * noise * depth > low ? depth * noise * depth : low; /* a NaN has no height */
+        const int32_t above = (raised > least_height) & (raised < high) & (depth >= nearest) & (depth <= farthest);
+        const int32_t edge = (raised > least_height * BASE_FRACTION) & (raised <= least_height);
+        z[i] = depth;
+        height[i] = raised;
+        kinds[i] = above ? ABOVE : (edge ? LOW_EDGE : TABLE);
+    }
+    if (ray_x) {
+        for (int64_t i = 0; i < v->w; i++) {
+            const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
+            const float limit = z[i] * deviation;
+            beside |= ((dx > limit) | (dy > limit)) & (dx == dx) & (dy == dy) & (z[i] > 0.0f);
+        }
+    }
+    for (int64_t i = 0; i < v->w; i++) {
+        kind[i] = (uint8_t)kinds[i];
+    }
+    for (int64_t i = 0; i < v->w && beside; i++) {
+        const float dx = fabsf(points[3 * i] - ray_x[i] * z[i]), dy = fabsf(points[3 * i + 1] - ray_y[i] * z[i]);
+        const float limit = z[i] * deviation;
+        if ((dx > limit || dy > limit) && dx == dx && dy == dy && z[i] > 0.0f) {
+            if (z[i] >= nearest && z[i] <= farthest) {
+                off[i] = 1;
+                *any_off = 1;
+            }
+            z[i] = height[i] = NAN;
+            kind[i] = TABLE;
+        }
+    }
+    float part[8] = {least, least, least, least, least, least, least, least};
+    int64_t i = 0;
+    for (; i + 8 <= v->w; i += 8) {
+        for (int j = 0; j < 8; j++) {
+            part[j] = z[i + j] < part[j] ? z[i + j] : part[j];
+        }
+    }
+    for (; i < v->w; i++) {
+        part[0] = z[i] < part[0] ? z[i] : part[0];
+    }
+    for (int j = 0; j < 8; j++) {
+        least = part[j] < least ? part[j] : least;
+    }
+    return least;
 }
 
 /* Labels one window of an image.
@@ -363,59 +438,49 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
                              const int32_t *patches, int64_t grid_across, int64_t stride, int64_t patch, int64_t min_nodes,
                              const double *settings, uint8_t *taken, uint8_t *off, int32_t *labels, uint8_t *solid,
                              int64_t *found) {
+    const int64_t line = w + 2;
+    const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, NULL, NULL, NULL, NULL, s};
-    v.z = malloc((size_t)(h * w) * sizeof(float) + 1);
-    v.height = malloc((size_t)(h * w) * sizeof(float) + 1);
-    v.above = malloc((size_t)(h * w) + 1);
+    float *memory = h * w < INT32_MAX ? malloc((2 * size + 3 * (size_t)w) * sizeof(float)) : NULL;
+    window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, NULL, s};
+    v.kind = malloc((size_t)(h * w) + 1);
     v.nodes = malloc((size_t)(v.gh * v.gw) * sizeof(int32_t) + 1);
     found[0] = -1;
     found[1] = 0;
-    if (!v.z || !v.height || !v.above || !v.nodes || h * w >= INT32_MAX) {
-        goto done;
-    }
-    for (int64_t i = 0; i < h; i++) {
-        const float *line = xyz + 3 * ((row + i) * across + column);
-        int32_t beside = 0;
-        for (int64_t j = 0; j < w; j++) {
-            const float *p = line + 3 * j;
-            const float height = height_of(p, s);
-            v.z[i * w + j] = p[2];
-            v.height[i * w + j] = height;
-            v.above[i * w + j] = (uint8_t)is_above(height, p[2], s);
+    if (memory && v.kind && v.nodes) {
+        v.z = memory + line + 1;
+        v.height = v.z + size;
+        float *ray_x = memory + 2 * size, *ray_y = ray_x + w, least = INFINITY;
+        int32_t *row_of_flags = (int32_t *)(ray_y + w);
+        for (int64_t i = 0; i < line; i++) {
+            memory[i] = memory[(h + 1) * line + i] = NAN;
         }
-        for (int64_t j = 0; j < w && s[CHECKED] > 0.0; j++) {
-            beside |= is_beside(line + 3 * j, (double)(row + i), (double)(column + j), s);
+        for (int64_t i = 0; i < h; i++) {
+            v.z[i * line - 1] = v.z[i * line + w] = NAN;
+            if (s[CHECKED] > 0.0 && (i == 0 || s[RAY_X + 2] != 0.0 || s[RAY_Y + 2] != 0.0)) {
+                rays_of((double)(row + i), column, w, s, ray_x, ray_y);
+            }
+            least = read_row(&v, xyz + 3 * ((row + i) * across + column), i, s[CHECKED] > 0.0 ? ray_x : NULL, ray_y, least,
+                             off + (row + i) * across + column, found + 1, row_of_flags);
         }
-        for (int64_t j = 0; j < w && beside; j++) {
-            const float z = line[3 * j + 2];
-            if (is_beside(line + 3 * j, (double)(row + i), (double)(column + j), s)) {
-                if (z >= (float)s[NEAREST] && z <= (float)s[FARTHEST]) {
-                    off[(row + i) * across + column + j] = 1;
-                    found[1] = 1;
+        found[0] = label_nodes(&v, patches + row / stride * grid_across + column / stride, grid_across, patch, min_nodes);
+        if (found[0] >= 0) {
+            grow(&v, labels);
+            refine(&v, least, row_of_flags, labels, solid);
+            for (int64_t i = 0; i < h; i++) { /* base pixels may lie between two patches: they belong to the first */
+                uint8_t *is_taken = taken + (row + i) * across + column;
+                for (int64_t j = 0; j < w; j++) {
+                    labels[i * w + j] = is_taken[j] ? 0 : labels[i * w + j];
                 }
-                v.z[i * w + j] = v.height[i * w + j] = NAN;
-                v.above[i * w + j] = 0;
+                for (int64_t j = 0; j < w; j++) {
+                    solid[i * w + j] &= !is_taken[j];
+                    is_taken[j] |= solid[i * w + j];
+                }
             }
         }
     }
-    found[0] = label_nodes(&v, patches + row / stride * grid_across + column / stride, grid_across, patch, min_nodes);
-    if (found[0] >= 0) {
-        grow(&v, labels);
-        refine(&v, labels, solid);
-    }
-    for (int64_t i = 0; i < h && found[0] >= 0; i++) {
-        uint8_t *line = taken + (row + i) * across + column;
-        for (int64_t j = 0; j < w; j++) { /* base pixels may lie between two patches: they belong to the first */
-            labels[i * w + j] = line[j] ? 0 : labels[i * w + j];
-            solid[i * w + j] = line[j] ? 0 : solid[i * w + j];
-            line[j] |= solid[i * w + j];
-        }
-    }
-done:
-    free(v.z);
-    free(v.height);
-    free(v.above);
+    free(memory);
+    free(v.kind);
     free(v.nodes);
 }
