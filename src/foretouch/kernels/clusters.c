@@ -484,3 +484,67 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
     free(v.kind);
     free(v.nodes);
 }
+
+/* The solid pixels of a window (h, w) by label, in their order within.
+ *
+ * ends: (labels + 1), the end of each label in the list; the last is n, the number of solid pixels. pixels: (n), flat
+ * indices into the image, xyz, whose rows have `across` points. points: (n, 3). columns: (3, n). bounds: (labels + 1, 6),
+ * smallest and largest x, y, z of each label. tops: (labels + 1), the largest heights above the plane (4). */
+VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int64_t h, int64_t w, int64_t row, int64_t column,
+                                const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends,
+                                int64_t *pixels, float *points, double *columns, float *bounds, float *tops) {
+    memset(ends, 0, (size_t)(n_labels + 1) * sizeof(int64_t));
+    for (int64_t i = 0; i <= n_labels; i++) {
+        tops[i] = -INFINITY;
+        for (int j = 0; j < 6; j++) {
+            bounds[6 * i + j] = j < 3 ? INFINITY : -INFINITY;
+        }
+    }
+    for (int64_t i = 0; i < h * w; i++) {
+        if (solid[i]) {
+            ends[labels[i]]++;
+        }
+    }
+    int64_t n = 0;
+    for (int64_t i = 0; i <= n_labels; i++) { /* of each label its start, which ends where the next one starts */
+        const int64_t count = ends[i];
+        ends[i] = n;
+        n += count;
+    }
+    for (int64_t i = 0; i < h; i++) {
+        for (int64_t j = 0; j < w; j++) {
+            if (!solid[i * w + j]) {
+                continue;
+            }
+            const int32_t label = labels[i * w + j];
+            const int64_t to = ends[label]++, pixel = (row + i) * across + column + j;
+            const float *p = xyz + 3 * pixel;
+            const float height = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + plane[3];
+            float *bound = bounds + 6 * label;
+            pixels[to] = pixel;
+            tops[label] = height > tops[label] ? height : tops[label];
+            for (int axis = 0; axis < 3; axis++) {
+                points[3 * to + axis] = p[axis];
+                columns[axis * n + to] = (double)p[axis];
+                bound[axis] = p[axis] < bound[axis] ? p[axis] : bound[axis];
+                bound[3 + axis] = p[axis] > bound[3 + axis] ? p[axis] : bound[3 + axis];
+            }
+        }
+    }
+}
+
+/* Writes ids (labels + 1) by the labels of a window (h, w) into an image, where they are not 0; count: (1), of those. */
+void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t column, const int32_t *ids, int64_t across,
+               int32_t *image, int64_t *count) {
+    int64_t written = 0;
+    for (int64_t i = 0; i < h; i++) {
+        int32_t *line = image + (row + i) * across + column;
+        for (int64_t j = 0; j < w; j++) {
+            if (labels[i * w + j] && ids[labels[i * w + j]]) {
+                line[j] = ids[labels[i * w + j]];
+                written++;
+            }
+        }
+    }
+    count[0] = written;
+}
