@@ -13,6 +13,7 @@ time, and no build needs more than a C compiler; Numba would take 0.65 s at each
 
 import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 _SCALARS: Final[dict[Any, type[Any]]] = {int: ctypes.c_int64, float: ctypes.c_double}
 
@@ -38,6 +40,25 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
     return None, "not compiled when the package was installed (no C compiler?)"
 
 
+def _address_of(array: npt.NDArray[Any]) -> int:
+    """Where the numbers of an array are: `array.ctypes.data`, which takes a microsecond of each argument."""
+    return int(array.ctypes.data)
+
+
+def _fast_address_of(array: npt.NDArray[Any]) -> int:
+    """The same, read from the array object: the address is the first field after Python's own, in a sixth of the time."""
+    return ctypes.c_size_t.from_address(id(array) + object.__basicsize__).value
+
+
+def _is_first_field() -> bool:
+    """Whether this Python and this NumPy store the address there; they are CPython and all of NumPy's so far."""
+    if sys.implementation.name != "cpython":
+        return False
+    probe = np.zeros(4)
+    return all(_fast_address_of(one) == one.ctypes.data for one in (probe, probe[1:], np.zeros((2, 3), np.float32)))
+
+
+_address = _fast_address_of if _is_first_field() else _address_of
 _library, why_absent = _load()
 _enabled = _library is not None
 
@@ -84,7 +105,7 @@ class Kernel:
             if not isinstance(kind, np.dtype):
                 passed.append(value)
             elif value.dtype == kind and value.flags.c_contiguous:
-                passed.append(value.ctypes.data)
+                passed.append(_address(value))
             else:
                 raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
         if self._call is None:

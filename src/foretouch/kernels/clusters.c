@@ -362,11 +362,10 @@ INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels,
     }
 }
 
-/* The tangents x / z and y / z of the rays of a row of pixels. */
-INLINE void rays_of(double row, int64_t column, int64_t w, const double *s, float *x, float *y) {
+/* The tangents x / z or y / z of the rays of a row of pixels; `slopes`: of the first pixel, per column, per row. */
+INLINE void rays_of(double row, int64_t column, int64_t w, const double *slopes, float *tangent) {
     for (int64_t i = 0; i < w; i++) {
-        x[i] = (float)(s[RAY_X] + s[RAY_X + 1] * (double)(column + i) + s[RAY_X + 2] * row);
-        y[i] = (float)(s[RAY_Y] + s[RAY_Y + 1] * (double)(column + i) + s[RAY_Y + 2] * row);
+        tangent[i] = (float)(slopes[0] + slopes[1] * (double)(column + i) + slopes[2] * row);
     }
 }
 
@@ -458,8 +457,16 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
         }
         for (int64_t i = 0; i < h; i++) {
             v.z[i * line - 1] = v.z[i * line + w] = NAN;
-            if (s[CHECKED] > 0.0 && (i == 0 || s[RAY_X + 2] != 0.0 || s[RAY_Y + 2] != 0.0)) {
-                rays_of((double)(row + i), column, w, s, ray_x, ray_y);
+            if (s[CHECKED] > 0.0 && (i == 0 || s[RAY_X + 2] != 0.0)) { /* x of all rows is mostly the same */
+                rays_of((double)(row + i), column, w, s + RAY_X, ray_x);
+            }
+            if (s[CHECKED] > 0.0 && (i == 0 || s[RAY_Y + 1] != 0.0)) {
+                rays_of((double)(row + i), column, w, s + RAY_Y, ray_y);
+            } else { /* and y of all columns */
+                const float y = (float)(s[RAY_Y] + s[RAY_Y + 2] * (double)(row + i));
+                for (int64_t j = 0; j < w; j++) {
+                    ray_y[j] = y;
+                }
             }
             least = read_row(&v, xyz + 3 * ((row + i) * across + column), i, s[CHECKED] > 0.0 ? ray_x : NULL, ray_y, least,
                              off + (row + i) * across + column, found + 1, row_of_flags);
@@ -494,16 +501,8 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
                                 const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends,
                                 int64_t *pixels, float *points, double *columns, float *bounds, float *tops) {
     memset(ends, 0, (size_t)(n_labels + 1) * sizeof(int64_t));
-    for (int64_t i = 0; i <= n_labels; i++) {
-        tops[i] = -INFINITY;
-        for (int j = 0; j < 6; j++) {
-            bounds[6 * i + j] = j < 3 ? INFINITY : -INFINITY;
-        }
-    }
     for (int64_t i = 0; i < h * w; i++) {
-        if (solid[i]) {
-            ends[labels[i]]++;
-        }
+        ends[labels[i]] += solid[i];
     }
     int64_t n = 0;
     for (int64_t i = 0; i <= n_labels; i++) { /* of each label its start, which ends where the next one starts */
@@ -513,23 +512,28 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
     }
     for (int64_t i = 0; i < h; i++) {
         for (int64_t j = 0; j < w; j++) {
-            if (!solid[i * w + j]) {
-                continue;
-            }
-            const int32_t label = labels[i * w + j];
-            const int64_t to = ends[label]++, pixel = (row + i) * across + column + j;
-            const float *p = xyz + 3 * pixel;
-            const float height = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + plane[3];
-            float *bound = bounds + 6 * label;
-            pixels[to] = pixel;
-            tops[label] = height > tops[label] ? height : tops[label];
-            for (int axis = 0; axis < 3; axis++) {
-                points[3 * to + axis] = p[axis];
-                columns[axis * n + to] = (double)p[axis];
-                bound[axis] = p[axis] < bound[axis] ? p[axis] : bound[axis];
-                bound[3 + axis] = p[axis] > bound[3 + axis] ? p[axis] : bound[3 + axis];
+            if (solid[i * w + j]) {
+                pixels[ends[labels[i * w + j]]++] = (row + i) * across + column + j;
             }
         }
+    }
+    int64_t start = 0;
+    for (int64_t label = 0; label <= n_labels; start = ends[label++]) {
+        float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, top = -INFINITY;
+        for (int64_t i = start; i < ends[label]; i++) {
+            const float *p = xyz + 3 * pixels[i];
+            const float height = p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + plane[3];
+            top = height > top ? height : top;
+            for (int axis = 0; axis < 3; axis++) {
+                points[3 * i + axis] = p[axis];
+                columns[axis * n + i] = (double)p[axis];
+                low[axis] = p[axis] < low[axis] ? p[axis] : low[axis];
+                high[axis] = p[axis] > high[axis] ? p[axis] : high[axis];
+            }
+        }
+        tops[label] = top;
+        memcpy(bounds + 6 * label, low, sizeof low);
+        memcpy(bounds + 6 * label + 3, high, sizeof high);
     }
 }
 
@@ -547,4 +551,24 @@ void write_ids(const int32_t *labels, int64_t h, int64_t w, int64_t row, int64_t
         }
     }
     count[0] = written;
+}
+
+/* Every `stride`-th point of every `stride`-th row of an image of h x w points, and which of them are in range.
+ *
+ * coarse: (h', w', 3). index: (h' w'), their flat indices in it; count: (1), how many. */
+void coarse_grid(const float *xyz, int64_t h, int64_t w, int64_t stride, double nearest, double farthest, float *coarse,
+                 int64_t *index, int64_t *count) {
+    const float near = (float)nearest, far = (float)farthest;
+    int64_t found = 0, i = 0;
+    for (int64_t row = 0; row < h; row += stride) {
+        for (int64_t column = 0; column < w; column += stride, i++) {
+            const float *p = xyz + 3 * (row * w + column);
+            coarse[3 * i] = p[0];
+            coarse[3 * i + 1] = p[1];
+            coarse[3 * i + 2] = p[2];
+            index[found] = i;
+            found += (p[2] >= near) & (p[2] <= far);
+        }
+    }
+    count[0] = found;
 }
