@@ -492,6 +492,19 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
     free(v.nodes);
 }
 
+/* The end of the pixels from `first` that are solid with one label, or that are not solid. */
+INLINE int64_t end_of_run(const int32_t *labels, const uint8_t *solid, int64_t first, int64_t end) {
+    int64_t i = first + 1;
+    if (!solid[first]) {
+        const uint8_t *next = memchr(solid + i, 1, (size_t)(end - i));
+        return next ? next - solid : end;
+    }
+    while (i < end && solid[i] && labels[i] == labels[first]) {
+        i++;
+    }
+    return i;
+}
+
 /* The solid pixels of a window (h, w) by label, in their order within.
  *
  * ends: (labels + 1), the end of each label in the list; the last is n, the number of solid pixels. pixels: (n), flat
@@ -501,8 +514,12 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
                                 const float *xyz, int64_t across, const float *plane, int64_t n_labels, int64_t *ends,
                                 int64_t *pixels, float *points, double *columns, float *bounds, float *tops) {
     memset(ends, 0, (size_t)(n_labels + 1) * sizeof(int64_t));
-    for (int64_t i = 0; i < h * w; i++) {
-        ends[labels[i]] += solid[i];
+    for (int64_t i = 0; i < h; i++) {
+        const int32_t *label = labels + i * w;
+        for (int64_t j = 0, end; j < w; j = end) {
+            end = end_of_run(label, solid + i * w, j, w);
+            ends[label[j]] += solid[i * w + j] ? end - j : 0;
+        }
     }
     int64_t n = 0;
     for (int64_t i = 0; i <= n_labels; i++) { /* of each label its start, which ends where the next one starts */
@@ -511,9 +528,15 @@ VECTORISED void collect_members(const int32_t *labels, const uint8_t *solid, int
         n += count;
     }
     for (int64_t i = 0; i < h; i++) {
-        for (int64_t j = 0; j < w; j++) {
+        const int32_t *label = labels + i * w;
+        for (int64_t j = 0, end; j < w; j = end) {
+            end = end_of_run(label, solid + i * w, j, w);
             if (solid[i * w + j]) {
-                pixels[ends[labels[i * w + j]]++] = (row + i) * across + column + j;
+                int64_t *to = pixels + ends[label[j]];
+                ends[label[j]] += end - j;
+                for (int64_t k = 0; k < end - j; k++) {
+                    to[k] = (row + i) * across + column + j + k;
+                }
             }
         }
     }

