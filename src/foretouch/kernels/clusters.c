@@ -74,11 +74,10 @@ INLINE void join(int32_t *parent, int32_t i, int32_t j) {
 /* Patches of the coarse grid (h, w, 3) above the table; diagonal neighbours are in one patch.
  *
  * number: (h, w), from 1 in the order of their first pixels, without those of fewer than `min_nodes` pixels or nowhere
- * high. boxes: (h w / min_nodes + 1, 4), first row, end, first column, end of each. off: the image, of `across` columns;
- * 1 is written for pixels above the table but beside their ray. found: the number of patches, -1 without memory; and
- * whether there are such pixels. */
+ * high; -1 for pixels above the table but beside their ray. boxes: (h w / min_nodes + 1, 4), first row, end, first column,
+ * end of each. found: the number of patches, -1 without memory; and whether a pixel is beside its ray. */
 VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t stride, int64_t min_nodes, const double *settings,
-                             int64_t across, uint8_t *off, int32_t *number, int64_t *boxes, int64_t *found) {
+                             int32_t *number, int64_t *boxes, int64_t *found) {
     if (h * w >= INT32_MAX) {
         found[0] = -1;
         return;
@@ -105,23 +104,22 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
                 continue;
             }
             if (s[CHECKED] > 0.0 && is_beside(grid + 3 * i, (double)(row * stride), (double)(column * stride), s)) {
-                number[i] = 0;
-                off[row * stride * across + column * stride] = 1;
+                number[i] = -1;
                 found[1] = 1;
                 continue;
             }
-            if (column && number[i - 1]) {
+            if (column && number[i - 1] > 0) {
                 join(parent, (int32_t)i, (int32_t)i - 1);
             }
             for (int64_t other = column - 1; row && other <= column + 1; other++) {
-                if (other >= 0 && other < w && number[(row - 1) * w + other]) {
+                if (other >= 0 && other < w && number[(row - 1) * w + other] > 0) {
                     join(parent, (int32_t)i, (int32_t)((row - 1) * w + other));
                 }
             }
         }
     }
     for (int64_t i = 0; i < h * w; i++) {
-        if (number[i]) {
+        if (number[i] > 0) {
             const int32_t root = root_of(parent, (int32_t)i);
             count[root]++;
             tall[root] |= height_of(grid + 3 * i, s) > (float)s[TOP];
@@ -129,7 +127,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
     }
     int32_t last = 0;
     for (int64_t i = 0; i < h * w; i++) {
-        if (!number[i]) {
+        if (number[i] <= 0) {
             continue;
         }
         const int64_t root = root_of(parent, (int32_t)i), row = i / w, column = i % w;
@@ -142,7 +140,7 @@ VECTORISED void grid_patches(const float *grid, int64_t h, int64_t w, int64_t st
             }
         }
         number[i] = count[root];
-        if (number[i]) {
+        if (number[i] > 0) {
             int64_t *box = boxes + 4 * (number[i] - 1);
             box[1] = row + 1;
             box[2] = column < box[2] ? column : box[2];
@@ -156,6 +154,7 @@ done:
     free(tall);
 }
 
+enum { TAKEN = 1, BESIDE = 2 };   /* of a pixel, whatever the window */
 enum { TABLE, ABOVE, LOW_EDGE }; /* of a pixel by its height: LOW_EDGE may be the foot of an object */
 
 typedef struct {
@@ -371,7 +370,7 @@ INLINE void rays_of(double row, int64_t column, int64_t w, const double *slopes,
 
 /* Depth, height and kind of a row of a window; the smallest depth so far. Points beside their ray become holes. */
 INLINE float read_row(const window *v, const float *points, int64_t row, const float *ray_x, const float *ray_y, float least,
-                      uint8_t *off, int64_t *any_off, int32_t *kinds) {
+                      uint8_t *marks, int64_t *any_beside, int32_t *kinds) {
     const double *s = v->s;
     float *z = v->z + row * v->line, *height = v->height + row * v->line;
     uint8_t *kind = v->kind + row * v->w;
@@ -404,8 +403,8 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
         const float limit = z[i] * deviation;
         if ((dx > limit || dy > limit) && dx == dx && dy == dy && z[i] > 0.0f) {
             if (z[i] >= nearest && z[i] <= farthest) {
-                off[i] = 1;
-                *any_off = 1;
+                marks[i] |= BESIDE;
+                *any_beside = 1;
             }
             z[i] = height[i] = NAN;
             kind[i] = TABLE;
@@ -430,13 +429,13 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
 /* Labels one window of an image.
  *
  * xyz: the image, whose rows have `across` points; the window is at `row`, `column`, of h x w. patches: the coarse grid,
- * whose rows have `grid_across` numbers. taken: as the image, pixels that are solid in a window, which others leave out.
- * off: as of grid_patches, of any pixel in range. labels, solid: (h, w), written. found: the largest label, -1 without
- * memory; and whether a point is beside its ray. */
+ * whose rows have `grid_across` numbers. marks: a part of the image, from marks_row and marks_column, with rows of
+ * marks_across: TAKEN, pixels that are solid in a window, which others leave out; BESIDE, pixels in range beside their ray.
+ * labels, solid: (h, w), written. found: the largest label, -1 without memory; and whether there are pixels BESIDE. */
 VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int64_t column, int64_t h, int64_t w,
                              const int32_t *patches, int64_t grid_across, int64_t stride, int64_t patch, int64_t min_nodes,
-                             const double *settings, uint8_t *taken, uint8_t *off, int32_t *labels, uint8_t *solid,
-                             int64_t *found) {
+                             const double *settings, int64_t marks_row, int64_t marks_column, int64_t marks_across,
+                             uint8_t *marks, int32_t *labels, uint8_t *solid, int64_t *found) {
     const int64_t line = w + 2;
     const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
@@ -469,20 +468,20 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
                 }
             }
             least = read_row(&v, xyz + 3 * ((row + i) * across + column), i, s[CHECKED] > 0.0 ? ray_x : NULL, ray_y, least,
-                             off + (row + i) * across + column, found + 1, row_of_flags);
+                             marks + (row + i - marks_row) * marks_across + column - marks_column, found + 1, row_of_flags);
         }
         found[0] = label_nodes(&v, patches + row / stride * grid_across + column / stride, grid_across, patch, min_nodes);
         if (found[0] >= 0) {
             grow(&v, labels);
             refine(&v, least, row_of_flags, labels, solid);
             for (int64_t i = 0; i < h; i++) { /* base pixels may lie between two patches: they belong to the first */
-                uint8_t *is_taken = taken + (row + i) * across + column;
+                uint8_t *mark = marks + (row + i - marks_row) * marks_across + column - marks_column;
                 for (int64_t j = 0; j < w; j++) {
-                    labels[i * w + j] = is_taken[j] ? 0 : labels[i * w + j];
+                    labels[i * w + j] = mark[j] & TAKEN ? 0 : labels[i * w + j];
                 }
                 for (int64_t j = 0; j < w; j++) {
-                    solid[i * w + j] &= !is_taken[j];
-                    is_taken[j] |= solid[i * w + j];
+                    solid[i * w + j] &= !(mark[j] & TAKEN);
+                    mark[j] |= solid[i * w + j]; /* TAKEN is 1 */
                 }
             }
         }

@@ -27,12 +27,12 @@ Index = npt.NDArray[np.intp]
 
 _grid_patches = Kernel(
     "grid_patches",
-    *(np.float32, int, int, int, int, np.float64, int, np.uint8, np.int32, np.int64, np.int64),
+    *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64),
 )
 _label_window = Kernel(
     "label_window",
     *(np.float32, int, int, int, int, int, np.int32, int, int, int, int),
-    *(np.float64, np.uint8, np.uint8, np.int32, np.uint8, np.int64),
+    *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
 )
 
 _BASE_FRACTION = 1 / 3  # of the height threshold: from this height a pixel beside an object may be its base
@@ -154,24 +154,32 @@ def _label_compiled(
             *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
         ]
     )
-    taken, off, patches = np.zeros(image, np.uint8), np.zeros(image, np.uint8), np.empty(grid, np.int32)
-    boxes, found = np.empty((patches.size // min_nodes + 1, 4), np.int64), np.empty(2, np.int64)
-    _grid_patches(coarse, *grid, stride, min_nodes, settings, image[1], off, patches, boxes, found)
-    any_off = found[1] > 0
-    windows: list[Clusters] = []
-    for number, (top, bottom, left, right) in enumerate(boxes[: max(0, found[0])].tolist(), 1):
-        row, column = stride * max(top - 1, 0), stride * max(left - 1, 0)  # a margin of one cell
-        shape = (min(stride * (bottom + 1), image[0]) - row, min(stride * (right + 1), image[1]) - column)
-        labels, solid = np.empty(shape, np.int32), np.empty(shape, np.uint8)
-        place = (image[1], row, column, *shape)
-        rest = (grid[1], stride, number, min_nodes, settings, taken, off, labels, solid, found)
-        _label_window(xyz, *place, patches, *rest)
-        any_off |= found[1] > 0
-        windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), row, column))
+    patches, found = np.empty(grid, np.int32), np.empty(2, np.int64)
+    boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
+    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, found)
     if found[0] < 0:
         return None
-    if any_off and rays is not None:
-        rays.record(np.flatnonzero(off))
+    if found[1] and rays is not None:
+        rows, columns = np.nonzero(patches < 0)
+        rays.record(stride * (rows * image[1] + columns))
+    spans = boxes[: found[0]] + (-1, 1, -1, 1)  # a margin of one cell
+    spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
+    low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
+    marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
+    marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
+    windows: list[Clusters] = []
+    any_beside = False
+    for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
+        labels, solid = np.empty((bottom - top, right - left), np.int32), np.empty((bottom - top, right - left), np.uint8)
+        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
+        _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
+        if found[0] < 0:
+            return None
+        any_beside |= found[1] > 0
+        windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
+    if any_beside and rays is not None:
+        rows, columns = np.nonzero(marks & 2)
+        rays.record((rows + low[0]) * image[1] + columns + low[2])
     return windows
 
 
