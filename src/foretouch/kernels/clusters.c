@@ -155,29 +155,29 @@ done:
 }
 
 enum { TAKEN = 1, BESIDE = 2 };   /* of a pixel, whatever the window */
-enum { TABLE, ABOVE, LOW_EDGE }; /* of a pixel by its height: LOW_EDGE may be the foot of an object */
+enum { ABOVE = 1, BELOW = 2, LOW_EDGE = 4 }; /* of a pixel by its height; LOW_EDGE may be the foot of an object */
 
 typedef struct {
     int64_t h, w, stride, gh, gw; /* size of the window, step and size of its part of the coarse grid */
-    int64_t line;                 /* from one row of `z` and `height` to the next */
-    float *z, *height;            /* (h + 2, w + 2), of their first pixels; NaN around the window */
-    uint8_t *kind;                /* (h, w) */
+    int64_t line;                 /* from one row of `z` and `kind` to the next */
+    float *z;                     /* (h + 2, w + 2), from the first pixel; NaN around the window */
+    uint8_t *kind;                /* the same shape, not set around the window */
     int32_t *nodes;               /* (gh, gw), labels of the grid */
     const double *s;
 } window;
 
 /* Whether two neighbours of the grid, `step` numbers apart for each of `stride` pixels, are joined. */
 INLINE int is_joined(const window *v, int64_t first, int64_t step) {
-    const float *z = v->z + first, *height = v->height + first;
+    const float *z = v->z + first;
+    const uint8_t *kind = v->kind + first;
     int hole = 0;
-    if (height[0] <= threshold_at(z[0], v->s)) {
+    if (kind[0] & BELOW) {
         return 0;
     }
     for (int64_t i = 0; i < v->stride; i++) {
         const float here = z[i * step], next = z[(i + 1) * step];
         hole |= here != here;
-        if (fabsf(next - here) > step_at(here, v->s[CONNECTED], v->s) ||
-            height[(i + 1) * step] <= threshold_at(next, v->s)) {
+        if (fabsf(next - here) > step_at(here, v->s[CONNECTED], v->s) || kind[(i + 1) * step] & BELOW) {
             return 0;
         }
     }
@@ -195,8 +195,7 @@ INLINE int64_t label_nodes(window *v, const int32_t *patches, int64_t across, in
             for (int64_t column = 0; column < gw; column++) {
                 const int32_t i = (int32_t)(row * gw + column);
                 const int64_t pixel = row * v->stride * v->line + column * v->stride;
-                v->nodes[i] = patches[row * across + column] == patch &&
-                              v->kind[row * v->stride * v->w + column * v->stride] == ABOVE;
+                v->nodes[i] = patches[row * across + column] == patch && v->kind[pixel] & ABOVE;
                 parent[i] = i;
                 if (!v->nodes[i]) {
                     continue;
@@ -263,7 +262,7 @@ INLINE void grow(const window *v, int32_t *labels) {
             }
             for (int64_t row = top * v->stride; most && row < end_row; row++) {
                 for (int64_t i = cell * v->stride; i < end; i++) {
-                    if (v->kind[row * v->w + i] == ABOVE) {
+                    if (v->kind[row * v->line + i] & ABOVE) {
                         labels[row * v->w + i] = shared ? nearest_label(v, at, v->z[row * v->line + i]) : most;
                     }
                 }
@@ -347,7 +346,7 @@ INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels,
                 if (!is_outline(v, labels, solid, row, column)) {
                     labels[i] = 0;
                 }
-            } else if (v->kind[i] == LOW_EDGE) {
+            } else if (v->kind[row * v->line + column] & LOW_EDGE) {
                 const int32_t owner = owner_of(v, labels, solid, row, column);
                 if (owner) {
                     labels[i] = owner;
@@ -355,9 +354,6 @@ INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels,
                 }
             }
         }
-    }
-    for (int64_t i = 0; i < h * w; i++) {
-        solid[i] = (solid[i] == SOLID) | (solid[i] == BASE);
     }
 }
 
@@ -368,12 +364,12 @@ INLINE void rays_of(double row, int64_t column, int64_t w, const double *slopes,
     }
 }
 
-/* Depth, height and kind of a row of a window; the smallest depth so far. Points beside their ray become holes. */
+/* Depth and kind of a row of a window; the smallest depth so far. Points beside their ray become holes. */
 INLINE float read_row(const window *v, const float *points, int64_t row, const float *ray_x, const float *ray_y, float least,
                       uint8_t *marks, int64_t *any_beside, int32_t *kinds) {
     const double *s = v->s;
-    float *z = v->z + row * v->line, *height = v->height + row * v->line;
-    uint8_t *kind = v->kind + row * v->w;
+    float *z = v->z + row * v->line;
+    uint8_t *kind = v->kind + row * v->line;
     int32_t beside = 0;
     const float a = (float)s[PLANE_A], b = (float)s[PLANE_B], c = (float)s[PLANE_C], d = (float)s[PLANE_D];
     const float noise = (float)s[NOISE], low = (float)s[LOW], high = (float)s[HIGH], deviation = (float)s[DEVIATION];
@@ -385,8 +381,7 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
         const int32_t above = (raised > least_height) & (raised < high) & (depth >= nearest) & (depth <= farthest);
         const int32_t edge = (raised > least_height * BASE_FRACTION) & (raised <= least_height);
         z[i] = depth;
-        height[i] = raised;
-        kinds[i] = above ? ABOVE : (edge ? LOW_EDGE : TABLE);
+        kinds[i] = above * ABOVE + (raised <= least_height) * BELOW + edge * LOW_EDGE;
     }
     if (ray_x) {
         for (int64_t i = 0; i < v->w; i++) {
@@ -406,8 +401,8 @@ INLINE float read_row(const window *v, const float *points, int64_t row, const f
                 marks[i] |= BESIDE;
                 *any_beside = 1;
             }
-            z[i] = height[i] = NAN;
-            kind[i] = TABLE;
+            z[i] = NAN;
+            kind[i] = 0;
         }
     }
     float part[8] = {least, least, least, least, least, least, least, least};
@@ -440,16 +435,16 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
     const size_t size = (size_t)((h + 2) * line);
     double s[RAY_Y + 3];
     memcpy(s, settings, sizeof s);
-    float *memory = h * w < INT32_MAX ? malloc((2 * size + 3 * (size_t)w) * sizeof(float)) : NULL;
-    window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, NULL, s};
-    v.kind = malloc((size_t)(h * w) + 1);
+    float *memory = h * w < INT32_MAX ? malloc((size + 3 * (size_t)w) * sizeof(float)) : NULL;
+    window v = {h, w, stride, (h + stride - 1) / stride, (w + stride - 1) / stride, line, NULL, NULL, NULL, s};
+    uint8_t *kinds = malloc(size);
     v.nodes = malloc((size_t)(v.gh * v.gw) * sizeof(int32_t) + 1);
     found[0] = -1;
     found[1] = 0;
-    if (memory && v.kind && v.nodes) {
+    if (memory && kinds && v.nodes) {
         v.z = memory + line + 1;
-        v.height = v.z + size;
-        float *ray_x = memory + 2 * size, *ray_y = ray_x + w, least = INFINITY;
+        v.kind = kinds + line + 1;
+        float *ray_x = memory + size, *ray_y = ray_x + w, least = INFINITY;
         int32_t *row_of_flags = (int32_t *)(ray_y + w);
         for (int64_t i = 0; i < line; i++) {
             memory[i] = memory[(h + 1) * line + i] = NAN;
@@ -475,19 +470,23 @@ VECTORISED void label_window(const float *xyz, int64_t across, int64_t row, int6
             grow(&v, labels);
             refine(&v, least, row_of_flags, labels, solid);
             for (int64_t i = 0; i < h; i++) { /* base pixels may lie between two patches: they belong to the first */
-                uint8_t *mark = marks + (row + i - marks_row) * marks_across + column - marks_column;
+                uint8_t *mark = marks + (row + i - marks_row) * marks_across + column - marks_column, *one = solid + i * w;
+                uint8_t any = 0;
                 for (int64_t j = 0; j < w; j++) {
+                    any |= mark[j];
+                    one[j] = ((one[j] == SOLID) | (one[j] == BASE)) & ~mark[j] & TAKEN;
+                }
+                for (int64_t j = 0; j < w && any & TAKEN; j++) {
                     labels[i * w + j] = mark[j] & TAKEN ? 0 : labels[i * w + j];
                 }
                 for (int64_t j = 0; j < w; j++) {
-                    solid[i * w + j] &= !(mark[j] & TAKEN);
-                    mark[j] |= solid[i * w + j]; /* TAKEN is 1 */
+                    mark[j] |= one[j]; /* TAKEN is 1 */
                 }
             }
         }
     }
     free(memory);
-    free(v.kind);
+    free(kinds);
     free(v.nodes);
 }
 
