@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance, uses_pixels
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
@@ -65,11 +65,15 @@ class FinitePoints:
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
-        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._pixel_grid())]
+        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._search_grid())]
 
     def neighbour_distance(self, config: GeoGraspConfig) -> Float32:
         """(N,) float32 [m], the mean distance of each point to its nearest neighbours."""
-        return mean_neighbour_distance(self.xyz, config.neighbours, self._pixel_grid())
+        return mean_neighbour_distance(self.xyz, config.neighbours, self._search_grid())
+
+    def _search_grid(self) -> PixelGrid | None:
+        """The pixels for the search of neighbours; given ones are checked, but only recovered if they speed it up."""
+        return None if self.pixels is None and not uses_pixels() else self._pixel_grid()
 
     def _pixel_grid(self) -> PixelGrid | None:
         """The given pixels, else those recovered from the rays, else None."""

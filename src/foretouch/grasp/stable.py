@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.pose import cross
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Plane
 
@@ -152,8 +153,8 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     up = np.asarray(plane.normal, np.float64)
     if up @ centroid > 0.0:
         up = -up
-    lying = np.cross(up, axis)
-    upright = np.cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
+    lying = cross(up, axis)
+    upright = cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
     share = float(smoothstep(np.array(abs(up @ axis)), *_UPRIGHT))
     across = (1.0 - share) * lying + share * upright
     if np.linalg.norm(across) < 1e-6:
@@ -209,7 +210,7 @@ def stable_side(
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
     radius = min(config.contact_radius_m, _OVERLAP_FRACTION * width_m)
-    third = np.cross(frame.axis, frame.across)
+    third = cross(frame.axis, frame.across)
     basis = np.stack([frame.axis, frame.across, third])
     mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)
     held = mass > 1e-6

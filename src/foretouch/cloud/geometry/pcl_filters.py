@@ -2,8 +2,9 @@
 """PCL's VoxelGrid, NormalEstimation and StatisticalOutlierRemoval, as GeoGrasp uses them.
 
 Comparisons and sums that decide on single points are made in float32, as in PCL. Neighbours of the outlier filter are
-found by a k-d tree or, for the points of a depth image, in a window of its pixels. The tree is that of small_gicp: on
-one thread, 51 neighbours of each of 3000 points take two thirds of the time of SciPy's.
+found in C (kernels/neighbours.c). Without it they are found by a k-d tree or, for the points of a depth image, in a window
+of its pixels. The tree is that of small_gicp: on one thread, 51 neighbours of each of 3000 points take two thirds of the
+time of SciPy's.
 """
 
 from dataclasses import dataclass
@@ -236,7 +237,7 @@ def inlier_mask(
         xyz: (N, 3) float32 [m], finite. N may be 0.
         neighbours: Number of nearest neighbours averaged for each point, excluding itself.
         deviations: Standard deviations above the mean that are still kept.
-        grid: The pixels of the points; faster, with the same result.
+        grid: The pixels of the points; faster without compiled loops (see `uses_pixels`), with the same result.
 
     Returns:
         (N,) bool.
@@ -247,13 +248,18 @@ def inlier_mask(
     return np.asarray(distance <= distance.mean() + deviations * distance.std(ddof=1))
 
 
+def uses_pixels() -> bool:
+    """Whether the search of neighbours is faster with the pixels of the points: the compiled one needs none."""
+    return not _mean_neighbour_distance
+
+
 def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None) -> Float32:
     """Mean distance from each point to its k nearest neighbours, excluding itself.
 
     Args:
         xyz: (N, 3) float32 [m], finite.
         k: Number of neighbours; all other points if there are fewer.
-        grid: The pixels of the points; faster, with the same result.
+        grid: The pixels of the points; faster without compiled loops, with the same result.
 
     Returns:
         (N,) float32 [m]; zero for a single point.
