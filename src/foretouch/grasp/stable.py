@@ -24,7 +24,16 @@ import numpy.typing as npt
 
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
+from foretouch.grasp.pose import cross
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Plane
+
+_tent_sums = Kernel(
+    "tent_sums", *(np.float64, np.float64, int, np.float64, np.float64), *(float, float, float, int, np.float64, np.int64)
+)
+_local_planes = Kernel("local_planes", np.float64, np.float64, int, np.float64, int, float, np.float64, np.float64)
+_surface_mean = Kernel("surface_mean", np.float64, np.float64, int, np.float64, float, np.float64)
+_MOST_NODES = 4096  # a grid of twice the search radius has about 1000
 
 _ISOLATED = 20.0  # medians of the distance to the neighbours beyond which a point is isolated; recorded ones reach 10
 _FADE = 0.25  # standard deviations on either side of the outlier limit, over which points fade out
@@ -118,7 +127,7 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
     limit = float(near.mean()) + config.outlier_deviations * spread
     fade = _FADE * spread + 1e-9
     inlier = np.where(isolated, 0.0, 1.0 - smoothstep(d, limit - fade, limit + fade))
-    return WeightedPoints(xyz.astype(np.float64), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
+    return WeightedPoints(xyz.astype(np.float64, order="C"), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
 def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
@@ -144,8 +153,8 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
     up = np.asarray(plane.normal, np.float64)
     if up @ centroid > 0.0:
         up = -up
-    lying = np.cross(up, axis)
-    upright = np.cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
+    lying = cross(up, axis)
+    upright = cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
     share = float(smoothstep(np.array(abs(up @ axis)), *_UPRIGHT))
     across = (1.0 - share) * lying + share * upright
     if np.linalg.norm(across) < 1e-6:
@@ -161,7 +170,8 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
 
 def _third_moment(weight: Float64, along: Float64) -> float:
     """Skewness of weighted coordinates with mean zero."""
-    return float(weight @ along**3 / max(float(weight @ along**2), 1e-300) ** 1.5)
+    squared = along * along
+    return float((weight * squared) @ along / max(float(weight @ squared), 1e-300) ** 1.5)
 
 
 def soft_extremes(
@@ -200,25 +210,45 @@ def stable_side(
 ) -> StableSide:
     """Candidates around one initial point, on a grid anchored at it."""
     radius = min(config.contact_radius_m, _OVERLAP_FRACTION * width_m)
+    third = cross(frame.axis, frame.across)
+    basis = np.stack([frame.axis, frame.across, third])
+    mass, sums, n_points = _node_sums(points, initial, basis, radius, config.voxel_m)
+    held = mass > 1e-6
+    centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
+    masses = np.concatenate([[1.0], mass[held] / (mass[held] + _FULL_CELL)])
+    normal, curvature = local_planes(points, centres, config.normal_radius_m)
+    return StableSide(centres, masses, normal, curvature, n_points)
+
+
+def _node_sums(
+    points: WeightedPoints, initial: Float64, basis: Float64, radius_m: float, voxel_m: float
+) -> tuple[Float64, Float64, int]:
+    """Weights of the points around an initial point at the nodes of a grid, in the order of the nodes.
+
+    Returns:
+        (M,) float64 sums of the weights, (M, 3) float64 sums of weights times places [m], and the number of points.
+    """
+    near_m, far_m = radius_m * 0.9, radius_m * 1.1
+    if _tent_sums:
+        nodes, found = np.empty((_MOST_NODES, 4)), np.empty(2, np.int64)
+        limits = (voxel_m, near_m, far_m, _MOST_NODES)
+        _tent_sums(points.xyz, points.inlier, len(points.xyz), initial, basis, *limits, nodes, found)
+        n_points, size = found.tolist()
+        if size >= 0:  # else the grid is too large for a table
+            return nodes[:size, 0], nodes[:size, 1:], n_points
     offset = points.xyz - initial
     squared = np.einsum("ij,ij->i", offset, offset)
-    weight = points.inlier * smoothstep(-np.sqrt(squared), -radius * 1.1, -radius * 0.9)
+    weight = points.inlier * smoothstep(-np.sqrt(squared), -far_m, -near_m)
     index = np.flatnonzero(weight > 0.0)
     weight, xyz = weight[index], points.xyz[index]
-    third = np.cross(frame.axis, frame.across)
-    basis = np.stack([frame.axis, frame.across, third])
-    cell, share = _tents((offset[index] @ basis.T) / config.voxel_m)
+    cell, share = _tents((offset[index] @ basis.T) / voxel_m)
     share = share * weight[:, None]
     _, key = np.unique(cell.reshape(-1, 3), axis=0, return_inverse=True)
     key = key.reshape(-1)
     size = int(key.max(initial=-1)) + 1
     mass = np.bincount(key, share.ravel(), minlength=size)
     sums = np.stack([np.bincount(key, (share * column[:, None]).ravel(), minlength=size) for column in xyz.T], axis=1)
-    held = mass > 1e-6
-    centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
-    masses = np.concatenate([[1.0], mass[held] / (mass[held] + _FULL_CELL)])
-    normal, curvature = local_planes(points, centres, config.normal_radius_m)
-    return StableSide(centres, masses, normal, curvature, len(index))
+    return mass, sums, len(index)
 
 
 def _tents(scaled: Float64) -> tuple[npt.NDArray[np.int64], Float64]:
@@ -236,6 +266,11 @@ def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> t
     Returns:
         (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
     """
+    if _local_planes:
+        normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
+        sizes = (len(centres), radius_m)
+        _local_planes(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+        return normals, curvature
     low, high = centres.min(axis=0) - radius_m, centres.max(axis=0) + radius_m
     inside = np.flatnonzero(((points.xyz >= low) & (points.xyz <= high)).all(axis=1) & (points.inlier > 0.0))
     origin = centres.mean(axis=0)
@@ -367,6 +402,10 @@ def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
 
 def onto_surface(points: WeightedPoints, place: Float64) -> Float64:
     """The mean of the points near a place, with weights that fall with the distance beyond that of the nearest."""
+    if _surface_mean:
+        mean = np.empty(3)
+        _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _SURFACE_M, mean)
+        return mean
     squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
     weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * _SURFACE_M**2))
     return np.asarray(weight @ points.xyz / weight.sum(), np.float64)

@@ -13,6 +13,7 @@ time, and no build needs more than a C compiler; Numba would take 0.65 s at each
 
 import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 _SCALARS: Final[dict[Any, type[Any]]] = {int: ctypes.c_int64, float: ctypes.c_double}
 
@@ -38,6 +40,22 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
     return None, "not compiled when the package was installed (no C compiler?)"
 
 
+_at = ctypes.c_size_t.from_address
+_HEAD: Final = object.__basicsize__
+
+
+def _is_first_field() -> bool:
+    """Whether the address of its numbers is an array's first field after Python's own, as in all of CPython's NumPy so far.
+
+    To read it there takes 0.2 us; `array.ctypes.data` takes 1 us of each argument.
+    """
+    if sys.implementation.name != "cpython":
+        return False
+    probe = np.zeros(4)
+    return all(_at(id(one) + _HEAD).value == one.ctypes.data for one in (probe, probe[1:], np.zeros((2, 3), np.float32)))
+
+
+_first_field = _is_first_field()
 _library, why_absent = _load()
 _enabled = _library is not None
 
@@ -63,12 +81,13 @@ class Kernel:
 
     def __init__(self, name: str, *types: type[Any]) -> None:
         self._name = name
-        self._types = tuple(_SCALARS.get(one) or np.dtype(one) for one in types)
+        kinds = [_SCALARS.get(one) or np.dtype(one) for one in types]
+        self._arrays = tuple((i, one) for i, one in enumerate(kinds) if isinstance(one, np.dtype))
         self._call: Any = None
         if _library is not None:
             self._call = getattr(_library, name)
             self._call.restype = None
-            self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in self._types]
+            self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in kinds]
 
     def __bool__(self) -> bool:
         return _enabled
@@ -79,14 +98,12 @@ class Kernel:
         Raises:
             TypeError: If an array has another dtype, or is not contiguous; a pointer to it would be read as garbage.
         """
-        passed = []
-        for kind, value in zip(self._types, arguments, strict=True):
-            if not isinstance(kind, np.dtype):
-                passed.append(value)
-            elif value.dtype == kind and value.flags.c_contiguous:
-                passed.append(value.ctypes.data)
-            else:
+        passed = list(arguments)
+        for i, kind in self._arrays:
+            value = passed[i]
+            if value.dtype != kind or not value.flags.c_contiguous:
                 raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
+            passed[i] = _at(id(value) + _HEAD).value if _first_field else value.ctypes.data
         if self._call is None:
             raise RuntimeError(f"{self._name}: {why_absent}")
         self._call(*passed)

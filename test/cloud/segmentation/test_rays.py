@@ -53,8 +53,8 @@ def test_one_damaged_coordinate_does_not_move_the_table(value: float, axis: int,
 def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table(value: float, axis: int) -> None:
     xyz = _scene()
     config = SegmentationConfig()
-    coarse, stride = _coarse(xyz, config.crop)
-    sampled = _sample(coarse, config.crop)
+    coarse, stride, in_range = _coarse(xyz, config.crop)
+    sampled = _sample(in_range)
     expected = _strictly(Cloud(xyz)).plane
     for index in sampled[:: len(sampled) // 10]:
         row, column = (stride * int(i) for i in np.divmod(index, coarse.shape[1]))

@@ -2,8 +2,9 @@
 """PCL's VoxelGrid, NormalEstimation and StatisticalOutlierRemoval, as GeoGrasp uses them.
 
 Comparisons and sums that decide on single points are made in float32, as in PCL. Neighbours of the outlier filter are
-found by a k-d tree or, for the points of a depth image, in a window of its pixels. The tree is that of small_gicp: on
-one thread, 51 neighbours of each of 3000 points take two thirds of the time of SciPy's.
+found in C (kernels/neighbours.c). Without it they are found by a k-d tree or, for the points of a depth image, in a window
+of its pixels. The tree is that of small_gicp: on one thread, 51 neighbours of each of 3000 points take two thirds of the
+time of SciPy's.
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,15 @@ import numpy.typing as npt
 
 from foretouch.cloud.geometry.pixel_window import PixelGrid, window_mean_distance
 from foretouch.errors import CloudError
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64
+
+_mean_neighbour_distance = Kernel("mean_neighbour_distance", np.float32, int, int, np.float32, np.uint8)
+_compiled_moments = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
+_fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float64, np.float64)
+_voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
+_cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
+_cell_moments = Kernel("cell_moments", np.float32, int, np.float32, np.int64, int, np.float64)
 
 _BLOCK_PAIRS = 60_000  # pairs of query and neighbour at a time: fits the cache and OpenBLAS's small-matrix kernel
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
@@ -41,6 +50,10 @@ class VoxelGrid:
             (M, C) float64.
         """
         means = np.empty((len(self.counts), values.shape[1]))
+        if _cell_means:
+            values = np.ascontiguousarray(values, np.float64)
+            _cell_means(values, *values.shape, self.cell, self.counts, len(self.counts), means)
+            return means
         for i, column in enumerate(values.T):
             means[:, i] = np.bincount(self.cell, column, minlength=len(self.counts)) / self.counts
         return means
@@ -61,6 +74,11 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     if len(xyz) == 0:
         return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64), leaf_m)
     per_m = np.float32(1.0) / np.float32(leaf_m)
+    if _voxel_cells:
+        cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
+        _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
+        if found[0] >= 0:  # else the grid is too wide for a table of its cells
+            return VoxelGrid(cell, counts[: found[0]].copy(), leaf_m)
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
     size = ijk.max(axis=1) + 1.0
@@ -108,15 +126,24 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid |
     # All points in a small cube are neighbours of each other: if they span a plane, so do the neighbours of each.
     if grid is None or grid.leaf_m > radius_m * _CUBE:
         grid = voxel_grid(xyz, radius_m * _CUBE)
-    spans = _spans_plane(grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None])
+    spans = _spans_plane(_moments_of_cells(xyz, grid))
     undecided = np.flatnonzero(~spans[grid.cell])
     # A subset of the neighbours that spans a plane is sufficient; all are used for the few remaining points.
     for step in (_SAMPLE_STEP, 1):
         if len(undecided) == 0:
             break
-        near = xyz[_in_box(xyz, xyz[undecided], radius_m)][::step]
+        near = np.ascontiguousarray(xyz[_in_box(xyz, xyz[undecided], radius_m)][::step])
         undecided = undecided[~_spans_plane(_summed_moments(near, xyz[undecided], radius_m))]
     return len(undecided)
+
+
+def _moments_of_cells(xyz: Float32, grid: VoxelGrid) -> Float64:
+    """(M, 10) float64: sums of the moments of the points of each cell."""
+    if _cell_moments:
+        sums = np.empty((len(grid.counts), 10))
+        _cell_moments(xyz, len(xyz), xyz[0], grid.cell, len(sums), sums)
+        return sums
+    return grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None]
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
@@ -131,6 +158,11 @@ def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bo
 
 def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
     """(Q, 10) float64: sums of the moments of each point's neighbours among `near`."""
+    if _compiled_moments:
+        sums = np.empty((len(points), 10))
+        _compiled_moments(near, len(near), points, len(points), float(np.float32(radius_m) ** 2), near[0], sums)
+        if sums[0, 0] >= 0.0:  # else there was no memory
+            return sums
     moments = _moments(near, near[0])
     limit = np.float32(radius_m) * np.float32(radius_m)
     columns = np.ascontiguousarray(near.T)
@@ -182,6 +214,9 @@ def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
     """Normals and curvature from the summed moments of each neighbourhood."""
     normals = np.full((len(sums), 3), np.nan)
     curvature = np.full(len(sums), np.nan)
+    if _fit_planes:
+        _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
+        return normals, curvature
     spans = _spans_plane(sums)
     values, vectors = np.linalg.eigh(_covariance(sums[spans]))
     normal = vectors[:, :, 0]
@@ -202,7 +237,7 @@ def inlier_mask(
         xyz: (N, 3) float32 [m], finite. N may be 0.
         neighbours: Number of nearest neighbours averaged for each point, excluding itself.
         deviations: Standard deviations above the mean that are still kept.
-        grid: The pixels of the points; faster, with the same result.
+        grid: The pixels of the points; faster without compiled loops (see `uses_pixels`), with the same result.
 
     Returns:
         (N,) bool.
@@ -213,13 +248,18 @@ def inlier_mask(
     return np.asarray(distance <= distance.mean() + deviations * distance.std(ddof=1))
 
 
+def uses_pixels() -> bool:
+    """Whether the search of neighbours is faster with the pixels of the points: the compiled one needs none."""
+    return not _mean_neighbour_distance
+
+
 def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None) -> Float32:
     """Mean distance from each point to its k nearest neighbours, excluding itself.
 
     Args:
         xyz: (N, 3) float32 [m], finite.
         k: Number of neighbours; all other points if there are fewer.
-        grid: The pixels of the points; faster, with the same result.
+        grid: The pixels of the points; faster without compiled loops, with the same result.
 
     Returns:
         (N,) float32 [m]; zero for a single point.
@@ -227,10 +267,14 @@ def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None)
     k = min(k, len(xyz) - 1)
     if k < 1:
         return np.zeros(len(xyz), np.float32)
-    if grid is None:
+    if _mean_neighbour_distance:
+        result, proven = np.empty(len(xyz), np.float32), np.empty(len(xyz), np.uint8)
+        _mean_neighbour_distance(np.ascontiguousarray(xyz), len(xyz), k, result, proven)
+    elif grid is None:
         return _tree_mean_distance(xyz, np.arange(len(xyz)), k)
-    result, proven = window_mean_distance(xyz, grid, k)
-    pending = np.flatnonzero(~proven)
+    else:
+        result, proven = window_mean_distance(xyz, grid, k)
+    pending = np.flatnonzero(proven == 0)
     if len(pending):
         result[pending] = _tree_mean_distance(xyz, pending, k)
     return result

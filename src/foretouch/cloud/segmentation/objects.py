@@ -8,10 +8,18 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32
+from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32, heights
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
+from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float64, Plane
+
+_collect_members = Kernel(
+    "collect_members",
+    *(np.int32, np.uint8, int, int, int, int, np.float32, int, np.float32, int),
+    *(np.int64, np.int64, np.float32, np.float64, np.float32, np.float32),
+)
+_compiled_ids = Kernel("write_ids", np.int32, int, int, int, int, np.int32, int, np.int32, np.int64)
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
 
@@ -73,8 +81,8 @@ def extract_objects(
     found: list[_Candidate] = []
     rejected = []
     for index, window in enumerate(windows):
-        for cluster, segment in _segments(flat, window, labels.shape):
-            if _plausible(segment, plane, config):
+        for cluster, segment, top_m in _segments(flat, window, labels.shape, plane):
+            if _plausible(segment, top_m, config):
                 found.append(_Candidate(segment.distance_m, index, cluster, segment))
             else:
                 rejected.append(segment.n_points)
@@ -86,16 +94,19 @@ def extract_objects(
         for number, candidate in enumerate(found, 1):
             if candidate.window == index:
                 ids[candidate.cluster] = number
-        window_ids = ids.take(window.labels)
-        labelled += int(np.count_nonzero(window_ids))
-        np.copyto(_part(labels, window), window_ids, where=window_ids > 0)
+        labelled += _write_ids(labels, window, ids)
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
     return objects, counts
 
 
-def _segments(flat: Cloud, window: Clusters, shape: tuple[int, ...]) -> Iterator[tuple[int, ObjectSegment]]:
-    """The clusters of a window with solid points, by label, as segments without an id."""
+def _segments(
+    flat: Cloud, window: Clusters, shape: tuple[int, ...], plane: Plane
+) -> Iterator[tuple[int, ObjectSegment, float]]:
+    """The clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
+    if _collect_members and len(shape) == 2 and flat.xyz.flags.c_contiguous:
+        yield from _compiled_segments(flat, window, shape[1], plane)
+        return
     pixels, ends = _members(window, shape)
     points = flat.take(pixels)
     start = 0
@@ -106,17 +117,51 @@ def _segments(flat: Cloud, window: Clusters, shape: tuple[int, ...]) -> Iterator
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
             rgb = None if points.rgb is None else points.rgb[start:end]
             part = Cloud(xyz, rgb, points.frame_id, points.stamp_ns)
-            yield cluster, ObjectSegment(0, part, pixels[start:end], columns.mean(axis=1), bounds)
+            top_m = float(heights(plane, xyz).max())
+            yield cluster, ObjectSegment(0, part, pixels[start:end], columns.mean(axis=1), bounds), top_m
         start = end
 
 
-def _plausible(candidate: ObjectSegment, plane: Plane, config: ClusterConfig) -> bool:
+def _compiled_segments(
+    flat: Cloud, window: Clusters, width: int, plane: Plane
+) -> Iterator[tuple[int, ObjectSegment, float]]:
+    """`_segments` of an image of some width by kernels/clusters.c."""
+    count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
+    ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
+    columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
+    place = (*window.labels.shape, window.rows, window.columns)
+    solid, table = window.solid.view(np.uint8), plane.coefficients.astype(np.float32)
+    found = (ends, pixels, points, columns, bounds, tops)
+    _collect_members(window.labels, solid, *place, flat.xyz, width, table, window.n_labels, *found)
+    start = 0
+    for cluster, end in enumerate(ends.tolist()):
+        if end > start:
+            rgb = None if flat.rgb is None else flat.rgb.take(pixels[start:end], axis=0)
+            part = Cloud(points[start:end], rgb, flat.frame_id, flat.stamp_ns)
+            centroid = columns[:, start:end].mean(axis=1)
+            box = bounds[cluster].astype(np.float64)
+            yield cluster, ObjectSegment(0, part, pixels[start:end], centroid, box), float(tops[cluster])
+        start = end
+
+
+def _plausible(candidate: ObjectSegment, top_m: float, config: ClusterConfig) -> bool:
     """Neither speckle nor noise of the table, nor a wall."""
     return bool(
         candidate.n_points >= config.min_points
         and (candidate.bounds[1] - candidate.bounds[0]).max() <= config.max_extent_m
-        and plane.height(candidate.cloud.xyz).max() >= config.min_top_m
+        and np.float32(top_m) >= np.float32(config.min_top_m)
     )
+
+
+def _write_ids(labels: Int32, window: Clusters, ids: Int32) -> int:
+    """Write the ids of a window's clusters into the labels of the cloud; their number of pixels."""
+    if _compiled_ids and labels.ndim == 2:
+        count, place = np.empty(1, np.int64), (*window.labels.shape, window.rows, window.columns)
+        _compiled_ids(window.labels, *place, ids, labels.shape[1], labels, count)
+        return int(count[0])
+    window_ids = ids.take(window.labels)
+    np.copyto(_part(labels, window), window_ids, where=window_ids > 0)
+    return int(np.count_nonzero(window_ids))
 
 
 def _part(image: Int32, clusters: Clusters) -> Int32:

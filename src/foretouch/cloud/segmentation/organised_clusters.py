@@ -20,9 +20,20 @@ import numpy.typing as npt
 from foretouch.cloud.segmentation.clusters import Bool, ClusterConfig, Clusters, HeightThreshold, Int32
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.rays import RayFilter
+from foretouch.kernels import Kernel
 from foretouch.types import Float32
 
 Index = npt.NDArray[np.intp]
+
+_grid_patches = Kernel(
+    "grid_patches",
+    *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64),
+)
+_label_window = Kernel(
+    "label_window",
+    *(np.float32, int, int, int, int, int, np.int32, int, int, int, int),
+    *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
+)
 
 _BASE_FRACTION = 1 / 3  # of the height threshold: from this height a pixel beside an object may be its base
 _SUPPORT = 4  # of eight neighbours at a pixel's own depth: a straight edge has 5, a flying pixel about 2
@@ -82,9 +93,13 @@ def label_organised(
         Labelled windows of the image, one around each patch above the table. The rectangles may overlap, but
         no pixel has a label in two of them. Small clusters are not yet removed.
     """
+    if _label_window and xyz.flags.c_contiguous and coarse.flags.c_contiguous:
+        windows = _label_compiled(xyz, coarse, stride, crop, threshold, config, rays)
+        if windows is not None:
+            return windows
     from scipy.ndimage import find_objects
 
-    min_nodes = max(1, config.min_points // (2 * stride * stride))
+    min_nodes = _min_nodes(config, stride)
     height, above = threshold.measure(coarse, coarse[..., 2])
     above &= in_range(coarse[..., 2], crop)
     if rays is not None:
@@ -112,6 +127,60 @@ def label_organised(
         taken[part] |= solid
         found.append(Clusters(labels, solid, int(nodes.max(initial=0)), part[0].start, part[1].start))
     return found
+
+
+def _min_nodes(config: ClusterConfig, stride: int) -> int:
+    """Smallest number of pixels of the coarse grid that may belong to an object."""
+    return max(1, config.min_points // (2 * stride * stride))
+
+
+def _label_compiled(
+    xyz: Float32,
+    coarse: Float32,
+    stride: int,
+    crop: CropConfig,
+    threshold: HeightThreshold,
+    config: ClusterConfig,
+    rays: RayFilter | None,
+) -> list[Clusters] | None:
+    """`label_organised` by kernels/clusters.c; None without memory."""
+    image, grid = xyz.shape[:2], coarse.shape[:2]
+    min_nodes, pitch = _min_nodes(config, stride), _pixel_pitch(coarse) / stride
+    settings = np.array(
+        [
+            *threshold.plane.coefficients,
+            *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
+            *(config.max_slope * pitch, config.flying_slope * pitch, config.gap_m, config.min_top_m),
+            *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
+        ]
+    )
+    patches, found = np.empty(grid, np.int32), np.empty(2, np.int64)
+    boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
+    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, found)
+    if found[0] < 0:
+        return None
+    if found[1] and rays is not None:
+        rows, columns = np.nonzero(patches < 0)
+        rays.record(stride * (rows * image[1] + columns))
+    spans = boxes[: found[0]] + (-1, 1, -1, 1)  # a margin of one cell
+    spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
+    low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
+    marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
+    marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
+    windows: list[Clusters] = []
+    any_beside = False
+    for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
+        labels, solid = np.empty((bottom - top, right - left), np.int32), np.empty((bottom - top, right - left), np.uint8)
+        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
+        _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
+        if found[0] < 0:
+            return None
+        any_beside |= found[1] > 0
+        windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
+    if any_beside and rays is not None:
+        rows, columns = np.nonzero(marks & 2)
+        rays.record((rows + low[0]) * image[1] + columns + low[2])
+    return windows
 
 
 def _off_grid(coarse: Float32, above: Bool, stride: int, rays: RayFilter, width: int) -> Bool:
@@ -172,7 +241,11 @@ def _pixel_pitch(xyz: Float32) -> float:
         ray = rows[..., 0] / rows[..., 2]
         steps = np.abs(np.diff(ray, axis=1))
     steps = steps[np.isfinite(steps)]
-    return float(np.median(steps)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    middle = [(steps.size - 1) // 2, steps.size // 2]
+    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
+    return float((low + high) / np.float32(2.0))
 
 
 def _label_grid(window: _Window, patch: Bool, min_nodes: int) -> Int32:

@@ -6,16 +6,30 @@ matrix product, then two least-squares refits in float64. It stops once a better
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.config import Settings, setting
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Plane
+
+_count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
+_points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
+_residuals_near = Kernel(
+    "residuals_near",
+    *(np.float64, np.float64, int, float, float, float, np.float64, np.float64, np.int64),
+)
 
 _SCORED = 512  # points that score a hypothesis
 _REFIT = 4096  # points of the final fit
 _BATCH = 64  # hypotheses scored at once
+Index = npt.NDArray[np.intp]
+_Rows = Index | slice
+
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
 
 
@@ -68,32 +82,55 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
     """
     if len(xyz) < 3:
         return PlaneFit(None, f"{len(xyz)} points span no plane")
-    rng = np.random.default_rng(config.seed)
-    points = _some(xyz, _REFIT, rng).astype(np.float64)
+    fitted, some, _ = _first_draws(config.seed, len(xyz))
+    points = xyz[fitted].astype(np.float64)
     origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
     points -= origin
-    scored = _some(points, _SCORED, rng).astype(np.float32)
-    best = _ransac(scored, config, rng)
+    scored = points[some].astype(np.float32)
+    best = _ransac(scored, config, _batches(config.seed, len(xyz)))
     if best is None:
         return PlaneFit(None, "all points coincide or are collinear", scored=len(scored))
     return _refit(points, origin, best, config)
 
 
-def _some(points: Float32 | Float64, count: int, rng: np.random.Generator) -> Float32 | Float64:
-    """At most `count` rows, evenly spread over the order, with random offsets: cheap, and independent of scan lines."""
-    if len(points) <= count:
-        return points
-    step = len(points) / count
-    return points[((np.arange(count) + rng.random(count)) * step).astype(np.intp)]
+def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
+    fitted = _some(n, _REFIT, rng)
+    some = _some(min(n, _REFIT), _SCORED, rng)
+    return fitted, some, rng.integers(min(n, _SCORED), size=(3, _BATCH))
 
 
-def _ransac(points: Float32, config: PlaneConfig, rng: np.random.Generator) -> Float32 | None:
+@lru_cache(maxsize=8)
+def _first_draws(seed: int, n: int) -> tuple[_Rows, _Rows, Index]:
+    """Which of n points are fitted, which of those are scored, and the first batch of triples of those.
+
+    They depend on nothing else, and nearly all clouds have the same n: drawing them anew takes a tenth of the fit.
+    """
+    return _draw(n, np.random.default_rng(seed))
+
+
+def _batches(seed: int, n: int) -> Iterator[Index]:
+    """Batches (3, _BATCH) of triples of the scored points, without end."""
+    yield _first_draws(seed, n)[2]
+    rng = np.random.default_rng(seed)
+    _draw(n, rng)
+    while True:
+        yield rng.integers(min(n, _SCORED), size=(3, _BATCH))
+
+
+def _some(n: int, count: int, rng: np.random.Generator) -> _Rows:
+    """At most `count` of n rows, evenly spread over the order, with random offsets: cheap, and independent of scan lines."""
+    if n <= count:
+        return slice(None)
+    return np.asarray((np.arange(count) + rng.random(count)) * (n / count), np.intp)
+
+
+def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> Float32 | None:
     """(4,) float32 a, b, c, d of the hypothesis with most points, None if all are degenerate."""
     best, most, trials = None, 0, 0
     needed: float = config.max_trials
     while trials < min(needed, config.max_trials):
-        a, b, c = points[rng.integers(len(points), size=(3, _BATCH))]
-        normals = np.cross(b - a, c - a)
+        a, b, c = points[next(batches)]
+        normals = _cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1)
         usable = lengths > 1e-9
         trials += _BATCH
@@ -101,16 +138,30 @@ def _ransac(points: Float32, config: PlaneConfig, rng: np.random.Generator) -> F
             continue
         normals = normals[usable] / lengths[usable, None]
         offsets = -np.einsum("ij,ij->i", normals, a[usable])
-        distance = normals @ points.T
-        distance += offsets[:, None]
-        np.abs(distance, out=distance)
-        counts = np.count_nonzero(distance < np.float32(config.threshold_m), axis=1)
+        counts = _counts(normals @ points.T, offsets, config.threshold_m)
         first = int(counts.argmax())
         if counts[first] > most:
             most = int(counts[first])
             best = np.append(normals[first], offsets[first])
             needed = _trials_needed(most / len(points))
     return best
+
+
+def _counts(distance: Float32, offsets: Float32, reach_m: float) -> Index:
+    """(m,) number of points near each plane, from distances (m, n) but for the offsets; `distance` may be changed."""
+    if _count_near:
+        counts = np.empty(len(offsets), np.int64)
+        _count_near(distance, offsets, *distance.shape, reach_m, counts)
+        return counts
+    distance += offsets[:, None]
+    np.abs(distance, out=distance)
+    return np.count_nonzero(distance < np.float32(reach_m), axis=1)
+
+
+def _cross(a: Float32, b: Float32) -> Float32:
+    """Cross products of rows (n, 3), in a third of the time of np.cross."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _trials_needed(fraction: float) -> float:
@@ -124,21 +175,41 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
     normal, offset = abcd[:3].astype(np.float64), float(abcd[3])
     reach, spread = config.threshold_m, 0.0
     for _ in range(2):
-        inside = points[np.abs(points @ normal + offset) < reach]
+        inside = _near(points, points @ normal, offset, reach)
         normal, offset, rms, spread = _eigen_plane(inside)
         reach = min(config.threshold_m, max(2.5 * rms, 0.001))  # the second fit excludes the base of the objects
-    residual = points @ normal + offset
-    distance = np.abs(residual)
-    near = np.flatnonzero(distance < config.threshold_m)
-    inliers, wide = len(near), int(np.count_nonzero(distance < 3.0 * config.threshold_m))
-    kept = residual[near]
-    depth = points[near, 2] + origin[2]
+    kept, scaled, wide = _residuals(points, points @ normal, offset, config.threshold_m, float(origin[2]))
+    inliers = len(kept)
     rms = math.sqrt(kept @ kept / max(inliers, 1))
-    kept /= np.maximum(depth * depth, 1e-4)
-    noise = math.sqrt(kept @ kept / max(inliers, 1))
+    noise = math.sqrt(scaled @ scaled / max(inliers, 1))
     reason = _fault(inliers / len(points), inliers / max(wide, 1), spread, config)
     plane = None if reason else _towards_camera(normal, offset - float(normal @ origin))
     return PlaneFit(plane, reason, rms, noise, inliers, len(points))
+
+
+def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:
+    """The points (n, 3) within reach of a plane, from their distances (n,) but for its offset."""
+    if _points_near:
+        near, count = np.empty((len(points) + 1, 3)), np.empty(1, np.int64)
+        _points_near(points, along, len(points), offset, reach, near, count)
+        return near[: count[0]]
+    return points[np.abs(along + offset) < reach]
+
+
+def _residuals(
+    points: Float64, along: Float64, offset: float, reach: float, depth_m: float
+) -> tuple[Float64, Float64, int]:
+    """Residuals of the points within reach, those divided by the square of the depth, and the points within 3 reaches."""
+    if _residuals_near:
+        both, counts = np.empty((2, len(points) + 1)), np.empty(2, np.int64)
+        _residuals_near(points, along, len(points), offset, reach, depth_m, both[0], both[1], counts)
+        return both[0, : counts[0]], both[1, : counts[0]], int(counts[1])
+    residual = along + offset
+    distance = np.abs(residual)
+    near = np.flatnonzero(distance < reach)
+    kept = residual[near]
+    depth = points[near, 2] + depth_m
+    return kept, kept / np.maximum(depth * depth, 1e-4), int(np.count_nonzero(distance < 3.0 * reach))
 
 
 def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:

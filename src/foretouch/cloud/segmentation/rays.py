@@ -18,6 +18,7 @@ from foretouch.types import Float32, Float64
 Index = npt.NDArray[np.intp]
 
 _FITTED = 128  # points that the rays are fitted to
+_NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
 
 
@@ -94,6 +95,12 @@ class RayFilter:
                 off &= z > 0.0
         return off
 
+    @property
+    def numbers(self) -> list[float]:
+        """The largest deviation, and for x/z and y/z: at the first pixel, per column, per row."""
+        slopes = [[tangent, *(one if abs(one) > _NO_SLOPE else 0.0 for one in rest)] for tangent, *rest in self._slopes]
+        return [float(self._deviation), *slopes[0], *slopes[1]]
+
     def record(self, pixels: Index) -> None:
         """Count dropped points by their flat index in the image; each counts once."""
         self._dropped.append(pixels)
@@ -108,9 +115,9 @@ class RayFilter:
     def _tangent(self, axis: int, rows: Index, columns: Index) -> Float32:
         """x/z (axis 0) or y/z (axis 1) of pixels; broadcast from one dimension where the other has no effect."""
         tangent, by_column, by_row = self._slopes[axis]
-        if abs(by_column) > 1e-7:
+        if abs(by_column) > _NO_SLOPE:
             tangent = tangent + by_column * columns
-        if abs(by_row) > 1e-7:
+        if abs(by_row) > _NO_SLOPE:
             tangent = tangent + by_row * rows
         return np.asarray(tangent, np.float32)
 

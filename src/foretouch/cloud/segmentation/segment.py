@@ -22,9 +22,13 @@ from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
 from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, finite_rows, out_of_view
 from foretouch.config import Settings, setting
+from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32, Plane
 
 SegmentationStatus = Literal["ok", "empty_cloud", "bad_cloud", "too_few_points", "no_plane", "no_object"]
+
+_coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np.float32, np.int64, np.int64)
+
 _GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
@@ -124,8 +128,8 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
         if not image:
             xyz, n_out_of_view = _in_view(xyz, config)
             log.counts["off_ray"] = n_out_of_view
-        coarse, stride = _coarse(xyz, config.crop)
-        index = _sample(coarse, config.crop)
+        coarse, stride, index = _coarse(xyz, config.crop)
+        index = _sample(index)
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, sample = (
             _check_rays(sample, index, coarse, stride, xyz.shape[1], config) if image else (None, _finite(sample))
@@ -156,20 +160,35 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
     return "ok", "", fit.plane, objects, labels
 
 
-def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int]:
-    """Every fourth pixel of an image of 480 rows or more, unless few of them are in range; and the stride."""
+def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int, npt.NDArray[np.intp]]:
+    """Every fourth pixel of an image of 480 rows or more, unless few of them are in range.
+
+    Returns:
+        The coarse image, its stride, and the flat indices of its points in range.
+    """
     if xyz.ndim == 2:
-        return xyz, 1
-    stride = int(np.clip(min(xyz.shape[:2]) // _GRID_ROWS, 1, 8))
+        return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
+    stride = int(min(max(min(xyz.shape[:2]) // _GRID_ROWS, 1), 8))
+    coarse, index = _every(xyz, stride, config)
+    if stride == 1 or len(index) >= _SPARSE:
+        return coarse, stride, index
+    coarse, index = _every(xyz, 1, config)
+    return coarse, 1, index
+
+
+def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, npt.NDArray[np.intp]]:
+    """Every n-th row and column of an image, and the flat indices of the points in range."""
+    if stride > 1 and _coarse_grid and xyz.flags.c_contiguous:
+        coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
+        index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
+        _coarse_grid(xyz, *xyz.shape[:2], stride, config.min_range_m, config.max_range_m, coarse, index, count)
+        return coarse, index[: count[0]]
     coarse = np.ascontiguousarray(xyz[::stride, ::stride])
-    if stride == 1 or np.count_nonzero(in_range(coarse[..., 2], config)) >= _SPARSE:
-        return coarse, stride
-    return np.ascontiguousarray(xyz), 1
+    return coarse, np.flatnonzero(in_range(coarse[..., 2], config))
 
 
-def _sample(xyz: Float32, config: CropConfig) -> npt.NDArray[np.intp]:
-    """(n,) flat indices of points in range, evenly distributed, as many as the plane fit needs."""
-    index = np.flatnonzero(in_range(xyz[..., 2], config))
+def _sample(index: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """(n,) points in range, evenly distributed, as many as the plane fit needs."""
     if len(index) > _PLANE_POINTS:
         index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
     return index
