@@ -7,9 +7,9 @@ everything derived from them are in the camera's optical frame (x right, y down,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -150,6 +150,16 @@ class Grasp:
         return float(np.linalg.norm(self.g1 - self.g2))
 
 
+def stacked(grasps: Sequence[Grasp]) -> tuple[Float64, Float64, Float64]:
+    """(K, 3) g1, (K, 3) g2 and (K, 3, 3) rotations of K grasps, float64."""
+    if not grasps:
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+    parts = ([grasp.g1 for grasp in grasps], [grasp.g2 for grasp in grasps], [grasp.rotation for grasp in grasps])
+    # concatenate() takes half the time of array() for many small arrays.
+    g1, g2, rotation = (np.concatenate(part, dtype=np.float64) for part in parts)
+    return g1.reshape(-1, 3), g2.reshape(-1, 3), rotation.reshape(-1, 3, 3)
+
+
 @dataclass(frozen=True, eq=False)
 class Touch:
     """A tactile reading of both fingers [counts].
@@ -176,6 +186,21 @@ class Touch:
             raise TactileError(f"touch: shape {vector.shape} is not ({TOUCH_SIZE},)")
         v = vector.astype(np.float64)
         return cls(float(v[0]), float(v[1]), v[2 : 2 + ELECTRODES], v[2 + ELECTRODES :])
+
+    @classmethod
+    def from_rows(cls, rows: npt.NDArray[np.floating]) -> list[Self]:
+        """Readings from (K, 50): as `from_vector` of each row, in a third of the time for many."""
+        if rows.ndim != 2 or rows.shape[1] != TOUCH_SIZE:
+            raise TactileError(f"touch: shape {rows.shape} is not (K, {TOUCH_SIZE})")
+        copy = rows.astype(np.float64)
+        touches = []
+        for (pdc_th, pdc_mf), e_th, e_mf in zip(
+            copy[:, :2].tolist(), copy[:, 2 : 2 + ELECTRODES], copy[:, 2 + ELECTRODES :], strict=True
+        ):
+            touch = cls.__new__(cls)  # the shapes are right, and a frozen class sets each field by a call
+            touch.__dict__.update(pdc_th=pdc_th, pdc_mf=pdc_mf, e_th=e_th, e_mf=e_mf)
+            touches.append(touch)
+        return touches
 
     def vector(self) -> Float64:
         """(50,) float64: PDC_TH, PDC_MF, E_TH, E_MF."""
