@@ -8,6 +8,7 @@ from foretouch.errors import GraspError
 from foretouch.types import SQUARABLE, Float64
 
 PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
+_IDENTITY = np.eye(3)
 _SKEWED = 1e-3  # largest deviation of a rotation times its transpose from the identity
 
 
@@ -91,12 +92,8 @@ def check_rotation(rotation: Float64) -> None:
 def surely_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
     """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
     with np.errstate(over="ignore", invalid="ignore"):
-        skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        x, y, z = rotations[:, 0].T, rotations[:, 1].T, rotations[:, 2].T
-        volume = (
-            x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0])
-        )
-        return np.asarray((skewed < 0.999 * _SKEWED) & (volume > 0.0), np.bool_)
+        skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
+        return np.asarray((skewed < 0.999 * _SKEWED) & (np.linalg.det(rotations) > 0.0), np.bool_)
 
 
 def _unit(vector: Float64, name: str) -> Float64:

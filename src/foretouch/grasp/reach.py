@@ -75,14 +75,14 @@ def surely_in_reach(
     points = cloud_xyz.reshape(-1, 3)
     few = points[:: max(1, len(points) // _SAMPLED)].astype(np.float64)
     few = few[np.isfinite(few).all(axis=1)]
-    few = few[np.argsort(np.abs(np.arange(len(few)) - len(few) // 2), kind="stable")]
-    parts = np.split(few, range(1, len(few), _TOGETHER))
+    middle = len(few) // 2
+    parts = [slice(middle, middle + 1), *(slice(k, k + _TOGETHER) for k in range(0, len(few), _TOGETHER))]
     with np.errstate(over="ignore", invalid="ignore"):
         accepted = np.asarray(((g1 - g2) ** 2).sum(axis=1) <= _CLEARLY * max_width_m**2, np.bool_)
         for contacts in (g1, g2):
             left = np.flatnonzero(accepted)
             for part in parts:
-                apart = ((contacts[left][:, None] - part) ** 2).sum(axis=2)
+                apart = ((contacts[left][:, None] - few[part]) ** 2).sum(axis=2)
                 left = left[~(apart <= _CLEARLY * max_distance_m**2).any(axis=1)]
                 if not left.size:
                     break

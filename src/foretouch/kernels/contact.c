@@ -12,9 +12,24 @@
 #define FLAT 2e-12     /* a smaller variance across a patch, over the terms that it is a difference of, is rounding */
 
 /* Index of the cell of a coordinate, which may be any number. */
-static int64_t cell_of(double x, double low, double per_m, int64_t cells) {
-    const double at = (x - low) * per_m;
-    return !(at >= 1.0) ? 0 : at >= (double)cells ? cells - 1 : (int64_t)at;
+static inline int64_t cell_of(double x, double low, double per_m, int64_t cells) {
+    const double at = (x - low) * per_m, last = (double)(cells - 1);
+    return (int32_t)(at > last ? last : at > 0.0 ? at : 0.0);
+}
+
+/* Cells of points (n, 3) in a grid; see sort_into_cells. */
+VECTORISED static void find_cells(const double *xyz, int64_t n, const double *grid, const int64_t *cells, int32_t *cell) {
+    const double low[3] = {grid[0], grid[1], grid[2]}, per_m = grid[3];
+    const double last[3] = {(double)(cells[0] - 1), (double)(cells[1] - 1), (double)(cells[2] - 1)};
+    const int32_t columns = (int32_t)cells[0], rows = (int32_t)cells[1];
+    for (int64_t i = 0; i < n; i++) {
+        int32_t at[3];
+        for (int k = 0; k < 3; k++) {
+            const double x = (xyz[3 * i + k] - low[k]) * per_m;
+            at[k] = (int32_t)(x > last[k] ? last[k] : x > 0.0 ? x : 0.0);
+        }
+        cell[i] = (at[2] * rows + at[1]) * columns + at[0];
+    }
 }
 
 /* Points (n, 3) as columns (3, n), sorted by the cells of a grid of cells[0] x cells[1] x cells[2], x fastest; those of
@@ -24,22 +39,18 @@ void sort_into_cells(
 ) {
     const int64_t count = cells[0] * cells[1] * cells[2];
     memset(starts, 0, (count + 1) * sizeof *starts);
+    find_cells(xyz, n, grid, cells, cell);
     for (int64_t i = 0; i < n; i++) {
-        const double *p = xyz + 3 * i;
-        int64_t at = cell_of(p[2], grid[2], grid[3], cells[2]);
-        at = at * cells[1] + cell_of(p[1], grid[1], grid[3], cells[1]);
-        at = at * cells[0] + cell_of(p[0], grid[0], grid[3], cells[0]);
-        cell[i] = (int32_t)at;
-        starts[at + 1]++;
+        starts[cell[i] + 1]++;
     }
     for (int64_t k = 0; k < count; k++) {
         starts[k + 1] += starts[k];
     }
     for (int64_t i = 0; i < n; i++) {
         const int64_t at = starts[cell[i]]++;
-        for (int64_t k = 0; k < 3; k++) {
-            sorted[k * n + at] = xyz[3 * i + k];
-        }
+        sorted[at] = xyz[3 * i];
+        sorted[n + at] = xyz[3 * i + 1];
+        sorted[2 * n + at] = xyz[3 * i + 2];
     }
     for (int64_t k = count; k > 0; k--) { /* each start was moved to the next one */
         starts[k] = starts[k - 1];

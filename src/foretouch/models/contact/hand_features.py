@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from foretouch.kernels import Kernel
-from foretouch.models.contact.features import distances, principal_axes, quantiles, usable_points
+from foretouch.models.contact.features import centred_columns, distances, principal_axes, quantiles, usable_points
 from foretouch.types import Float64, Grasp, stacked
 
 _GRID = (np.float64, np.int64, np.int32)
@@ -96,8 +96,8 @@ class HandScene:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
         self._points = usable_points(xyz)
-        self._centre = self._points.mean(axis=0)
-        centred = self._centred = self._points - self._centre
+        self._centre, self._columns = centred_columns(self._points)
+        centred = self._centred = self._columns.T.copy()
         self._covariance = centred.T @ centred / len(centred)
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
@@ -106,7 +106,7 @@ class HandScene:
         self._top = low  # nearest to the camera
         extents = [end - start for start, end in along]
         self.object_features: Float64 = np.concatenate(
-            [spreads, extents, quantiles(distances(centred), _QUARTERS), [high - low]]
+            [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
         away = np.sqrt((self._centre**2).sum())
         self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(centred))])
@@ -128,13 +128,12 @@ class HandScene:
 
         That is: columns of (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts.
         """
-        columns = self._centred.T.copy()
-        low, high = columns.min(axis=1), columns.max(axis=1)
+        low, high = self._columns.min(axis=1), self._columns.max(axis=1)
         edge = max(_CELL, float((high - low).max()) / _MOST_CELLS)
         if not np.isfinite(edge) or len(self._centred) >= 2**31:
             return None
         grid, cells = np.append(low, 1.0 / edge), ((high - low) / edge).astype(np.int64) + 1
-        starts = np.empty(cells.prod() + 1, np.int32)
+        starts, columns = np.empty(cells.prod() + 1, np.int32), np.empty_like(self._columns)
         _sort_into_cells(
             self._centred, len(self._centred), grid, cells, np.empty(len(self._centred), np.int32), starts, columns
         )
