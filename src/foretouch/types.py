@@ -7,8 +7,9 @@ everything derived from them are in the camera's optical frame (x right, y down,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -150,14 +151,25 @@ class Grasp:
         return float(np.linalg.norm(self.g1 - self.g2))
 
 
+class GraspList(tuple[Grasp, ...]):
+    """Grasps whose arrays are made once, however many functions need them."""
+
+    @cached_property
+    def arrays(self) -> tuple[Float64, Float64, Float64]:
+        """See `stacked`; read-only."""
+        if not self:
+            return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
+        parts = ([grasp.g1 for grasp in self], [grasp.g2 for grasp in self], [grasp.rotation for grasp in self])
+        # concatenate() takes half the time of array() for many small arrays.
+        g1, g2, rotation = (np.concatenate(part, dtype=np.float64) for part in parts)
+        for one in (g1, g2, rotation):
+            one.flags.writeable = False
+        return g1.reshape(-1, 3), g2.reshape(-1, 3), rotation.reshape(-1, 3, 3)
+
+
 def stacked(grasps: Sequence[Grasp]) -> tuple[Float64, Float64, Float64]:
     """(K, 3) g1, (K, 3) g2 and (K, 3, 3) rotations of K grasps, float64."""
-    if not grasps:
-        return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3))
-    parts = ([grasp.g1 for grasp in grasps], [grasp.g2 for grasp in grasps], [grasp.rotation for grasp in grasps])
-    # concatenate() takes half the time of array() for many small arrays.
-    g1, g2, rotation = (np.concatenate(part, dtype=np.float64) for part in parts)
-    return g1.reshape(-1, 3), g2.reshape(-1, 3), rotation.reshape(-1, 3, 3)
+    return grasps.arrays if isinstance(grasps, GraspList) else GraspList(grasps).arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +205,11 @@ class Touch:
         if rows.ndim != 2 or rows.shape[1] != TOUCH_SIZE:
             raise TactileError(f"touch: shape {rows.shape} is not (K, {TOUCH_SIZE})")
         copy = rows.astype(np.float64)
+        pdc_th, pdc_mf, e_th, e_mf = copy[:, 0], copy[:, 1], copy[:, 2 : 2 + ELECTRODES], copy[:, 2 + ELECTRODES :]
         touches = []
-        for (pdc_th, pdc_mf), e_th, e_mf in zip(
-            copy[:, :2].tolist(), copy[:, 2 : 2 + ELECTRODES], copy[:, 2 + ELECTRODES :], strict=True
-        ):
+        for th, mf, electrodes_th, electrodes_mf in zip(pdc_th.tolist(), pdc_mf.tolist(), e_th, e_mf, strict=True):
             touch = cls.__new__(cls)  # the shapes are right, and a frozen class sets each field by a call
-            touch.__dict__.update(pdc_th=pdc_th, pdc_mf=pdc_mf, e_th=e_th, e_mf=e_mf)
+            touch.__dict__.update(pdc_th=th, pdc_mf=mf, e_th=electrodes_th, e_mf=electrodes_mf)
             touches.append(touch)
         return touches
 
@@ -230,6 +241,22 @@ class TouchPrediction:
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
     evidence: Evidence = Evidence()  # the readings behind `reference`
+
+    @classmethod
+    def usable(
+        cls,
+        rows: Iterable[tuple[Grasp, Touch, Touch | None, Touch | None, tuple[str, ...]]],
+        reference: Reference,
+        evidence: Evidence,
+    ) -> list[Self]:
+        """Predictions with status "ok" from grasps, values, bounds and flags, in half of the time for many."""
+        shared = {"reference": reference, "status": "ok", "reason": "", "evidence": evidence}
+        predictions = []
+        for grasp, value, lower, upper, flags in rows:
+            prediction = cls.__new__(cls)
+            prediction.__dict__.update(shared, grasp=grasp, value=value, lower=lower, upper=upper, flags=flags)
+            predictions.append(prediction)
+        return predictions
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch import kernels
 from foretouch.errors import ModelError
-from foretouch.models.contact.features import quantiles
 from foretouch.models.contact.hand_features import FEATURES, SLOPE_FEATURES, HandScene
 from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.registry import load_model
@@ -88,7 +87,7 @@ def test_a_plane_is_left_to_numpy(rng) -> None:
 
 
 def test_a_million_points(rng) -> None:
-    turns, heights = rng.uniform(0.0, 2.0 * np.pi, 1_000_000), rng.uniform(-0.2, 0.2, 1_000_000)
+    turns, heights = rng.uniform(0.0, 2.0 * np.pi, 1_000_000), rng.uniform(-0.25, 0.25, 1_000_000)
     points = PLACE + np.column_stack([0.05 * np.cos(turns), heights, 0.05 * np.sin(turns)])
     points += 0.001 * rng.normal(size=points.shape)
     compiled, plain = both(points.astype(np.float32), grasps_on(points, 2, rng))
@@ -108,15 +107,6 @@ def test_a_row_is_the_same_alone_and_among_others(rng) -> None:
     scene = HandScene(points)
     assert_array_equal(scene.describe(grasps), np.concatenate([scene.describe([one]) for one in grasps]))
     assert scene.describe([]).shape == (0, len(FEATURES))
-
-
-@pytest.mark.parametrize("count", [1, 2, 8, 999, 1000])
-@pytest.mark.parametrize("shares", [(0.02, 0.98), (0.25, 0.5, 0.75, 0.98), (0.0, 1.0)])
-def test_quantiles_are_those_of_numpy(count: int, shares: tuple[float, ...], rng) -> None:
-    values = rng.normal(size=count)
-    assert_array_equal(quantiles(values, shares), np.quantile(values, shares))
-    values[::2] = values[0]
-    assert_array_equal(quantiles(values, shares), np.quantile(values, shares))
 
 
 @cache

@@ -24,7 +24,18 @@ from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, surel
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import TactileRanges, check_touch
-from foretouch.types import TOUCH_SIZE, Cloud, Evidence, Float64, Grasp, Reference, Touch, TouchPrediction, stacked
+from foretouch.types import (
+    TOUCH_SIZE,
+    Cloud,
+    Evidence,
+    Float64,
+    Grasp,
+    GraspList,
+    Reference,
+    Touch,
+    TouchPrediction,
+    stacked,
+)
 
 _EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
 _FLAGS = {
@@ -181,9 +192,10 @@ class TouchModel:
         if history is not None and history.tracker.parameters is not self.new_tracker().parameters:
             raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         check_object(cloud.xyz, limits)
+        grasps = GraspList(grasps)
         refusals = _refusals(grasps, cloud, reach.max_width_m, reach.max_distance_m)
         if any(refusals):
-            usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
+            usable = GraspList(grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason)
             predicted = iter(self._predict(cloud, usable, tare, residuals, history))
             return [
                 TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
@@ -278,23 +290,19 @@ class TouchModel:
         self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
     ) -> list[TouchPrediction]:
         counts, half = adapted.counts, adapted.half
-        finite: list[bool] = np.isfinite(counts).all(axis=1).tolist()
         outside: list[bool] = self.ranges.outside(counts).any(axis=1).tolist()
+        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
         values = Touch.from_rows(counts)
         lower: Sequence[Touch | None] = [None] * len(grasps)
         upper = lower
         if self.calibration is not None:
             lower, upper = Touch.from_rows(counts - half), Touch.from_rows(counts + half)
-        return [
-            TouchPrediction(
-                grasp, value, low, high, adapted.reference, _FLAGS[beyond, known], evidence=adapted.evidence
-            )
-            if usable
-            else TouchPrediction(grasp, None, status="refused", reason="the model gives a value that is not finite")
-            for grasp, value, low, high, beyond, known, usable in zip(
-                grasps, values, lower, upper, outside, in_distribution.tolist(), finite, strict=True
-            )
-        ]
+        rows = zip(grasps, values, lower, upper, flags, strict=True)
+        predictions = TouchPrediction.usable(rows, adapted.reference, adapted.evidence)
+        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)):
+            reason = "the model gives a value that is not finite"
+            predictions[k] = TouchPrediction(grasps[k], None, status="refused", reason=reason)
+        return predictions
 
 
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.errors import CloudError
 from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Float64, Grasp
@@ -61,36 +62,6 @@ def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Fl
     return points
 
 
-def centred_columns(points: Float64) -> tuple[Float64, Float64]:
-    """(3,) mean of (N, 3) points, and (3, N) their coordinates from it.
-
-    Equal to `points.mean(axis=0)` and the difference, to the last bit; operations on rows of three take several times
-    as long.
-    """
-    columns = points.T.copy()
-    centre = np.cumsum(columns, axis=1)[:, -1] / len(points)
-    columns -= centre[:, None]
-    return centre, columns
-
-
-def distances(columns: Float64) -> Float64:
-    """(N,) of (3, N) coordinates from the origin."""
-    x, y, z = columns
-    return np.asarray(np.sqrt(x * x + y * y + z * z), np.float64)
-
-
-def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
-    """Of (N,) values: equal to `np.quantile`, to the last bit, in a third of the time."""
-    at = [share * (len(values) - 1) for share in shares]
-    below = [int(one) for one in at]
-    above = [min(one + 1, len(values) - 1) for one in below]
-    ordered = np.sort(values)  # NumPy's sort is vectorised; its partition by several indices is not
-    found = []
-    for low, high, t in zip(ordered[below].tolist(), ordered[above].tolist(), np.subtract(at, below), strict=True):
-        found.append(float(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t))
-    return found
-
-
 class ContactScene:
     """One object's points, prepared to describe grasps on it.
 
@@ -110,7 +81,6 @@ class ContactScene:
         self._centred = centred.T.copy()
         spreads, axes = _principal(self._centred)
         self._axis = axes[:, 2] * (1.0 if axes[np.abs(axes[:, 2]).argmax(), 2] >= 0.0 else -1.0)
-        self._along = quantiles(self._centred @ self._axis, _LOW_HIGH)
         columns = self._points.T.copy()
         distance = distances(centred)
         self.object_features: Float64 = np.concatenate(
@@ -123,6 +93,11 @@ class ContactScene:
                 quantiles(distance, (0.25, 0.5, 0.75)),
             ]
         )
+
+    @cached_property
+    def _along(self) -> list[float]:
+        """Ends of the object along its axis, from its centre [m]."""
+        return quantiles(self._centred @ self._axis, _LOW_HIGH)
 
     @cached_property
     def _tree(self) -> cKDTree:

@@ -22,8 +22,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.kernels import Kernel
-from foretouch.models.contact.features import centred_columns, distances, principal_axes, quantiles, usable_points
+from foretouch.models.contact.features import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, stacked
 
 _GRID = (np.float64, np.int64, np.int32)
