@@ -290,8 +290,9 @@ class TouchModel:
         self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
     ) -> list[TouchPrediction]:
         counts, half = adapted.counts, adapted.half
-        outside: list[bool] = self.ranges.outside(counts).any(axis=1).tolist()
-        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
+        outside: list[bool] = np.any(self.ranges.outside(counts), axis=1).tolist()
+        known: list[bool] = in_distribution.tolist()
+        flags = [_FLAGS[pair] for pair in zip(outside, known, strict=True)]
         values = Touch.from_rows(counts)
         lower: Sequence[Touch | None] = [None] * len(grasps)
         upper = lower
@@ -299,7 +300,7 @@ class TouchModel:
             lower, upper = Touch.from_rows(counts - half), Touch.from_rows(counts + half)
         rows = zip(grasps, values, lower, upper, flags, strict=True)
         predictions = TouchPrediction.usable(rows, adapted.reference, adapted.evidence)
-        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)):
+        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist():
             reason = "the model gives a value that is not finite"
             predictions[k] = TouchPrediction(grasps[k], None, status="refused", reason=reason)
         return predictions
