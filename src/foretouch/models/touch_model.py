@@ -113,6 +113,11 @@ class TouchModel:
         self._unread = None if parameters is None else SensorTracker(parameters)
 
     @property
+    def estimator(self) -> Estimator:
+        """Predicts from the cloud and the grasp alone."""
+        return self._estimator
+
+    @property
     def tracks(self) -> bool:
         """Whether its calibration has the parameters of a tracker, so that predictions may adapt to a `history`."""
         return self._unread is not None
