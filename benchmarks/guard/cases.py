@@ -294,8 +294,8 @@ def graph() -> tuple[Job, Job]:
                     np.savez(path, xyz=clouds[k].xyz)
                 else:
                     path.symlink_to(Path(folder) / f"{k % len(clouds):03}.npz")
-            fewer, more = (_program_seconds(folder, count) for count in COUNTED)
-        return (more - fewer) / (COUNTED[1] - COUNTED[0])
+            (few, few_s), (many, many_s) = (_program_seconds(folder, count) for count in COUNTED)
+        return (many_s - few_s) / (many - few)
 
     def peer() -> float:
         before = _cpu_seconds(resource.RUSAGE_SELF)
@@ -306,7 +306,8 @@ def graph() -> tuple[Job, Job]:
     return ours, peer
 
 
-def _program_seconds(folder: str, count: int) -> float:
+def _program_seconds(folder: str, count: int) -> tuple[int, float]:
+    """Answered clouds and CPU seconds of `foretouch run`, which ends once `count` are answered."""
     before = _cpu_seconds(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "foretouch.cli.main", "run", "--source", folder, "--count", str(count), "--json"]
     domain = os.environ.get("ROS_DOMAIN_ID", "88")
@@ -314,9 +315,9 @@ def _program_seconds(folder: str, count: int) -> float:
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     predicted = sum(bool(one.get("predictions")) for one in answers)
-    if predicted != count:
+    if predicted < count:
         raise SystemExit(f"graph: {predicted} of {count} clouds were answered: {done.stderr[-500:]}")
-    return _cpu_seconds(resource.RUSAGE_CHILDREN) - before
+    return predicted, _cpu_seconds(resource.RUSAGE_CHILDREN) - before
 
 
 def _cpu_seconds(who: int) -> float:
