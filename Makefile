@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make bench. Each can be repeated and reuses what stands.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,7 +14,7 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check format clean
+.PHONY: setup demo test check bench format clean
 
 setup: $(VENV)/.installed
 
@@ -42,6 +42,10 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+# Fails on a loss of more than 20 % of speed; make bench BENCH=--renew commits the ratios of this machine.
+bench: setup
+	$(BIN)/python benchmarks/guard/bench.py $(BENCH)
 
 format: setup
 	$(BIN)/ruff format .

@@ -40,9 +40,10 @@ class Variant:
     """One setting of the component that is measured: the shipped one, or one that differs from it."""
 
     name: str  # unique, and short: it is written beside its point in the picture
-    factor: str  # what differs: `shipped`, `reference`, the name of one setting, or two joined by ` x `
+    factor: str  # what differs: `shipped` (one for each panel's skill), `reference`, the name of one setting, or two joined by ` x `
     values: Mapping[str, Any] = field(default_factory=dict)  # plain JSON data from which the area makes it
     compared_with: str = ""  # variant whose answers its own shall equal; "" for the shipped one
+    reference: str = ""  # variant to whose time its ratio is taken; "" for that of the area
     missing: str = ""  # why it cannot run here, such as a library that is not installed; "" if it can
 
 
@@ -51,6 +52,7 @@ class Timed(NamedTuple):
 
     answer: Callable[[int], Answer]  # from the size of a request to an answer that is comparable with other variants'
     size_mb: float | None = None  # on disk [MB]; None if that has no meaning
+    whole: float = 1.0  # number of such calls that make the whole, as steps make a training; times are multiplied by it
 
 
 class Panel(NamedTuple):
@@ -59,6 +61,7 @@ class Panel(NamedTuple):
     skill: str
     request: int
     title: str
+    share: float = 0.9  # of the best skill that a good variant keeps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +106,7 @@ class Area(Experiment[S, D]):
         names = [one.name for one in variants]
         if len(set(names)) < len(names):
             raise ConfigError(f"{self.name}: variants: {max(names, key=names.count)!r} occurs twice")
-        if absent := {self.shipped, self.reference, *(one.compared_with for one in variants)} - {"", *names}:
+        if absent := {self.shipped, self.reference, *(name for one in variants for name in (one.compared_with, one.reference))} - {"", *names}:
             raise ConfigError(f"{self.name}: variants: {min(absent)!r} is absent")
         if len(names) > _MOST_VARIANTS:
             raise ConfigError(f"{self.name}: variants: {len(names)} exceeds {_MOST_VARIANTS}")

@@ -5,10 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.tradeoff.area import Area
+from foretouch.tradeoff.area import Area, Panel
 
 BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-_SHARE: Final = 0.9  # of the best skill, which the fastest good variant keeps
 
 
 def time_column(rows: Sequence[Row]) -> str:
@@ -60,7 +59,7 @@ def summary_tables(area: Area[Any, Any], rows: Sequence[Row], skipped: Mapping[s
             "CPU [ms]",
             "times as fast as the reference",
         ]
-        tables.append(Table(panel.title, columns, body, list(_sentences(area, chosen, line, panel.skill, column))))
+        tables.append(Table(panel.title, columns, body, list(_sentences(panel, chosen, line, column))))
     return [*tables, Table("All settings", [], [], list(_general(area, rows, skipped)))]
 
 
@@ -73,14 +72,15 @@ def _ratio(row: Row) -> str:
 
 
 def _sentences(
-    area: Area[Any, Any], rows: Sequence[Row], line: Sequence[Row], skill: str, column: str
+    panel: Panel, rows: Sequence[Row], line: Sequence[Row], column: str
 ) -> Iterator[str]:
+    skill = panel.skill
     best, fastest = line[-1], line[0]
     yield f"Most skilful: {best['variant']}, skill {best[skill]:.2f} in {best[column]:.3g} ms."
     yield f"Fastest: {fastest['variant']}, skill {fastest[skill]:.2f} in {fastest[column]:.3g} ms."
-    good = next(row for row in line if row[skill] >= _SHARE * best[skill])
+    good = next((row for row in line if row[skill] >= panel.share * best[skill]), best)  # the best may be negative
     yield (
-        f"At least {_SHARE:.0%} of the best skill: {good['variant']}, skill {good[skill]:.2f} in {good[column]:.3g} ms, "
+        f"At least {panel.share:.0%} of the best skill: {good['variant']}, skill {good[skill]:.2f} in {good[column]:.3g} ms, "
         f"{best[column] / good[column]:.1f} times as fast as the most skilful."
     )
     said = ""
@@ -89,14 +89,14 @@ def _sentences(
         if within and within[-1]["variant"] != said:
             said = within[-1]["variant"]
             yield f"Within {budget:g} ms: {said}, skill {within[-1][skill]:.2f}."
-    shipped = next((row for row in rows if row["variant"] == area.shipped), None)
-    if shipped is not None and shipped.get(skill) is not None:
+    own = (row for row in rows if row["factor"] == "shipped" and row.get(skill) is not None)
+    if (shipped := next(own, None)) is not None:
         beaten = shipped not in line
         ratio = (
-            f", {shipped['ratio']:.1f} times as fast as {area.reference} in the same run" if shipped["ratio"] else ""
+            f", {shipped['ratio']:.1f} times as fast as {shipped['reference']} in the same run" if shipped["ratio"] else ""
         )
         text = "is not on the frontier" if beaten else "is on the frontier"
-        yield f"{area.shipped} (shipped) {text}: skill {shipped[skill]:.2f} in {shipped[column]:.3g} ms{ratio}."
+        yield f"{shipped['variant']} (shipped) {text}: skill {shipped[skill]:.2f} in {shipped[column]:.3g} ms{ratio}."
 
 
 def _general(area: Area[Any, Any], rows: Sequence[Row], skipped: Mapping[str, str]) -> Iterator[str]:
@@ -106,7 +106,8 @@ def _general(area: Area[Any, Any], rows: Sequence[Row], skipped: Mapping[str, st
     for row in chosen:
         if row["difference"] is not None and row["variant"] != row["compared_with"]:
             largest.setdefault((row["variant"], row["compared_with"]), row)
-    twins = [row for row in largest.values() if row["compared_with"] != area.shipped]
+    shipped = {row["variant"] for row in chosen if row["factor"] == "shipped"}
+    twins = [row for row in largest.values() if row["compared_with"] not in shipped]
     for row in twins:
         yield f"{row['variant']} answers like {row['compared_with']} within {row['difference']:.2g} {area.unit}."
     untold = sorted({row["variant"] for row in chosen if all(row.get(skill) is None for skill in area.skills)})

@@ -49,7 +49,7 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
     axes.step([r[column] for r in line], [r[panel.skill] for r in line], where="post", color="black", linewidth=1)
     for row in known:
         colour = f"C{factors.index(row['factor']) % 10}"
-        marker = "*" if row["variant"] == area.shipped else "os^Dv"[factors.index(row["factor"]) // 10 % 5]
+        marker = "*" if row["factor"] == "shipped" else "os^Dv"[factors.index(row["factor"]) // 10 % 5]
         y = max(row[panel.skill], floor)
         axes.plot(
             row[column], y, linestyle="", marker="v" if row[panel.skill] < floor else marker, color=colour,

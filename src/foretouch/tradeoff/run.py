@@ -149,11 +149,13 @@ def _times(
         times = time_variants(ready, requests, settings.timing_s, settings.seed, progress)
     machine = manifests.environment(1, None)
     machine_row = load.row() | {"cpu": machine["cpu"], "cores": machine["cores"]}
-    reference = {row["request"]: row["cpu_ms"] for row in times if row["variant"] == area.reference}
+    cpu_ms = {(row["variant"], row["request"]): row["cpu_ms"] for row in times}
     factors = {variant.name: variant.factor for variant in variants}
+    references = {variant.name: variant.reference or area.reference for variant in variants}
     return [
         {"factor": factors[row["variant"]], **row}
-        | {"ratio": _rounded(reference.get(row["request"]), row["cpu_ms"]), **facts[row["variant"]], **machine_row}
+        | {"reference": references[row["variant"]]}
+        | {"ratio": _rounded(cpu_ms.get((references[row["variant"]], row["request"])), row["cpu_ms"]), **facts[row["variant"]], **machine_row}
         for row in times
     ]
 

@@ -91,7 +91,8 @@ def time_variants(
         cpu[k].append(time.process_time() - start_cpu)
         progress(done + 1, len(order))
     return [
-        {"variant": call.variant, "request": call.request, "calls": counts[k]} | _quantiles(wall[k], cpu[k])
+        {"variant": call.variant, "request": call.request, "calls": counts[k]}
+        | _quantiles(wall[k], cpu[k], timed[call.variant].whole)
         for k, call in enumerate(calls)
     ]
 
@@ -109,10 +110,10 @@ def _first_calls(name: str, one: Timed, requests: Sequence[int]) -> list[_Call]:
     return calls
 
 
-def _quantiles(wall: Sequence[float], cpu: Sequence[float]) -> Row:
+def _quantiles(wall: Sequence[float], cpu: Sequence[float], whole: float) -> Row:
     middle, high, highest = np.percentile(wall, (50, 95, 99)) * 1e3
     values = {"ms_p50": middle, "ms_p95": high, "ms_p99": highest, "cpu_ms": float(np.median(cpu)) * 1e3}
-    return {key: float(f"{value:.4g}") for key, value in values.items()}
+    return {key: float(f"{whole * value:.4g}") for key, value in values.items()}
 
 
 def peak_memory_mb(call: Callable[[], Any]) -> float | None:

@@ -25,7 +25,6 @@ from foretouch.config import Settings, setting
 from foretouch.types import Cloud, Float32, Plane
 
 SegmentationStatus = Literal["ok", "empty_cloud", "bad_cloud", "too_few_points", "no_plane", "no_object"]
-_GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
@@ -40,6 +39,12 @@ class SegmentationConfig(Settings):
     clusters: ClusterConfig = ClusterConfig()
     min_points: int = setting(
         100, "Minimum number of points in range for a segmentation", minimum=3, maximum=10_000_000
+    )
+    grid_rows: int = setting(
+        120,
+        "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
+        minimum=30,
+        maximum=10_000,
     )
 
 
@@ -124,7 +129,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
         if not image:
             xyz, n_out_of_view = _in_view(xyz, config)
             log.counts["off_ray"] = n_out_of_view
-        coarse, stride = _coarse(xyz, config.crop)
+        coarse, stride = _coarse(xyz, config.crop, config.grid_rows)
         index = _sample(coarse, config.crop)
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, sample = (
@@ -156,11 +161,11 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
     return "ok", "", fit.plane, objects, labels
 
 
-def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int]:
-    """Every fourth pixel of an image of 480 rows or more, unless few of them are in range; and the stride."""
+def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int]:
+    """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range; and k."""
     if xyz.ndim == 2:
         return xyz, 1
-    stride = int(np.clip(min(xyz.shape[:2]) // _GRID_ROWS, 1, 8))
+    stride = int(np.clip(min(xyz.shape[:2]) // grid_rows, 1, 8))
     coarse = np.ascontiguousarray(xyz[::stride, ::stride])
     if stride == 1 or np.count_nonzero(in_range(coarse[..., 2], config)) >= _SPARSE:
         return coarse, stride
