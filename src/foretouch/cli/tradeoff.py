@@ -37,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume", action="store_true", help="keep the finished skills in DIR; times are measured again"
     )
     parser.add_argument(
+        "--times", action="store_true", help="measure times alone again; skills are those of DIR/results.csv"
+    )
+    parser.add_argument(
         "--workers", type=positive_number, help="number of processes that measure skills (default: one per core)"
     )
     parser.add_argument("--redraw", action="store_true", help="only rewrite picture and summary from DIR/tradeoff.csv")
@@ -81,7 +84,7 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
     source = arguments.data
     if source is None and (folder := os.environ.get(_ENVIRONMENT)) and area.data_folder is not None:
         source = Path(folder) / area.data_folder
-    if arguments.preset != "small":
+    if arguments.preset != "small" and not arguments.times:
         minutes = estimate_seconds(area, settings, arguments.out, source, workers) / 60.0
         print(f"about {minutes:.0f} minutes with {workers} processes", file=sys.stderr)
     with progress_bar("reading the data", hidden=arguments.json) as update:
@@ -96,6 +99,7 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
             preset=arguments.preset,
             source=source,
             resume=arguments.resume,
+            times_only=arguments.times,
             workers=workers,
             progress=_print_cell if arguments.json else show,
             timing_progress=lambda done, total: update(done, total, "times"),

@@ -20,7 +20,7 @@ from foretouch.checked_files import read_json
 from foretouch.errors import FileError, ForetouchError
 from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.framework.sweep import Progress, run_sweep
+from foretouch.experiments.framework.sweep import Progress, SweepResult, run_sweep
 from foretouch.tradeoff.area import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.tradeoff.frontier import summary_tables
 from foretouch.tradeoff.picture import draw_tradeoff
@@ -63,6 +63,7 @@ def run_tradeoff(
     preset: str = "",
     source: Path | None = None,
     resume: bool = False,
+    times_only: bool = False,
     workers: int = 1,
     progress: Progress | None = None,
     timing_progress: Callable[[int, int], None] = lambda *_: None,
@@ -70,14 +71,19 @@ def run_tradeoff(
     """Measure an area and write its folder; arguments and errors as those of `run_sweep`.
 
     Finished cells of skills are kept by `resume`; times are measured again. Times of an idle and of a loaded machine
-    are kept beside each other, and replaced by those of the same state.
+    are kept beside each other, and replaced by those of the same state. With `times_only`, no skill is measured: those
+    of `out`, which may be published results without their cells, are kept.
     """
     variants = area.checked_variants(settings)
     data = area.load(settings, area.prepare(settings, source, out))
-    area.check_trainings(area.cells(settings, data))
-    sweep = run_sweep(
-        area, settings, out, preset=preset, source=source, resume=resume, workers=workers, progress=progress
-    )
+    sweep = SweepResult()
+    if times_only:
+        manifests.require_experiment(out, area.name)
+    else:
+        area.check_trainings(area.cells(settings, data))
+        sweep = run_sweep(
+            area, settings, out, preset=preset, source=source, resume=resume, workers=workers, progress=progress
+        )
     skills = {row["variant"]: row for row in manifests.read_results(out / manifests.RESULTS_FILE)}
     result = TradeoffResult(cells=sweep.cells, reused=sweep.reused, failures=sweep.failures)
     times = _times(area, settings, data, variants, result.skipped, timing_progress)
@@ -155,7 +161,11 @@ def _times(
     return [
         {"factor": factors[row["variant"]], **row}
         | {"reference": references[row["variant"]]}
-        | {"ratio": _rounded(cpu_ms.get((references[row["variant"]], row["request"])), row["cpu_ms"]), **facts[row["variant"]], **machine_row}
+        | {
+            "ratio": _rounded(cpu_ms.get((references[row["variant"]], row["request"])), row["cpu_ms"]),
+            **facts[row["variant"]],
+            **machine_row,
+        }
         for row in times
     ]
 
