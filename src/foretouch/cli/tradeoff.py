@@ -20,11 +20,16 @@ if TYPE_CHECKING:
     from foretouch.tradeoff.run import TradeoffResult
 
 _ENVIRONMENT = "FORETOUCH_DATA"
+_PROFILE_S = 30.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("area", metavar="AREA", help="model, or another area; `list` prints all")
+    parser.add_argument(
+        "area",
+        metavar="AREA",
+        help="model, or another area; `list` prints all; `profile` measures how long predictions take here, for latency budgets",
+    )
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="output folder of table, picture and summary")
     parser.add_argument(
@@ -43,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers", type=positive_number, help="number of processes that measure skills (default: one per core)"
     )
     parser.add_argument("--redraw", action="store_true", help="only rewrite picture and summary from DIR/tradeoff.csv")
+    parser.add_argument("--model", default="default", help="of `profile`: name or path of the model")
     parser.add_argument("--json", action="store_true", help="print one JSON object per measured skill, and a summary")
 
 
@@ -52,6 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.area == "list":
         return _list([find_area(name) for name in area_names()], as_json=arguments.json)
+    if arguments.area == "profile":
+        return _profile(arguments)
     area = find_area(arguments.area)
     if arguments.out is None:
         raise ConfigError("tradeoff: -o DIR is required")
@@ -73,6 +81,29 @@ def _list(areas: list[Area[Any, Any]], *, as_json: bool) -> int:
             print_json({"name": area.name, "question": area.question, "presets": list(area.presets)})
     else:
         print_table("areas", ["name", "question"], [[area.name, area.question] for area in areas])
+    return 0
+
+
+def _profile(arguments: argparse.Namespace) -> int:
+    from foretouch.models.registry import load_model
+    from foretouch.tradeoff.budget import levels_of, load_profile
+
+    levels = levels_of(load_model(arguments.model))
+    with progress_bar("times", hidden=arguments.json) as update:
+        profile = load_profile(levels, seconds=_PROFILE_S, again=True, say=warn, progress=update)
+    if arguments.json:
+        found = {level.name: {"skill": level.skill, "p95_s": profile.times[level.name]} for level in levels}
+        print_json({"status": "done", "levels": found, "state": profile.state, "path": profile.origin})
+        return 0
+    counts = list(profile.times[levels[0].name])
+    rows = [
+        [level.name, "?" if level.skill is None else f"{level.skill:.3f}",
+         *(f"{profile.seconds(level.name, count) * 1e3:.3g}" for count in counts)]
+        for level in levels
+    ]  # fmt: skip
+    columns = ["level", "skill, blocks of time", *(f"{count} grasps, p95 [ms]" for count in counts)]
+    print_table(f"levels of {levels[0].model.name} on this machine, which was {profile.state}", columns, rows)
+    print(profile.origin)
     return 0
 
 
