@@ -4,13 +4,14 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from foretouch.cli.main import main
 from foretouch.models import load_model
 from foretouch.tradeoff.budget import profile as profiles
 from foretouch.tradeoff.budget.levels import levels_of
-from foretouch.tradeoff.budget.profile import load_profile, profile_path
+from foretouch.tradeoff.budget.profile import load_profile, profile_path, profile_scene
 
 
 @pytest.fixture
@@ -107,3 +108,22 @@ def test_the_command_and_a_prediction_with_a_budget(capsys, monkeypatch, tmp_pat
     assert next(iter(document["levels"])) == "contact-v2"
     assert main(["tradeoff", "profile"]) == 0
     assert "mean of" in capsys.readouterr().out
+
+
+def test_predict_within_a_budget(capsys, tmp_path) -> None:
+    cloud, grasps = profile_scene(1)
+    path = tmp_path / "can.npz"
+    np.savez(path, xyz=cloud.xyz)
+    contacts = ",".join(f"{value:.6f}" for value in (*grasps[0].g1, *grasps[0].g2))
+    words = ["predict", str(path), f"--grasp={contacts}", "--plane=0,0,1,-1.27", "--json"]
+    for budget, level in ((None, None), ("10000", "contact-v2"), ("3", "mean of labels"), ("0.5", "mean of labels")):
+        more = [] if budget is None else ["--budget-ms", budget]
+        assert main([*words, *more]) == 0
+        out, err = capsys.readouterr()
+        record = json.loads(out)
+        assert record.get("level") == level
+        assert ("reduced" in record["predictions"][0]["flags"]) == (level == "mean of labels")
+        assert ("nothing meets it for 1 grasps: mean of labels is used" in err) == (budget == "0.5")
+    with pytest.raises(SystemExit):
+        main([*words, "--budget-ms", "0"])
+    assert "0 is not above 0" in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time callables in one process and in random order, and tell a loaded machine from an idle one."""
+"""Time callables in one process and in random order, and distinguish a loaded machine from an idle one."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _quantiles(wall: Sequence[float], cpu: Sequence[float], whole: float) -> Row
 
 
 def peak_memory_mb(call: Callable[[], Any]) -> float | None:
-    """Memory that a call needs beyond what the process had, at its peak [MB]; None where the kernel does not tell."""
+    """Memory that a call needs beyond what the process had, at its peak [MB]; None if it is unknown."""
     try:
         ctypes.CDLL(None).malloc_trim(0)  # else the call could use what earlier calls have freed
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -33,8 +33,14 @@ def first_trees(forest: Forest, count: int) -> Forest:
         return forest
     nodes = int(forest.roots[count])
     leaves = int(forest.leaf[:nodes].max()) + 1
-    by_node = (array[:nodes] for array in (forest.feature, forest.threshold, forest.children, forest.leaf))
-    return Forest(forest.roots[:count], *by_node, forest.value[:leaves])
+    return Forest(
+        roots=forest.roots[:count],
+        feature=forest.feature[:nodes],
+        threshold=forest.threshold[:nodes],
+        children=forest.children[:nodes],
+        leaf=forest.leaf[:nodes],
+        value=forest.value[:leaves],
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,17 +81,17 @@ class Predictor:
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
     def _around(self, model: TouchModel, config: TouchPredictorConfig) -> dict[int, float]:
-        """By number of grasps, the time of their messages: what `array` takes beyond the prediction [s]."""
+        """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
         cloud, grasps = profile_scene(max(_COUNTS))
         target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             whole, inner = [], []
             for _ in range(3):
-                start = time.perf_counter()
+                start = time.thread_time()
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
-                middle = time.perf_counter()
+                middle = time.thread_time()
                 self.array([target], messages[:count], Header(), config, model=model)
-                whole.append(time.perf_counter() - middle)
+                whole.append(time.thread_time() - middle)
                 inner.append(middle - start)
             around[count] = max(0.0, min(whole) - min(inner))
         return around

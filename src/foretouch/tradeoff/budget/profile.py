@@ -9,6 +9,7 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ from foretouch.checked_files import read_json
 from foretouch.errors import FileError
 from foretouch.experiments.framework.manifest import environment
 from foretouch.models.card import write_text
+from foretouch.models.touch_model import TouchModel
 from foretouch.tradeoff.area import Timed
 from foretouch.tradeoff.budget.levels import Level
 from foretouch.tradeoff.timing import MachineLoad, time_variants
@@ -145,10 +147,11 @@ def _measure(
     levels: Sequence[Level], seconds: float, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, dict[int, float]], str]:
     cloud, grasps = profile_scene(_REQUESTS[-1])
-    timed = {
-        level.name: Timed(lambda count, model=level.model: np.array(model.predict(cloud, grasps[:count]), object))
-        for level in levels
-    }
+
+    def answer(model: TouchModel, count: int) -> Any:
+        return model.predict(cloud, grasps[:count])
+
+    timed = {level.name: Timed(partial(answer, level.model)) for level in levels}
     load = MachineLoad()
     rows = time_variants(timed, _REQUESTS, seconds, 0, progress)
     state = str(load.row()["state"])

@@ -130,7 +130,8 @@ class _Bf16:
         self._network = _cast(network)
 
     def features(self, points: Tensor) -> Tensor:
-        return self._network.features(points.bfloat16())
+        features: Tensor = self._network.features(points.bfloat16())
+        return features
 
     @torch.inference_mode()
     def regress(self, features: Tensor, grasps: Tensor) -> Tensor:
@@ -139,7 +140,8 @@ class _Bf16:
         for layer in net.head[:-1]:
             x = torch.relu_(layer(x))
         last = net.head[-1]  # in float32, since bfloat16 has steps of 16 counts at 3000
-        return nn.functional.linear(x.float(), last.weight.float(), last.bias.float())
+        counts: Tensor = nn.functional.linear(x.float(), last.weight.float(), last.bias.float())
+        return counts
 
 
 def _cast(value: Any) -> Any:
@@ -157,15 +159,16 @@ class _Int8:
     """A folded network with dynamically quantised linear layers (torch); the last layer stays in float32."""
 
     def __init__(self, network: FoldedNetwork) -> None:
-        from torch.ao.quantization import quantize_dynamic
+        import torch.ao.quantization
 
+        quantised: Any = torch.ao.quantization.quantize_dynamic
         trunk = [part for layer in network.trunk for part in (_linear(layer), nn.ReLU())]
         first = Affine(torch.cat([network.first.weight, network.first_grasp], dim=1), network.first.bias)
         hidden = [part for layer in (first, *network.head[:-1]) for part in (_linear(layer), nn.ReLU())]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of its end in a later torch
-            self._trunk = quantize_dynamic(nn.Sequential(*trunk), {nn.Linear}, torch.qint8)
-            self._hidden = quantize_dynamic(nn.Sequential(*hidden), {nn.Linear}, torch.qint8)
+            self._trunk = quantised(nn.Sequential(*trunk), {nn.Linear}, torch.qint8)
+            self._hidden = quantised(nn.Sequential(*hidden), {nn.Linear}, torch.qint8)
         self._last = network.head[-1]
 
     @torch.inference_mode()
@@ -191,7 +194,8 @@ def onnx_bytes(network: FoldedNetwork, config: ModelConfig) -> bytes:
     """A folded network without T-Net as an ONNX model: (N, C) points and (K, G) grasps to (K, M) counts."""
     from onnx import TensorProto, checker, helper, numpy_helper
 
-    nodes, stored = [], []
+    nodes: list[Any] = []
+    stored: list[Any] = []
 
     def constant(name: str, value: Tensor) -> str:
         stored.append(numpy_helper.from_array(np.ascontiguousarray(value.numpy()), name))

@@ -146,7 +146,8 @@ def _fold(described: Described, split: str, part: str, seed: int) -> Fold:
     if split == SIMULATED:
         number = {id(sample): k for k, sample in enumerate(described.samples)}
         sides = split_objects(described.samples, len(set(described.objects)) // 2, 0)
-        return Fold(*(np.array([number[id(sample)] for sample in side]) for side in sides), part)
+        train, test = (np.array([number[id(sample)] for sample in side], np.intp) for side in sides)
+        return Fold(train, test, part)
     return next(one for one in make_folds(described.samples, split, seed) if one.name == part)
 
 
@@ -166,11 +167,11 @@ def tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
     if not any(row["variant"] == NETWORK for row in result):
         result.append({"variant": NETWORK} | dict.fromkeys(_columns(splits)))
     card = read_card(find_card(NETWORK))["skill"]
-    own = next(row for row in result if row["variant"] == NETWORK)
+    network = next(row for row in result if row["variant"] == NETWORK)
     for split in settings.splits:
-        if own[split] is None:
-            own[split] = round(float(np.mean([card[split][name]["skill"] for name in MODALITIES])), 5)
-            own |= {f"{split}_{name}": round(card[split][name]["skill"], 5) for name in MODALITIES}
+        if network[split] is None:
+            network[split] = round(float(np.mean([card[split][name]["skill"] for name in MODALITIES])), 5)
+            network |= {f"{split}_{name}": round(card[split][name]["skill"], 5) for name in MODALITIES}
     return result
 
 

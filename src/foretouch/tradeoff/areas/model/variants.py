@@ -56,7 +56,10 @@ def _contact(*, full: bool) -> list[Variant]:
         for key, values in refitted.items()
         for value in values
     ]
-    pairs = [(10, {"part": "no surroundings"}, "no surroundings"), (10, {"points": 500}, "cloud of 500")]
+    pairs: list[tuple[int, dict[str, Any], str]] = [
+        (10, {"part": "no surroundings"}, "no surroundings"),
+        (10, {"points": 500}, "cloud of 500"),
+    ]
     pairs += [(10, {"part": "forests"}, "forests alone"), (5, {"part": "no surroundings"}, "no surroundings")]
     return own + [_contact_variant(f"{n} trees, {text}", "trees x part", trees=n, **more) for n, more, text in pairs]
 
