@@ -92,7 +92,7 @@ def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row], column: s
         beaten = shipped not in line
         ratio = (
             f", {shipped['ratio']:.1f} times as fast as {shipped['reference']} in the same run"
-            if shipped["ratio"]
+            if shipped["ratio"] and shipped["reference"] != shipped["variant"]
             else ""
         )
         text = "is not on the frontier" if beaten else "is on the frontier"
