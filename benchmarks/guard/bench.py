@@ -148,9 +148,7 @@ def table(runners: Sequence[Runner], best: Mapping[str, Measured], committed: Ma
         measured, known = best[one.case.name], committed.get(one.case.name)
         limits = f"{'-':>11}{'-':>9}" if known is None else f"{known:>11.3g}{ALLOWED * known:>9.3g}"
         note = "   LOST" if lost(measured, known) else ""
-        print(
-            f"{one.case.name:30}{1e3 * measured.ours_s:>9.2f}{measured.ratio:>11.3g}{limits}   {one.case.peer}{note}"
-        )
+        print(f"{one.case.name:30}{1e3 * measured.ours_s:>9.2f}{measured.ratio:>11.3g}{limits}   {one.case.peer}{note}")
         kept = kept and not note
     return kept
 
@@ -159,7 +157,9 @@ def main() -> int:
     """Exit status 1 if a ratio has lost more than 20 %."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", metavar="TEXT", help="cases whose name contains it; may be repeated")
-    parser.add_argument("--renew", action="store_true", help="write the ratios of this machine to ratios.csv, to commit")
+    parser.add_argument(
+        "--renew", action="store_true", help="write the ratios of this machine to ratios.csv, to commit"
+    )
     parser.add_argument("--ratios", type=Path, default=RATIOS, help="committed ratios (default: beside this script)")
     arguments = parser.parse_args()
     began, runners = time.monotonic(), []
@@ -181,7 +181,9 @@ def main() -> int:
     committed = read_ratios(arguments.ratios)
     kept = table(runners, guard(runners, committed), committed)
     load = os.getloadavg()[0]
-    print(f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost")
+    print(
+        f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost"
+    )
     return 0 if kept else 1
 
 

@@ -183,7 +183,8 @@ def tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
         row |= {"objects": len(own), "no_grasp": sum(not one["grasped"] for one in own)}
         row["contact_mm"] = _mean(own, "error_mm")
         row |= _moves(own)
-        row |= {key: _mean(own, key) for key in ("score_change", "touch_counts", "touch_half")}
+        row |= _interval("score_change", own)
+        row |= {key: _mean(own, key) for key in ("touch_counts", "touch_half")}
         result.append({key: round(value, 5) if isinstance(value, float) else value for key, value in row.items()})
     return result
 
