@@ -75,7 +75,7 @@ def _name(axes: Axes, line: Sequence[Row], skill: str, column: str) -> None:
     """
     low, high = axes.get_ylim()
     wanted = [(row[skill] - low) / (high - low) for row in line]
-    places = _spread(wanted, _LINE)
+    places = spread(wanted, _LINE)
     for row, place in zip(line, places, strict=True):
         axes.annotate(
             f"{row['variant']}  {row[column]:.2g} ms", (row[column], row[skill]), (1.04, place),
@@ -84,7 +84,7 @@ def _name(axes: Axes, line: Sequence[Row], skill: str, column: str) -> None:
         )  # fmt: skip
 
 
-def _spread(wanted: Sequence[float], gap: float) -> list[float]:
+def spread(wanted: Sequence[float], gap: float) -> list[float]:
     """Places near the wanted ascending ones in [0, 1] that are at least a gap apart, if they fit."""
     count = len(wanted)
     gap = min(gap, 1.0 / max(count - 1, 1))
