@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from foretouch.experiments.framework.experiment import Row
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import new_figure
 from foretouch.tradeoff.frontier import frontier, of_request, time_column
-from foretouch.tradeoff.picture import spread
+from foretouch.tradeoff.picture import save_small, spread
 
 _BUDGET_MS: Final = 10.0
 _SKILL: Final = "time"
@@ -48,7 +48,7 @@ def draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
         axes.annotate(
             name, (1.0, (names[name] - low) / (high - low)), (1.03, place), xycoords="axes fraction",
             textcoords="axes fraction", va="center", fontsize=8, annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "grey", "shrinkA": 0, "shrinkB": 0},
+            arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "grey", "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5)},
         )  # fmt: skip
     axes.legend(loc="lower right", fontsize=8, title="frontier for")
-    return [save(figure, folder / "ten_milliseconds.png")]
+    return [save_small(figure, folder / "ten_milliseconds.png")]
