@@ -120,6 +120,7 @@ def renew(runners: Sequence[Runner], path: Path) -> None:
     for _ in range(RENEWED):
         for one in runners:
             found.setdefault(one.case.name, []).append(one.measure())
+            print(f"  {one.case.name}: {found[one.case.name][-1].ratio:.3g}", flush=True)
     rows: dict[str, dict[str, str]] = {}
     if path.is_file():
         with path.open(encoding="utf-8") as file:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from foretouch import kernels
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
@@ -30,6 +31,7 @@ from foretouch.types import Cloud, Float64, Grasp
 BENCHMARKS = Path(__file__).parents[1]
 EPSILON_COUNTS = 1e-6
 NUMPY_FORMS = "the same with the NumPy forms"
+_LONGEST_S = 400.0  # of one run of the graph, on a machine with other work
 COUNTED = (20, 100)  # clouds of the two runs of the graph; their difference holds no start
 
 Job = Callable[[], Any]
@@ -234,13 +236,13 @@ def training_step() -> tuple[Job, Job]:
 
 
 def simulator(name: str) -> Job:
-    """Eight samples of a scene, cloud and touch."""
+    """Four samples of a scene, cloud and touch."""
     scenes = script("simulation", "scenes")
     scene = scenes.scene(name)
     engine = scenes.engine(scene, "cloud", "touch")
 
     def run() -> Float64:
-        return np.array([engine.run(key).touch.vector() for key in scenes.keys(scene, 8)])
+        return np.array([engine.run(key).touch.vector() for key in scenes.keys(scene, 4)])
 
     return run
 
@@ -256,7 +258,7 @@ def pipeline() -> Job:
 
 
 def yardstick() -> None:
-    """Fixed work of NumPy alone, which no change of this package can move: for what has no other peer."""
+    """Fixed work of NumPy and SciPy alone, which no change of this package can move: for what has no other peer."""
     rng = np.random.default_rng(0)
     field: npt.NDArray[np.float64] = rng.random((64, 64))
     for _ in range(40):
@@ -265,6 +267,7 @@ def yardstick() -> None:
         field @ field
     for row in np.tile(field, (8, 1)):
         float(np.abs(row).max())
+    cKDTree(points := rng.random((2000, 3))).query(points, 20)
 
 
 def against_yardstick(make: Callable[[], Job]) -> Callable[[], tuple[Job, Job]]:
@@ -294,8 +297,8 @@ def graph() -> tuple[Job, Job]:
                     np.savez(path, xyz=clouds[k].xyz)
                 else:
                     path.symlink_to(Path(folder) / f"{k % len(clouds):03}.npz")
-            fewer, more = (_program_seconds(folder, count) for count in COUNTED)
-        return (more - fewer) / (COUNTED[1] - COUNTED[0])
+            (few, few_s), (many, many_s) = (_program_seconds(folder, count) for count in COUNTED)
+        return (many_s - few_s) / (many - few)
 
     def peer() -> float:
         before = _cpu_seconds(resource.RUSAGE_SELF)
@@ -306,17 +309,18 @@ def graph() -> tuple[Job, Job]:
     return ours, peer
 
 
-def _program_seconds(folder: str, count: int) -> float:
+def _program_seconds(folder: str, count: int) -> tuple[int, float]:
+    """Answered clouds and CPU seconds of `foretouch run`, which ends once `count` are answered."""
     before = _cpu_seconds(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "foretouch.cli.main", "run", "--source", folder, "--count", str(count), "--json"]
     domain = os.environ.get("ROS_DOMAIN_ID", "88")
     environment = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=_LONGEST_S)
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     predicted = sum(bool(one.get("predictions")) for one in answers)
-    if predicted != count:
+    if predicted < count:
         raise SystemExit(f"graph: {predicted} of {count} clouds were answered: {done.stderr[-500:]}")
-    return _cpu_seconds(resource.RUSAGE_CHILDREN) - before
+    return predicted, _cpu_seconds(resource.RUSAGE_CHILDREN) - before
 
 
 def _cpu_seconds(who: int) -> float:

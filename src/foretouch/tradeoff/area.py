@@ -107,7 +107,11 @@ class Area(Experiment[S, D]):
         names = [one.name for one in variants]
         if len(set(names)) < len(names):
             raise ConfigError(f"{self.name}: variants: {max(names, key=names.count)!r} occurs twice")
-        if absent := {self.shipped, self.reference, *(name for one in variants for name in (one.compared_with, one.reference))} - {"", *names}:
+        if absent := {
+            self.shipped,
+            self.reference,
+            *(name for one in variants for name in (one.compared_with, one.reference)),
+        } - {"", *names}:
             raise ConfigError(f"{self.name}: variants: {min(absent)!r} is absent")
         if len(names) > _MOST_VARIANTS:
             raise ConfigError(f"{self.name}: variants: {len(names)} exceeds {_MOST_VARIANTS}")

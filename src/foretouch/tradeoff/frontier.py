@@ -71,9 +71,7 @@ def _ratio(row: Row) -> str:
     return "" if row["ratio"] is None else f"{row['ratio']:.1f}"
 
 
-def _sentences(
-    panel: Panel, rows: Sequence[Row], line: Sequence[Row], column: str
-) -> Iterator[str]:
+def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row], column: str) -> Iterator[str]:
     skill = panel.skill
     best, fastest = line[-1], line[0]
     yield f"Most skilful: {best['variant']}, skill {best[skill]:.2f} in {best[column]:.3g} ms."
@@ -93,7 +91,9 @@ def _sentences(
     if (shipped := next(own, None)) is not None:
         beaten = shipped not in line
         ratio = (
-            f", {shipped['ratio']:.1f} times as fast as {shipped['reference']} in the same run" if shipped["ratio"] else ""
+            f", {shipped['ratio']:.1f} times as fast as {shipped['reference']} in the same run"
+            if shipped["ratio"] and shipped["reference"] != shipped["variant"]
+            else ""
         )
         text = "is not on the frontier" if beaten else "is on the frontier"
         yield f"{shipped['variant']} (shipped) {text}: skill {shipped[skill]:.2f} in {shipped[column]:.3g} ms{ratio}."

@@ -56,7 +56,9 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
     known = [row for row in rows if row.get(panel.skill) is not None]
     line = frontier(rows, panel.skill)
     low, high = line[0][panel.skill], line[-1][panel.skill]
-    floor = low - _LOWEST * max(high - low, 0.05)
+    skills = [row[panel.skill] for row in known]
+    span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
+    floor = low - _LOWEST * span
     axes.step([r[column] for r in line], [r[panel.skill] for r in line], where="post", color="black", linewidth=1)
     for row in known:
         colour = f"C{factors.index(row['factor']) % 10}"
@@ -70,7 +72,9 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
         if (lower := row.get(f"{panel.skill}_low")) is not None and row in line:
             axes.plot([row[column]] * 2, [max(lower, floor), row[f"{panel.skill}_high"]], color=colour, linewidth=0.6)
     axes.set_xscale("log")
-    axes.set_ylim(floor - 0.02, high + 0.12 * max(high - low, 0.05))
+    axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
+    for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
     axes.grid(visible=True, which="both", alpha=0.2)
     kind = "wall time, median" if column == "ms_p50" else "processor time, median (loaded machine)"
     axes.set_xlabel(f"{kind} [ms]")
@@ -89,7 +93,7 @@ def _name(axes: Axes, line: Sequence[Row], skill: str, column: str) -> None:
     places = spread(wanted, _LINE)
     for row, place in zip(line, places, strict=True):
         axes.annotate(
-            f"{row['variant']}  {row[column]:.2g} ms", (row[column], row[skill]), (1.04, place),
+            f"{row['variant']}  {row[column]:.3g} ms", (row[column], row[skill]), (1.04, place),
             textcoords="axes fraction", va="center", fontsize=7.5, annotation_clip=False,
             arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3, "relpos": (0.0, 0.5)},
         )  # fmt: skip

@@ -36,6 +36,11 @@ class Described:
         self.labels = labels_of(samples)
         self.objects = [sample.object for sample in samples]
         self._rows: dict[str, Float64] = {}
+        self._place = {sample.id: k for k, sample in enumerate(self.samples)}
+
+    def index(self, samples: Sequence[GraspSample]) -> Indices:
+        """(T,) places of some of the samples."""
+        return np.array([self._place[sample.id] for sample in samples], np.intp)
 
     def rows(self, kind: str) -> Float64:
         """(S, F) features: `hand`, `camera`, `thinned`, or `hand` of clouds with a number of points, such as `500`."""
