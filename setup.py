@@ -11,7 +11,7 @@ NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand",
 KERNELS = Extension(
     "foretouch.kernels._kernels",
     sources=sorted(map(str, Path("src/foretouch/kernels").glob("*.c"))),
-    depends=["src/foretouch/kernels/kernels.h"],
+    depends=sorted(map(str, Path("src/foretouch/kernels").glob("*.h"))),
     extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
     libraries=["m"],
     optional=True,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import check_rotation
-from foretouch.grasp.reach import check_reach
+from foretouch.grasp.pose import check_rotation, surely_rotations
+from foretouch.grasp.reach import check_reach, surely_in_reach
 from foretouch.types import Grasp
 
 
@@ -81,3 +81,34 @@ def test_every_recorded_grasp_is_accepted(real_data: Path) -> None:
     for sample in samples:
         check_reach(sample.grasp, sample.cloud.xyz, 0.2, 0.05)
         check_rotation(sample.grasp.rotation)
+
+
+def _accepts(check, *arguments) -> bool:
+    try:
+        check(*arguments)
+    except GraspError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 0.01, 0.05, 0.1])
+def test_what_is_surely_in_reach_is_accepted(ball, distance_m: float, rng) -> None:
+    """Of many grasps at once; the others are checked one by one."""
+    ball[::3] = np.nan
+    at = ball[np.isfinite(ball).all(axis=1)][:300].astype(np.float64)
+    g1, g2 = at, at[::-1] + rng.normal(size=at.shape) * 10.0 ** rng.uniform(-3.0, 0.0, (300, 1))
+    g1[0], g2[1] = 1e160, -1e300
+    found = surely_in_reach(g1, g2, ball, 0.08, distance_m)
+    accepted = [_accepts(check_reach, Grasp(a, b, np.eye(3)), ball, 0.08, distance_m) for a, b in zip(g1, g2, strict=True)]
+    assert not (found & ~np.array(accepted)).any()
+    assert found.any() == (distance_m > 0.0)
+
+
+def test_what_is_surely_a_rotation_is_accepted(rng) -> None:
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(40)])
+    turns[:30] *= rng.uniform(0.999, 1.001, (30, 1, 1))
+    turns[30], turns[31], turns[32] = 1e300, np.diag([1.0, 1.0, -1.0]), np.eye(3)
+    found = surely_rotations(turns)
+    accepted = [_accepts(check_rotation, one) for one in turns]
+    assert found[32]
+    assert not (found & ~np.array(accepted)).any()

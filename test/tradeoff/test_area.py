@@ -16,7 +16,7 @@ from foretouch.experiments.framework.executors import run_cell
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.tradeoff.area import area_names, find_area
 from foretouch.tradeoff.frontier import frontier
-from foretouch.tradeoff.picture import _spread
+from foretouch.tradeoff.picture import spread
 from foretouch.tradeoff.timing import MachineLoad, peak_memory_mb
 
 SOURCE = """
@@ -192,7 +192,7 @@ def test_the_frontier_holds_what_nothing_beats() -> None:
 
 @pytest.mark.parametrize("wanted", [[0.1, 0.5, 0.9], [0.5, 0.5, 0.51, 0.52], [0.97, 0.98, 1.0], [0.3]])
 def test_labels_do_not_overlap(wanted: list[float]) -> None:
-    places = _spread(wanted, 0.05)
+    places = spread(wanted, 0.05)
     assert all(b - a >= 0.05 - 1e-9 for a, b in pairwise(places))
     assert max(places) <= 1.0 + 1e-9
 

@@ -2,11 +2,14 @@
 """The pose of the hand at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import numpy as np
+import numpy.typing as npt
 
 from foretouch.errors import GraspError
 from foretouch.types import SQUARABLE, Float64
 
 PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
+_IDENTITY = np.eye(3)
+_SKEWED = 1e-3  # largest deviation of a rotation times its transpose from the identity
 
 
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
@@ -82,8 +85,15 @@ def check_rotation(rotation: Float64) -> None:
         GraspError: If it is not (3, 3), not finite, skewed, scaled or left-handed.
     """
     proper = rotation.shape == (3, 3) and bool((np.abs(rotation) < 2.0).all())  # no overflow in the product
-    if not proper or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    if not proper or np.abs(rotation @ rotation.T - np.eye(3)).max() > _SKEWED or np.linalg.det(rotation) < 0:
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
+
+
+def surely_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
+    """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
+        return np.asarray((skewed < 0.999 * _SKEWED) & (np.linalg.det(rotations) > 0.0), np.bool_)
 
 
 def _unit(vector: Float64, name: str) -> Float64:

@@ -12,6 +12,8 @@ from foretouch.errors import GraspError
 from foretouch.types import Float64, Grasp
 
 _SAMPLED = 256  # points tried first: one within reach is sufficient
+_TOGETHER = 16  # of them at a time, for many grasps
+_CLEARLY = 1.0 - 1e-9  # of a squared limit, so that rounding does not matter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,31 @@ def check_reach(
             raise GraspError(
                 f"{name}: {_nearest_m(points, contact):.4g} m from the object, more than max_distance_m {max_distance_m:g}"
             )
+
+
+def surely_in_reach(
+    g1: Float64, g2: Float64, cloud_xyz: npt.NDArray[np.floating], max_width_m: float, max_distance_m: float
+) -> npt.NDArray[np.bool_]:
+    """(K,) whether `check_reach` accepts each pair of (K, 3) contacts; false where it has to decide.
+
+    A sample of the points is tried, the middle one first, which is within reach of most contacts.
+    """
+    points = cloud_xyz.reshape(-1, 3)
+    few = points[:: max(1, len(points) // _SAMPLED)].astype(np.float64)
+    few = few[np.isfinite(few).all(axis=1)]
+    middle = len(few) // 2
+    parts = [slice(middle, middle + 1), *(slice(k, k + _TOGETHER) for k in range(0, len(few), _TOGETHER))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        accepted = np.asarray(((g1 - g2) ** 2).sum(axis=1) <= _CLEARLY * max_width_m**2, np.bool_)
+        for contacts in (g1, g2):
+            left = np.flatnonzero(accepted)
+            for part in parts:
+                apart = ((contacts[left][:, None] - few[part]) ** 2).sum(axis=2)
+                left = left[~(apart <= _CLEARLY * max_distance_m**2).any(axis=1)]
+                if not left.size:
+                    break
+            accepted[left] = False
+    return accepted
 
 
 def _within(points: npt.NDArray[np.floating], contact: Float64, distance_m: float) -> bool:

@@ -173,8 +173,10 @@ class Calibration:
             (K, 50) predictions and (K, 50) half widths [counts].
         """
         counts, half = expected.copy(), np.empty_like(expected)
-        for inside in np.unique(in_distribution):
-            group, rows = self.group(in_distribution=bool(inside), tare=tare), in_distribution == inside
+        for inside in (False, True):
+            group, rows = self.group(in_distribution=inside, tare=tare), in_distribution == inside
+            if not rows.any():
+                continue
             if touched is not None:
                 counts[rows] = group.counts_after(expected[rows], *touched, count)
             half[rows] = group.half_width_after(count)

@@ -19,14 +19,30 @@ import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import GraspError, ModelError, TactileError
-from foretouch.grasp.pose import check_rotation
-from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach
+from foretouch.grasp.pose import check_rotation, surely_rotations
+from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, surely_in_reach
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import TactileRanges, check_touch
-from foretouch.types import TOUCH_SIZE, Cloud, Evidence, Float64, Grasp, Reference, Touch, TouchPrediction
+from foretouch.types import (
+    TOUCH_SIZE,
+    Cloud,
+    Evidence,
+    Float64,
+    Grasp,
+    GraspList,
+    Reference,
+    Touch,
+    TouchPrediction,
+    stacked,
+)
 
 _EXECUTED_WIDTH_M = 2.0  # more than the span of any hand
+_FLAGS = {
+    (outside, known): ("out_of_range",) * outside + ("unfamiliar",) * (not known)
+    for outside in (False, True)
+    for known in (False, True)
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +76,11 @@ class History:
         """Predictions by sight, adapted to the readings."""
         counts, half = estimate.counts.copy(), np.empty_like(estimate.counts)
         same = self.same_object and self.tracker.touches > 0
-        for inside in np.unique(estimate.in_distribution):
+        for inside in (False, True):
             rows = estimate.in_distribution == inside
-            level = self.tracker.level(self.stamp_ns, same_object=same, known=bool(inside))
-            counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
+            if rows.any():
+                level = self.tracker.level(self.stamp_ns, same_object=same, known=inside)
+                counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
         evidence = self.tracker.evidence(self.stamp_ns, same_object=same)
         reference: Reference = (
             "touches" if same else "tare" if self.tare else "history" if evidence.readings else "none"
@@ -197,9 +214,10 @@ class TouchModel:
         if history is not None and history.tracker.parameters is not self.new_tracker().parameters:
             raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         check_object(cloud.xyz, limits)
-        refusals = [_refusal(grasp, cloud, reach.max_width_m, reach.max_distance_m) for grasp in grasps]
+        grasps = GraspList(grasps)
+        refusals = _refusals(grasps, cloud, reach.max_width_m, reach.max_distance_m)
         if any(refusals):
-            usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
+            usable = GraspList(grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason)
             predicted = iter(self._predict(cloud, usable, tare, residuals, history))
             return [
                 TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
@@ -263,7 +281,7 @@ class TouchModel:
         """Predictions by sight for grasps that were executed; raises as `expect`."""
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
-        refusals = [_refusal(grasp, cloud, _EXECUTED_WIDTH_M, limits.max_range_m) for grasp in grasps]
+        refusals = _refusals(grasps, cloud, _EXECUTED_WIDTH_M, limits.max_range_m)
         usable = [grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason]
         estimate = self._estimator.estimate(cloud, usable)  # a useless cloud is named first
         if any(refusals):
@@ -295,24 +313,30 @@ class TouchModel:
     def _predictions(
         self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
     ) -> list[TouchPrediction]:
-        outside = np.any(self.ranges.outside(adapted.counts), axis=1)
-        predictions = []
-        for grasp, counts, width, outside_range, inside in zip(
-            grasps, adapted.counts, adapted.half, outside, in_distribution, strict=True
-        ):
-            if not np.isfinite(counts).all():
-                reason = "the model gives a value that is not finite"
-                predictions.append(TouchPrediction(grasp, None, status="refused", reason=reason))
-                continue
-            flags = ("out_of_range",) * bool(outside_range) + ("unfamiliar",) * (not inside)
-            bounds = (Touch.from_vector(end) for end in (counts - width, counts + width))
-            lower, upper = (None, None) if self.calibration is None else bounds
-            predictions.append(
-                TouchPrediction(
-                    grasp, Touch.from_vector(counts), lower, upper, adapted.reference, flags, evidence=adapted.evidence
-                )
-            )
+        counts, half = adapted.counts, adapted.half
+        outside: list[bool] = self.ranges.outside(counts).any(axis=1).tolist()
+        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
+        values = Touch.from_rows(counts)
+        lower: Sequence[Touch | None] = [None] * len(grasps)
+        upper = lower
+        if self.calibration is not None:
+            lower, upper = Touch.from_rows(counts - half), Touch.from_rows(counts + half)
+        rows = zip(grasps, values, lower, upper, flags, strict=True)
+        predictions = TouchPrediction.usable(rows, adapted.reference, adapted.evidence)
+        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)):
+            reason = "the model gives a value that is not finite"
+            predictions[k] = TouchPrediction(grasps[k], None, status="refused", reason=reason)
         return predictions
+
+
+def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
+    """Why no hand can execute each grasp; "" where one can."""
+    g1, g2, rotations = stacked(grasps)
+    fine = surely_rotations(rotations) & surely_in_reach(g1, g2, cloud.xyz, max_width_m, max_distance_m)
+    return [
+        "" if one else _refusal(grasp, cloud, max_width_m, max_distance_m)
+        for grasp, one in zip(grasps, fine.tolist(), strict=True)
+    ]
 
 
 def _refusal(grasp: Grasp, cloud: Cloud, max_width_m: float, max_distance_m: float) -> str:

@@ -12,6 +12,7 @@ on which the radial normals rest; at its rounded tip they are an approximation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -85,14 +86,14 @@ class TactileRanges(Settings):
         low, high = getattr(self, modality.lower())
         return low, high
 
-    @property
+    @cached_property
     def low(self) -> Float64:
-        """(50,) float64, lower bounds in the order of `Touch.vector()` [counts]."""
+        """(50,) float64, lower bounds in the order of `Touch.vector()` [counts]; read-only."""
         return self._vector(0)
 
-    @property
+    @cached_property
     def high(self) -> Float64:
-        """(50,) float64, upper bounds in the order of `Touch.vector()` [counts]."""
+        """(50,) float64, upper bounds in the order of `Touch.vector()` [counts]; read-only."""
         return self._vector(1)
 
     def scale(self, counts: npt.ArrayLike) -> Float64:
@@ -109,7 +110,9 @@ class TactileRanges(Settings):
         return np.asarray(~((values >= self.low) & (values <= self.high)), np.bool_)
 
     def _vector(self, end: int) -> Float64:
-        return np.concatenate([np.full(modality_size(name), self.of(name)[end]) for name in MODALITIES])
+        found = np.concatenate([np.full(modality_size(name), self.of(name)[end]) for name in MODALITIES])
+        found.flags.writeable = False  # it is kept
+        return found
 
 
 P2_RANGES: Final = TactileRanges()

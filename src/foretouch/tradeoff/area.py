@@ -71,6 +71,7 @@ class Area(Experiment[S, D]):
     A cell may measure several variants; one that trains a network has the value `trains`, the number of trainings.
     `tabulate` returns one row for each variant with the columns `variant` and, for each of `skills`, `<skill>`,
     `<skill>_low` and `<skill>_high` (its spread), and errors as the area likes. A variant without a row has times alone.
+    A `figure` of its own is drawn from the rows of `tradeoff.csv`, beside `tradeoff.png`.
 
     Attributes:
         variants: All variants of a preset's settings, at most 120.

@@ -16,6 +16,7 @@ from foretouch.tradeoff.frontier import frontier, of_request, time_column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _LINE: Final = 0.05  # height of a label, as a share of the axes
 _LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
@@ -37,7 +38,17 @@ def draw_tradeoff(area: Area[Any, Any], rows: Sequence[Row], folder: Path) -> li
         axes.set_axis_off()
     handles = {label: handle for axes in grid for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=7, fontsize=8)
-    return [save(figure, folder / "tradeoff.png")]
+    return [save_small(figure, folder / "tradeoff.png")]
+
+
+def save_small(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG with 64 colours, a third as large."""
+    from PIL import Image
+
+    save(figure, path)
+    with Image.open(path) as image:
+        image.convert("RGB").quantize(64).save(path, optimize=True)
+    return path
 
 
 def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Panel, factors: Sequence[str]) -> None:
@@ -79,20 +90,20 @@ def _name(axes: Axes, line: Sequence[Row], skill: str, column: str) -> None:
     """
     low, high = axes.get_ylim()
     wanted = [(row[skill] - low) / (high - low) for row in line]
-    places = _spread(wanted, _LINE)
+    places = spread(wanted, _LINE)
     for row, place in zip(line, places, strict=True):
         axes.annotate(
             f"{row['variant']}  {row[column]:.3g} ms", (row[column], row[skill]), (1.04, place),
             textcoords="axes fraction", va="center", fontsize=7.5, annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3},
+            arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3, "relpos": (0.0, 0.5)},
         )  # fmt: skip
 
 
-def _spread(wanted: Sequence[float], gap: float) -> list[float]:
+def spread(wanted: Sequence[float], gap: float) -> list[float]:
     """Places near the wanted ascending ones in [0, 1] that are at least a gap apart, if they fit."""
+    from sklearn.isotonic import isotonic_regression
+
     count = len(wanted)
-    gap = min(gap, 1.0 / max(count - 1, 1))
-    offsets = gap * np.arange(count)
-    moved = np.maximum.accumulate(np.asarray(wanted) - offsets)  # upwards only, then down into the axes
-    places = np.minimum(moved, 1.0 - offsets[-1]) + offsets
-    return [float(place) for place in places]
+    offsets = min(gap, 1.0 / max(count - 1, 1)) * np.arange(count)
+    nearest = isotonic_regression(np.asarray(wanted, np.float64) - offsets)  # with least squares
+    return [float(place) for place in np.clip(nearest, 0.0, 1.0 - offsets[-1]) + offsets]

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from foretouch.cloud.geometry.columns import centred_columns, distances
 from foretouch.errors import CloudError
 from foretouch.types import Float64, Grasp
 
@@ -120,8 +121,8 @@ class UnitSphereFrame:
             raise CloudError("xyz: contains points that are not finite")
         if np.abs(points).max() > _MAX_M:
             raise CloudError(f"xyz: {np.abs(points).max():g} m exceeds {_MAX_M:g} m")
-        centre = points.mean(axis=0)
-        scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+        centre, columns = centred_columns(points)
+        scale = float(distances(columns).max())
         if scale < _MIN_SCALE_M:
             raise CloudError(f"xyz: all {len(points)} points coincide at {centre.tolist()}")
         return cls(centre, scale)

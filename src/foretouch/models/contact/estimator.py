@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,7 +32,7 @@ from foretouch.models.calibration import Calibration, calibration_file, load_cal
 from foretouch.models.card import card_text, new_card
 from foretouch.models.contact import features, hand_features
 from foretouch.models.contact.hand_novelty import HandNoveltyDetector
-from foretouch.models.contact.regressors import Forest, KernelRegression
+from foretouch.models.contact.regressors import CompiledForests, Forest, KernelRegression
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import IN_DISTRIBUTION, SizeNoveltyDetector
 from foretouch.models.touch_model import Estimate, TouchModel
@@ -86,7 +87,7 @@ class ContactEstimator:
         inputs = rows if self.claim is None else rows[:, len(hand_features.CONDITIONS) :]
         unknown = self.kernel.predict(inputs)
         if self.claim is not None:
-            unknown = unknown * by_modality(self.claim)
+            unknown = unknown * self._claim
         scaled = weight * self._trees(inputs) + (1.0 - weight) * unknown
         return scaled * self.deviation + self.mean, scores >= IN_DISTRIBUTION
 
@@ -97,11 +98,23 @@ class ContactEstimator:
         return len(features.FEATURES) if self.claim is None else hand
 
     def _trees(self, rows: Float64) -> Float64:
+        if self._compiled.takes(rows):
+            both = self._compiled.predict(rows)  # modalities are in the order of their columns
+            return (both[:, :TOUCH_SIZE] + both[:, TOUCH_SIZE:]) / 2.0
         scaled = self.forests[TOGETHER].predict(rows)
         for name in MODALITIES:
             index = columns([name])
             scaled[:, index] = (scaled[:, index] + self.forests[name].predict(rows)) / 2.0
         return scaled
+
+    @cached_property
+    def _compiled(self) -> CompiledForests:
+        return CompiledForests([self.forests[name] for name in (TOGETHER, *MODALITIES)])
+
+    @cached_property
+    def _claim(self) -> Float64:
+        """(50,) `claim` of each value."""
+        return np.ones(TOUCH_SIZE) if self.claim is None else by_modality(self.claim)
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""

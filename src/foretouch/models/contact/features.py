@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
 from foretouch.errors import CloudError
 from foretouch.models.novelty import OBJECT_FEATURES
 from foretouch.types import Float64, Grasp
@@ -52,10 +53,11 @@ SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
 def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
     """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
     points = np.asarray(xyz, np.float64).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
+    if not np.isfinite(points).all():
+        points = points[np.isfinite(points).all(axis=1)]
     if len(points) < _MINIMUM_POINTS:
         raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
-    if not np.ptp(points, axis=0).any():
+    if (points == points[0]).all():
         raise CloudError(f"cloud: all {len(points)} finite points are in one place")
     return points
 
@@ -75,22 +77,27 @@ class ContactScene:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
         self._points = usable_points(xyz)
-        self._centre = self._points.mean(axis=0)
-        self._centred = self._points - self._centre
+        self._centre, centred = centred_columns(self._points)
+        self._centred = centred.T.copy()
         spreads, axes = _principal(self._centred)
         self._axis = axes[:, 2] * (1.0 if axes[np.abs(axes[:, 2]).argmax(), 2] >= 0.0 else -1.0)
-        self._along = np.quantile(self._centred @ self._axis, _LOW_HIGH)
-        distance = np.linalg.norm(self._centred, axis=1)
+        columns = self._points.T.copy()
+        distance = distances(centred)
         self.object_features: Float64 = np.concatenate(
             [
                 self._centre,
-                np.ptp(self._points, axis=0),
+                columns.max(axis=1) - columns.min(axis=1),
                 spreads,
                 [distance.max(), np.log(len(self._points))],
                 self._axis,
-                np.quantile(distance, (0.25, 0.5, 0.75)),
+                quantiles(distance, (0.25, 0.5, 0.75)),
             ]
         )
+
+    @cached_property
+    def _along(self) -> list[float]:
+        """Ends of the object along its axis, from its centre [m]."""
+        return quantiles(self._centred @ self._axis, _LOW_HIGH)
 
     @cached_property
     def _tree(self) -> cKDTree:

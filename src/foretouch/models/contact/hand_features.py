@@ -19,10 +19,19 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
+from foretouch.kernels import Kernel
 from foretouch.models.contact.features import principal_axes, usable_points
-from foretouch.types import Float64, Grasp
+from foretouch.types import Float64, Grasp, stacked
+
+_GRID = (np.float64, np.int64, np.int32)
+_sort_into_cells = Kernel("sort_into_cells", np.float64, int, np.float64, np.int64, np.int32, np.int32, np.float64)
+_describe_contacts = Kernel(
+    "describe_contacts", np.float64, int, *_GRID, np.float64, np.float64, np.float64, int, np.float64
+)
 
 _RADII_M: Final = (0.008, 0.015, 0.03)  # from a taxel's surroundings to more than a fingertip's pad
 _PAD: Final = 0.02  # about the size of a pad [m]
@@ -30,6 +39,8 @@ _FEWEST: Final = 4  # points that determine a slope
 _LOW_HIGH: Final = (0.02, 0.98)
 _QUARTERS: Final = (0.25, 0.5, 0.75, 0.98)
 _SQUARES: Final = np.array([_PAD, *_RADII_M]) ** 2
+_CELL: Final = 0.01  # edge of the cells in which points around a contact are searched [m]
+_MOST_CELLS: Final = 64  # along one axis
 _UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
 _SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
 _STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
@@ -86,20 +97,17 @@ class HandScene:
 
     def __init__(self, xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> None:
         self._points = usable_points(xyz)
-        self._centre = self._points.mean(axis=0)
-        centred = self._points - self._centre
+        self._centre, self._columns = centred_columns(self._points)
+        centred = self._centred = self._columns.T.copy()
         self._covariance = centred.T @ centred / len(centred)
         spreads, axes = principal_axes(self._covariance)
         self._inverse = (axes / (spreads**2 + _STEP**2)) @ axes.T
-        along = np.quantile(centred @ axes, _LOW_HIGH, axis=0)
-        low, high = np.quantile(self._points[:, 2], _LOW_HIGH)
+        along = [quantiles(column, _LOW_HIGH) for column in (centred @ axes).T.copy()]
+        low, high = quantiles(self._points[:, 2], _LOW_HIGH)
         self._top = low  # nearest to the camera
-        products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)[:, _UPPER]
-        self._powers = np.column_stack([np.ones(len(centred)), centred, products])
-        distance = np.sqrt((centred * centred).sum(axis=1))
-        extents = along[1] - along[0]
+        extents = [end - start for start, end in along]
         self.object_features: Float64 = np.concatenate(
-            [spreads, extents, np.quantile(distance, _QUARTERS), [high - low]]
+            [spreads, extents, quantiles(distances(self._columns), _QUARTERS), [high - low]]
         )
         away = np.sqrt((self._centre**2).sum())
         self._conditions = np.array([away, np.sqrt(extents[1] * extents[2] / len(centred))])
@@ -109,12 +117,34 @@ class HandScene:
         """Of all points; built only when a grasp is described, and not balanced, which would take most of the time."""
         return cKDTree(self._points, leafsize=32, compact_nodes=False, balanced_tree=False)
 
+    @cached_property
+    def _powers(self) -> Float64:
+        """(N, 10): 1, x, y, z, xx, xy, xz, yy, yz, zz of the points from the centre."""
+        products = (self._centred[:, :, None] * self._centred[:, None, :]).reshape(-1, 9)[:, _UPPER]
+        return np.column_stack([np.ones(len(products)), self._centred, products])
+
+    @cached_property
+    def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]] | None:
+        """The points as the compiled function reads them; None if they are too many, or not within any grid.
+
+        That is: columns of (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts.
+        """
+        low, high = self._columns.min(axis=1), self._columns.max(axis=1)
+        edge = max(_CELL, float((high - low).max()) / _MOST_CELLS)
+        if not np.isfinite(edge) or len(self._centred) >= 2**31:
+            return None
+        grid, cells = np.append(low, 1.0 / edge), ((high - low) / edge).astype(np.int64) + 1
+        starts, columns = np.empty(cells.prod() + 1, np.int32), np.empty_like(self._columns)
+        _sort_into_cells(
+            self._centred, len(self._centred), grid, cells, np.empty(len(self._centred), np.int32), starts, columns
+        )
+        return columns, grid, cells, starts
+
     def describe(self, grasps: Sequence[Grasp]) -> Float64:
         """(K, len(FEATURES)) float64: one row for each grasp, the same alone and among others; finite for any grasp."""
         if not grasps:
             return np.empty((0, len(FEATURES)))
-        g1, g2 = np.array([grasp.g1 for grasp in grasps]), np.array([grasp.g2 for grasp in grasps])
-        hand = np.array([grasp.rotation for grasp in grasps])
+        g1, g2, hand = stacked(grasps)
         away = np.where(hand[:, 2, :1] < 0.0, -1.0, 1.0)
         hand = np.stack([hand[:, :, 0] * away, hand[:, :, 1] * away, hand[:, :, 2]], axis=2)
         objects = np.tile(np.concatenate([self._conditions, self.object_features]), (len(grasps), 1))
@@ -149,6 +179,23 @@ class HandScene:
 
     def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
         """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
+
+        The compiled form differs from that of NumPy by rounding, 1e-8. It leaves out contacts at points that are in one
+        plane to 1e-7 m, such as on a face at one step of the depth: there the features depend on rounding.
+        """
+        if _describe_contacts and self._grid is not None:
+            rows = np.empty((len(contacts), len(_CONTACT_FEATURES)))
+            columns, *grid = self._grid
+            at, fingers = contacts - self._centre, np.ascontiguousarray(fingers)
+            _describe_contacts(columns, columns.shape[1], *grid, _SQUARES, at, fingers, len(at), rows)
+            left = np.flatnonzero(np.isnan(rows[:, 0]))
+            if left.size:
+                rows[left] = self._summed(contacts[left], fingers[left])
+            return rows
+        return self._summed(contacts, fingers)
+
+    def _summed(self, contacts: Float64, fingers: Float64) -> Float64:
+        """`_contacts` by NumPy.
 
         Points around a contact are summed once, in the camera's frame, however many grasps share it.
         """

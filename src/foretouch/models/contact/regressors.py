@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from foretouch.errors import ModelError
+from foretouch.kernels import Kernel
 from foretouch.models.files import TensorRecord
 from foretouch.types import Float32, Float64
 
@@ -31,6 +33,16 @@ _DTYPES: Final = {
     "leaf": np.int32,
     "value": np.float16,
 }
+
+
+_forest_means = Kernel(
+    "forest_means",
+    *(np.float32, int, int, np.int32, np.int32, np.int64, np.float32, np.int64, int, int),
+    *(np.int32, np.float64, np.float64),
+)
+_city_distances = Kernel("city_distances", np.float64, int, int, np.float64, int, np.float64)
+_weighted_sums = Kernel("weighted_sums", np.float64, int, int, np.float64, int, np.float64)
+_ROWS_AT_ONCE, _KNOWN_AT_ONCE, _OUTPUTS_AT_ONCE = 64, 32, 56  # by the compiled functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +92,8 @@ class Forest(TensorRecord):
 
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
+        if self._compiled.takes(rows):
+            return self._compiled.predict(rows)
         rounded = rows.astype(np.float32)
         index = np.arange(len(rows))[:, None]
         node = np.tile(self.roots, (len(rows), 1))
@@ -94,8 +108,12 @@ class Forest(TensorRecord):
             len(rows), self.output_size
         )
 
+    @cached_property
+    def _compiled(self) -> CompiledForests:
+        return CompiledForests([self])
+
     def _check(self) -> None:
-        """Dtypes, and that each node leads to later ones and each leaf to a value, since `predict` relies on it."""
+        """Dtypes, and that each node leads to later ones and each leaf to a value, since predictions rely on it."""
         for name, kind in _DTYPES.items():
             if getattr(self, name).dtype != kind:
                 raise ModelError(f"{name}: dtype {getattr(self, name).dtype} is not {np.dtype(kind)}")
@@ -116,6 +134,53 @@ class Forest(TensorRecord):
             raise ModelError("roots, value: a root is no node, or a value is not finite")
 
 
+class CompiledForests:
+    """Several forests as the compiled function reads them, which walks through all of them at once.
+
+    Args:
+        forests: Are checked, since the function trusts all indices.
+
+    Raises:
+        ModelError: If an array of a forest is damaged.
+    """
+
+    def __init__(self, forests: Sequence[Forest]) -> None:
+        nodes, roots, leaf, value = [], [], [], []
+        first = begin = 0
+        for forest in forests:
+            forest._check()  # noqa: SLF001  of this module
+            # A float32 is above a threshold where it is above the largest float32 that is not above the threshold.
+            with np.errstate(over="ignore"):
+                threshold = forest.threshold.astype(np.float32)
+            threshold = np.where(threshold > forest.threshold, np.nextafter(threshold, np.float32(-np.inf)), threshold)
+            threshold[forest.feature < 0] = np.inf  # leaves lead to themselves
+            feature = np.maximum(forest.feature, 0).astype(np.int32)
+            nodes.append(np.column_stack([threshold.view(np.int32), feature, forest.children + first]))
+            roots.append(forest.roots + first)
+            leaf.append(forest.leaf.astype(np.int64) * forest.output_size + begin)
+            value.append(forest.value.astype(np.float32).reshape(-1))
+            first, begin = first + forest.feature.size, begin + forest.value.size
+        self._nodes, self._roots, self._leaf, self._value = map(np.concatenate, (nodes, roots, leaf, value))
+        self._sizes = np.array([(forest.roots.size, forest.output_size) for forest in forests], np.int64)
+        self._most, self._width = int(self._sizes[:, 0].max()), int(self._sizes[:, 1].sum())
+        self._widest = max(int(forest.feature.max()) for forest in forests)
+
+    def takes(self, rows: npt.NDArray[Any]) -> bool:
+        """Whether the function is available, and rows have all columns that a node compares."""
+        return bool(_forest_means) and rows.ndim == 2 and rows.shape[1] > max(0, self._widest)
+
+    def predict(self, rows: Float64) -> Float64:
+        """(K, M) float64: predictions of the forests beside each other, equal to those of `Forest.predict`."""
+        rounded = np.ascontiguousarray(rows, np.float32)
+        scratch, single = np.empty(_ROWS_AT_ONCE * self._most, np.int32), np.empty(self._most)
+        result = np.empty((len(rows), self._width))
+        _forest_means(
+            *(rounded, *rounded.shape, self._nodes, self._roots, self._leaf, self._value),
+            *(self._sizes, len(self._sizes), self._width, scratch, single, result),
+        )
+        return result
+
+
 @dataclass(frozen=True, eq=False)
 class KernelRegression(TensorRecord):
     """S training rows of F columns and M outputs in units of their deviation from their mean."""
@@ -128,10 +193,28 @@ class KernelRegression(TensorRecord):
 
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
-        kernel = laplacian((rows - self.centre) / self.scale, self.known.astype(np.float64), float(self.decay))
+        scaled = (rows - self.centre) / self.scale
+        size, outputs = self.weight.shape
+        if _city_distances and rows.ndim == 2 and rows.shape[1] == self.known.shape[1]:
+            known, weight = self._packed
+            sums = np.empty((len(rows), outputs))
+            for start in range(0, len(rows), _ROWS_AT_ONCE):
+                part = np.ascontiguousarray(scaled[start : start + _ROWS_AT_ONCE])
+                kernel = np.empty((len(part), size))
+                _city_distances(part, *part.shape, known, size, kernel)
+                _fade(kernel, float(self.decay), rows.shape[1])
+                _weighted_sums(kernel, *kernel.shape, weight, outputs, sums[start : start + _ROWS_AT_ONCE])
+            return sums
+        kernel = laplacian(scaled, self.known.astype(np.float64), float(self.decay))
         weight = self.weight.astype(np.float64)
         # Row by row, so that a prediction is equal to the last bit whatever the other rows are.
-        return np.array([row @ weight for row in kernel]).reshape(len(rows), weight.shape[1])
+        return np.array([row @ weight for row in kernel]).reshape(len(rows), outputs)
+
+    @cached_property
+    def _packed(self) -> tuple[Float64, Float64]:
+        """Checked, known rows and weights as the compiled functions read them."""
+        self._check()
+        return _in_groups(self.known, _KNOWN_AT_ONCE), _in_groups(self.weight.T, _OUTPUTS_AT_ONCE)
 
     def _check(self) -> None:
         for name, array in self.to_tensors().items():
@@ -147,4 +230,18 @@ class KernelRegression(TensorRecord):
 
 def laplacian(rows: Float64, known: Float64, decay: float) -> Float64:
     """(K, S) float64 kernel of (K, F) and (S, F) standardised rows."""
-    return np.asarray(np.exp(-decay / rows.shape[1] * cdist(rows, known, "cityblock")), np.float64)
+    return _fade(np.asarray(cdist(rows, known, "cityblock"), np.float64), decay, rows.shape[1])
+
+
+def _fade(distance: Float64, decay: float, columns: int) -> Float64:
+    """The kernel at some distances, in their place."""
+    distance *= -decay / columns
+    return np.exp(distance, out=distance)
+
+
+def _in_groups(rows: npt.NDArray[np.floating], size: int) -> Float64:
+    """(G, F, size) float64: (S, F) rows in groups, a column after the other; the last group is filled up with zeros."""
+    groups = -(-len(rows) // size)
+    filled = np.zeros((groups * size, rows.shape[1]))
+    filled[: len(rows)] = rows
+    return np.ascontiguousarray(filled.reshape(groups, size, -1).transpose(0, 2, 1))

@@ -11,8 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ModelError
+from foretouch.kernels import Kernel
 from foretouch.models.network.preparation import PreparedCloud
-from foretouch.types import Float64, Grasp
+from foretouch.types import Float64, Grasp, stacked
+
+_nearest_squares = Kernel("nearest_squares", np.float32, int, np.float32, int, np.float32)
 
 LENGTHS: Final = ("range_m", "radius_m", "width_m", "offset_m", "gap_m")
 """Distance of the cloud from the camera, its radius about its centroid, the distance of the contacts from each
@@ -64,11 +67,11 @@ def grasp_lengths(prepared: PreparedCloud, grasps: Sequence[Grasp]) -> Float64:
     if not grasps:
         return np.empty((0, len(LENGTHS)))
     frame = prepared.frame
-    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
-    offset = np.linalg.norm(contacts.mean(axis=1) - frame.centre, axis=1)
-    width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+    g1, g2, _ = stacked(grasps)
+    offset = np.linalg.norm((g1 + g2) / 2.0 - frame.centre, axis=1)
+    width = np.linalg.norm(g1 - g2, axis=1)
     cloud = [float(np.linalg.norm(frame.centre)), frame.scale]
-    gap = _nearest(prepared, contacts.reshape(-1, 3)).reshape(-1, 2).max(axis=1)
+    gap = np.maximum(_nearest(prepared, g1), _nearest(prepared, g2))
     return np.column_stack([np.tile(cloud, (len(grasps), 1)), width, offset, gap])
 
 
@@ -77,6 +80,11 @@ def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
     frame = prepared.frame
     moved = frame.apply_points(targets).astype(np.float32)
     points = prepared.points[:, :3]
-    # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
-    squared = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
-    return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)) * frame.scale, np.float64)
+    if _nearest_squares:
+        squared = np.empty(len(moved), np.float32)
+        _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)
+    else:
+        # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
+        apart = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
+        squared = np.maximum(apart.min(axis=1), 0.0)
+    return np.asarray(np.sqrt(squared) * frame.scale, np.float64)

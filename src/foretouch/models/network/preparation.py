@@ -15,7 +15,7 @@ from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.cloud.geometry.sampling import UnitSphereFrame, sample_indices
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.config import ModelConfig
-from foretouch.types import Cloud, Float32, Float64, Grasp
+from foretouch.types import Cloud, Float32, Float64, Grasp, stacked
 
 MINIMUM_POINTS = 32
 """Fewer points do not represent a shape; the sparsest of the public clouds holds 814."""
@@ -40,10 +40,11 @@ def finite_points(cloud: Cloud, config: ModelConfig) -> Cloud:
     """
     if config.channels == "xyz+rgb" and cloud.rgb is None:
         raise ModelError("channels: the model needs xyz+rgb and the cloud has no rgb")
-    usable = cloud.take(np.asarray(np.isfinite(cloud.xyz).all(axis=-1), np.bool_))
+    finite = np.isfinite(cloud.xyz)
+    usable = cloud.take(np.arange(cloud.size) if finite.all() else np.asarray(finite.all(axis=-1), np.bool_))
     if usable.size < MINIMUM_POINTS:
         raise CloudError(f"cloud: {usable.size} finite points of {cloud.size} are fewer than {MINIMUM_POINTS}")
-    if not np.ptp(usable.xyz, axis=0).any():
+    if (usable.xyz == usable.xyz[0]).all():
         raise CloudError(f"cloud: all {usable.size} finite points are in one place")
     return usable
 
@@ -104,13 +105,10 @@ def prepare_grasps(grasps: Sequence[Grasp], frame: UnitSphereFrame, config: Mode
     count = len(grasps)
     if not config.use_grasp or count == 0:
         return np.zeros((count, config.grasp_size), np.float32)
-    contacts = np.array([(grasp.g1, grasp.g2) for grasp in grasps])
-    parts = [
-        frame.apply_points(contacts.reshape(-1, 3)).reshape(count, 6),
-        np.array([grasp.rotation for grasp in grasps]).reshape(count, 9),
-    ]
+    g1, g2, rotations = stacked(grasps)
+    parts = [frame.apply_points(g1), frame.apply_points(g2), rotations.reshape(count, 9)]
     if config.metric_inputs:
-        width = np.linalg.norm(contacts[:, 0] - contacts[:, 1], axis=1)
+        width = np.linalg.norm(g1 - g2, axis=1)
         parts += [np.full((count, 1), frame.scale * _DM_PER_M), width[:, None] * _DM_PER_M]
     return np.concatenate(parts, axis=1).astype(np.float32)
 

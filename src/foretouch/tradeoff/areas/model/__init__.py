@@ -3,6 +3,7 @@
 
 from foretouch.tradeoff.area import Area, Panel
 from foretouch.tradeoff.areas.model import skill, variants
+from foretouch.tradeoff.areas.model.picture import draw_overview
 from foretouch.tradeoff.areas.model.timed import timed
 
 __all__ = ["EXPERIMENT"]
@@ -16,7 +17,13 @@ EXPERIMENT = Area(
     settings=skill.ModelSettings,
     presets={
         "small": {"timing_s": 45.0, "splits": ["time", "object"]},
-        "full": {"timing_s": 200.0, "seeds": [0, 1], "full": True, "simulated": 1000},
+        "full": {
+            "timing_s": 200.0,
+            "seeds": [0, 1],
+            "full": True,
+            "recipes": list(variants.RECIPES),
+            "simulated": 1000,
+        },
     },
     load=skill.load,
     prepare=skill.prepare,
@@ -24,6 +31,8 @@ EXPERIMENT = Area(
     run=skill.run,
     tabulate=skill.tabulate,
     summarise=lambda _: (),
+    figure=draw_overview,
+    free=skill.FREE,
     data_folder="vision2tactile",
     variants=lambda settings: variants.list_variants(full=settings.full),
     timed=timed,

@@ -31,6 +31,9 @@ SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random
 """Splits of the real grasps, with what is held out."""
 
 SIMULATED: Final = "simulated"
+FREE: Final = ("splits", "seeds", "recipes", "bootstrap", "timing_s", "requests", "seed")
+"""Settings that no cell depends on: a sweep may be resumed with others."""
+
 _CONTACT: Final = "contact"
 _SECONDS: Final = {"contact": 45.0, "touchnet": 110.0, "network": 40.0}  # of a cell on the machine of the benchmarks
 _BASE_FIT_S: Final = 0.2  # of `_probe` there
@@ -43,7 +46,8 @@ class ModelSettings(TradeoffSettings):
     requests: tuple[int, ...] = setting((1, 10, 100, 1000), "Grasps per cloud that are timed", minimum=1)
     splits: tuple[str, ...] = setting(tuple(SPLITS), "Splits on which skill is measured", choices=tuple(SPLITS))
     seeds: tuple[int, ...] = setting((0,), "Seeds of random folds and of the trees", minimum=0)
-    full: bool = setting(False, "Train networks, and fit more contact models")
+    full: bool = setting(False, "Fit more contact models, and time more networks")
+    recipes: tuple[str, ...] = setting((), "Networks that are trained on blocks of time", choices=tuple(RECIPES))
     simulated: int = setting(0, "Simulated grasps on which skill is measured too; 0 for none", minimum=0)
     scene: str = setting("config/scenes/unseen_objects.yaml", "Scene of the simulated grasps")
     bootstrap: BootstrapConfig = BootstrapConfig()
@@ -92,9 +96,8 @@ def cells(settings: ModelSettings, data: ModelData) -> list[Cell]:
     ]
     if data.simulated is not None:
         found.append(_cell(_CONTACT, SIMULATED, "half of the objects", 0))
-    if settings.full:
-        blocks = make_folds(labelled(data.real), "time", 0)
-        found += [_cell(recipe, "time", fold.name, 0) for recipe in RECIPES for fold in blocks]
+    blocks = make_folds(labelled(data.real), "time", 0)
+    found += [_cell(recipe, "time", fold.name, 0) for recipe in settings.recipes for fold in blocks]
     return found
 
 

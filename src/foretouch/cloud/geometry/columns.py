@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mean, distances and quantiles of points by columns: NumPy's own results to the last bit, several times as fast.
+
+Operations on rows of three numbers take several times as long as those on three contiguous columns.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from foretouch.types import Float64
+
+
+def centred_columns(points: Float64) -> tuple[Float64, Float64]:
+    """(3,) mean of (N, 3) points, and (3, N) their coordinates from it.
+
+    Equal to `points.mean(axis=0)` and the difference from it.
+    """
+    columns = points.T.copy()
+    centre = np.cumsum(columns, axis=1)[:, -1] / len(points)
+    columns -= centre[:, None]
+    return centre, columns
+
+
+def distances(columns: Float64) -> Float64:
+    """(N,) of (3, N) coordinates from the origin."""
+    x, y, z = columns
+    return np.asarray(np.sqrt(x * x + y * y + z * z), np.float64)
+
+
+def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
+    """Of (N,) values, N > 0: equal to `np.quantile`."""
+    at = [share * (len(values) - 1) for share in shares]
+    below = [int(one) for one in at]
+    above = [min(one + 1, len(values) - 1) for one in below]
+    ordered = np.sort(values)  # NumPy's sort is vectorised; its partition by several indices is not
+    found = []
+    for low, high, t in zip(ordered[below].tolist(), ordered[above].tolist(), np.subtract(at, below), strict=True):
+        found.append(float(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t))
+    return found

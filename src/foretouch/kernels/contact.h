@@ -1,0 +1,190 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The loops of contact.c that are compiled for several instruction sets: included once for each, with its own NAME.
+ * (The compiler splits vectors before it clones functions, so that VECTORISED would not widen them.) */
+
+/* Add the points to the sums, each with weight 1 - (distance / radius)^2. */
+static void NAME(add_near)(
+    Patch *patch, const double *sorted, int64_t n, const double *squares
+) {
+    for (int64_t k = patch->size; k < patch->size + LANES; k++) { /* no weight */
+        patch->index[k] = 0;
+        patch->square[k] = INFINITY;
+    }
+    Lanes columns[4][NEAR / LANES];
+    const int64_t groups = (patch->size + LANES - 1) / LANES;
+    for (int64_t g = 0; g < groups; g++) {
+        for (int l = 0; l < LANES; l++) {
+            const int64_t i = patch->index[LANES * g + l];
+            for (int k = 0; k < 3; k++) {
+                columns[k][g][l] = sorted[k * n + i];
+            }
+            columns[3][g][l] = patch->square[LANES * g + l];
+        }
+    }
+    for (int r = 0; r < RADII; r++) {
+        Lanes s0 = patch->sums[r][0], s1 = patch->sums[r][1], s2 = patch->sums[r][2], s3 = patch->sums[r][3];
+        Lanes s4 = patch->sums[r][4], s5 = patch->sums[r][5], s6 = patch->sums[r][6], s7 = patch->sums[r][7];
+        Lanes s8 = patch->sums[r][8], s9 = patch->sums[r][9];
+        Mask counts = patch->counts[r];
+        const double per_square = 1.0 / squares[r];
+        for (int64_t g = 0; g < groups; g++) {
+            const Lanes x = columns[0][g], y = columns[1][g], z = columns[2][g];
+            const Lanes left = 1.0 - columns[3][g] * per_square;
+            const Mask inside = left > 0.0;
+            const Lanes w = (Lanes)((Mask)left & inside);
+            const Lanes wx = w * x, wy = w * y, wz = w * z;
+            s0 += w;
+            s1 += wx;
+            s2 += wy;
+            s3 += wz;
+            s4 += wx * x;
+            s5 += wx * y;
+            s6 += wx * z;
+            s7 += wy * y;
+            s8 += wy * z;
+            s9 += wz * z;
+            counts += inside;
+        }
+        const Lanes sums[SUMS] = {s0, s1, s2, s3, s4, s5, s6, s7, s8, s9};
+        memcpy(patch->sums[r], sums, sizeof sums);
+        patch->counts[r] = counts;
+    }
+    patch->size = 0;
+}
+
+/* Collect the points of sorted from i to stop that are within the last radius. */
+static void NAME(collect)(
+    Patch *patch, const double *sorted, int64_t n, const double *squares, const double *contact, int64_t i, int64_t stop
+) {
+    const double *x = sorted, *y = sorted + n, *z = sorted + 2 * n;
+    double found[NEAR];
+    while (i < stop) {
+        const int64_t size = stop - i < NEAR - patch->size ? stop - i : NEAR - patch->size;
+        for (int64_t k = 0; k < size; k++) {
+            const double dx = x[i + k] - contact[0], dy = y[i + k] - contact[1], dz = z[i + k] - contact[2];
+            found[k] = dx * dx + dy * dy + dz * dz;
+        }
+        for (int64_t k = 0; k < size; k++) {
+            patch->index[patch->size] = (int32_t)(i + k);
+            patch->square[patch->size] = found[k];
+            patch->size += found[k] < squares[RADII - 1];
+        }
+        i += size;
+        if (patch->size == NEAR) {
+            NAME(add_near)(patch, sorted, n, squares);
+        }
+    }
+}
+
+static void NAME(describe)(
+    const double *sorted, int64_t n, const double *grid, const int64_t *cells, const int32_t *starts,
+    const double *squares, const double *contacts, const double *frames, int64_t count, double *rows
+) {
+    const double reach = sqrt(squares[RADII - 1]);
+    for (int64_t k = 0; k < count; k++) {
+        const double *contact = contacts + 3 * k, *frame = frames + 9 * k;
+        double *row = rows + FEATURES * k;
+        Patch patch;
+        memset(patch.sums, 0, sizeof patch.sums);
+        memset(patch.counts, 0, sizeof patch.counts);
+        patch.size = 0;
+        int64_t from[3], to[3];
+        for (int j = 0; j < 3; j++) {
+            from[j] = cell_of(contact[j] - reach, grid[j], grid[3], cells[j]);
+            to[j] = cell_of(contact[j] + reach, grid[j], grid[3], cells[j]);
+        }
+        for (int64_t z = from[2]; z <= to[2]; z++) {
+            const double dz = beside(contact[2], grid[2], grid[3], z);
+            for (int64_t y = from[1]; y <= to[1]; y++) {
+                const double dy = beside(contact[1], grid[1], grid[3], y);
+                const double left = squares[RADII - 1] - (dy * dy + dz * dz);
+                if (!(left > 0.0)) {
+                    continue;
+                }
+                const int64_t run = (z * cells[1] + y) * cells[0];
+                const int64_t first = run + cell_of(contact[0] - sqrt(left), grid[0], grid[3], cells[0]);
+                const int64_t last = run + cell_of(contact[0] + sqrt(left), grid[0], grid[3], cells[0]);
+                NAME(collect)(&patch, sorted, n, squares, contact, starts[first], starts[last + 1]);
+            }
+        }
+        NAME(add_near)(&patch, sorted, n, squares);
+        int rounding = 0;
+        for (int r = 0; r < RADII; r++) {
+            double mean[3], covariance[3][3], values[3], axis[3], found;
+            const double total = moments(&patch, r, (double)n, mean, covariance, &found);
+            principal(covariance, values, axis);
+            const double size_of_terms = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2] + values[2];
+            rounding |= (r == 0 ? total > 0.0 : found >= FEWEST) && !(values[0] > FLAT * size_of_terms);
+            const double thin = sqrt(values[0] > 0.0 ? values[0] : 0.0), wide = sqrt(values[1] > 0.0 ? values[1] : 0.0);
+            if (r == 0) {
+                double away[3];
+                for (int j = 0; j < 3; j++) {
+                    away[j] = total > 0.0 ? mean[j] - contact[j] : 0.0;
+                }
+                row[0] = total;
+                row[1] = thin;
+                into(frame, away, row + 2);
+                continue;
+            }
+            double normal[3], *slope = row + 5 + 3 * (r - 1);
+            into(frame, axis, normal);
+            const double flat = 1.0 - thin / (wide > NOTHING ? wide : NOTHING), size = flat * fabs(normal[2]);
+            for (int j = 0; j < 3; j++) {
+                slope[j] = found < FEWEST ? 0.0 : size * normal[j] * (normal[2] > 0.0 ? -1.0 : 1.0);
+            }
+        }
+        if (rounding) {
+            row[0] = NAN;
+        }
+    }
+}
+
+/* See city_distances. */
+static void NAME(city)(
+    const double *rows, int64_t count, int64_t columns, const double *packed, int64_t size, double *distances
+) {
+    const Mask magnitude = ~(Mask)(-(Lanes){0.0});
+    for (int64_t start = 0; start < size; start += 4 * LANES) {
+        const double *group = packed + start * columns; /* stays in the cache for all rows */
+        const int64_t left = size - start < 4 * LANES ? size - start : 4 * LANES;
+        for (int64_t i = 0; i < count; i++) {
+            const double *row = rows + i * columns;
+            Lanes sum[4] = {{0.0}, {0.0}, {0.0}, {0.0}};
+            for (int64_t j = 0; j < columns; j++) {
+                Lanes known[4];
+                memcpy(known, group + 4 * LANES * j, sizeof known);
+                sum[0] += (Lanes)((Mask)(row[j] - known[0]) & magnitude);
+                sum[1] += (Lanes)((Mask)(row[j] - known[1]) & magnitude);
+                sum[2] += (Lanes)((Mask)(row[j] - known[2]) & magnitude);
+                sum[3] += (Lanes)((Mask)(row[j] - known[3]) & magnitude);
+            }
+            memcpy(distances + i * size + start, sum, left * sizeof *distances);
+        }
+    }
+}
+
+/* See weighted_sums. */
+static void NAME(weigh)(
+    const double *weights, int64_t count, int64_t size, const double *packed, int64_t outputs, double *sums
+) {
+    for (int64_t i = 0; i < count; i++) {
+        const double *weight = weights + i * size, *value = packed;
+        for (int64_t start = 0; start < outputs; start += OUTPUTS) {
+            Lanes s0 = {0.0}, s1 = {0.0}, s2 = {0.0}, s3 = {0.0}, s4 = {0.0}, s5 = {0.0}, s6 = {0.0};
+            for (int64_t k = 0; k < size; k++, value += OUTPUTS) {
+                Lanes one[OUTPUTS / LANES];
+                memcpy(one, value, sizeof one);
+                s0 += weight[k] * one[0];
+                s1 += weight[k] * one[1];
+                s2 += weight[k] * one[2];
+                s3 += weight[k] * one[3];
+                s4 += weight[k] * one[4];
+                s5 += weight[k] * one[5];
+                s6 += weight[k] * one[6];
+            }
+            const Lanes sum[OUTPUTS / LANES] = {s0, s1, s2, s3, s4, s5, s6};
+            const int64_t left = outputs - start < OUTPUTS ? outputs - start : OUTPUTS;
+            memcpy(sums + i * outputs + start, sum, left * sizeof *sums);
+        }
+    }
+}
