@@ -55,9 +55,8 @@ def test_a_coarser_grid_loses_some_of_the_masks() -> None:
 
 def test_grasps_that_move_are_equal_better_or_worse() -> None:
     row = measures._moves(
-        [
-            {"moved": True, "score_change": change} for change in (0.05, 0.5, -0.5, -0.05)
-        ] + [{"moved": False, "score_change": 0.0}, {"moved": None, "score_change": None}]
+        [{"moved": True, "score_change": change} for change in (0.05, 0.5, -0.5, -0.05)]
+        + [{"moved": False, "score_change": 0.0}, {"moved": None, "score_change": None}]
     )
     assert row == {"moved": 0.8, "moved_equal": 0.5, "moved_better": 0.25, "moved_worse": 0.25}
 

@@ -61,7 +61,14 @@ def test_the_fit_that_is_timed_predicts_what_the_measured_one_does() -> None:
 
 
 def row(variant: str, factor: str, known: float, hours: float, cpu_ms: float) -> Row:
-    made: Row = {"variant": variant, "factor": factor, "known": known, "known_low": None, "known_high": None, "new": None}
+    made: Row = {
+        "variant": variant,
+        "factor": factor,
+        "known": known,
+        "known_low": None,
+        "known_high": None,
+        "new": None,
+    }
     made |= {"one_block": None, "robot_h_known": hours, "robot_h_new": None, "grasps_known": int(60 * hours)}
     return made | {"cpu_ms": cpu_ms, "request": 1, "state": "idle"}
 
