@@ -14,7 +14,7 @@ from foretouch.experiments.framework.manifest import read_results
 from foretouch.models import load_model
 from foretouch.tactile import MODALITIES
 
-KEPT = ("10 trees", "10 trees, no surroundings", "touchnet-v1")
+KEPT = ("10 trees", "no surroundings", "touchnet-v1")
 TARGET = Path(__file__).parents[2] / "src/foretouch/tradeoff/budget/levels.json"
 
 

@@ -67,6 +67,16 @@ def test_waiting_counts(make, clock):
     assert answer(budget, clock, waited=0.02) == ("mean", True)
 
 
+def test_what_every_request_waits_is_no_overload(make, clock):
+    budget = make(10)
+    for _ in range(50):  # the messages of ten grasps take 5 ms to arrive
+        assert answer(budget, clock, count=10, waited=0.005)[0] == "half"
+        assert answer(budget, clock)[0] == "model"
+    assert budget.notes()["budget.overloaded"] == "false"
+    assert answer(budget, clock, count=10, waited=0.0096)[0] == "mean"
+    assert budget.notes()["budget.overloaded"] == "true"
+
+
 def test_a_budget_that_nothing_meets_is_told(make, clock):
     budget = make(0.1)
     assert budget.affordable(1) is None

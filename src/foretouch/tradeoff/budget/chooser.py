@@ -4,7 +4,8 @@
 The expected time of a level is that of its profile, plus what the caller needs around the prediction, times how much
 slower than that the latest answers were. The first level that meets what is left of the budget is chosen. If that is
 less than an idle machine would choose, the machine is overloaded, and no better level is chosen until one has met the
-budget with a margin for a second.
+budget with a margin for a second. The least time between receipt and choice, among the latest requests of about as many
+grasps, is that of an idle machine: the rest was spent in a queue.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ _HOLD_S: Final = 1.0  # for which a better level must meet the budget before it 
 _WINDOW: Final = 100  # latest answers from which the slowdown is estimated
 _LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
 _QUANTILE: Final = 0.95
+_WAITS: Final = 30  # latest requests of each order of magnitude, of which the least wait is that of an idle machine
 _REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
 _SLOWDOWNS: Final = (0.5, 100.0)
 
@@ -70,6 +72,7 @@ class LatencyBudget:
         self._now = now
         self._lock = threading.Lock()
         self._ratios: deque[float] = deque(maxlen=_WINDOW)
+        self._waits: dict[int, deque[float]] = {}  # by digits of the number of grasps
         self._floor = 0
         self._better_since: float | None = None
         self._counts: Counter[str] = Counter()
@@ -82,7 +85,8 @@ class LatencyBudget:
 
     def affordable(self, count: int) -> Level | None:
         """The best level for so many grasps that meets the budget on the machine as it was profiled; None if none."""
-        place = self._first(count, _MARGIN, self.budget_s)
+        with self._lock:
+            place = self._first(count, _MARGIN, self._left_if_idle(count))
         return None if place is None else self._levels[place]
 
     def begin(self, count: int, arrived: float) -> Answer:
@@ -91,8 +95,9 @@ class LatencyBudget:
         left = self.budget_s - (began - arrived)
         last = len(self._levels) - 1
         with self._lock:
+            self._waits.setdefault(len(str(count)), deque(maxlen=_WAITS)).append(began - arrived)
             slow = self._slowdown()
-            idle = self._place(count, _MARGIN, self.budget_s)
+            idle = self._place(count, _MARGIN, self._left_if_idle(count))
             place = max(idle, self._place(count, _MARGIN * slow, left))
             if place > max(idle, self._floor):
                 self._floor, self._better_since = place, None
@@ -100,7 +105,7 @@ class LatencyBudget:
                 self._rise(self._place(count, _MARGIN_UP * slow, left), began)
             level = self._levels[min(max(place, self._floor), last)]
             self._last = level.name
-        affordable = self.affordable(count) is not None
+            affordable = self._first(count, _MARGIN, self._left_if_idle(count)) is not None
         expected_s = self.expected_s(level, count)
         return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable)
 
@@ -130,6 +135,9 @@ class LatencyBudget:
             **{f"budget.by.{one.name}": str(counts[one.name]) for one in self._levels if one.name in counts},
             "budget.profile": f"{self._profile.origin} ({self._profile.state})",
         }
+
+    def _left_if_idle(self, count: int) -> float:
+        return self.budget_s - min(self._waits.get(len(str(count)), (0.0,)))
 
     def _first(self, count: int, factor: float, left: float) -> int | None:
         for place, level in enumerate(self._levels):

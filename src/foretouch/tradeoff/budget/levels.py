@@ -63,11 +63,8 @@ def _contact(cut: Callable[[ContactEstimator], Estimator]) -> Callable[[Estimato
 
 
 _MAKERS: Final[dict[str, Callable[[Estimator], Estimator]]] = {
-    "30 trees": _contact(lambda one: fewer_trees(one, 30)),
     "10 trees": _contact(lambda one: fewer_trees(one, 10)),
-    "5 trees": _contact(lambda one: fewer_trees(one, 5)),
     "no surroundings": _contact(WithoutSurroundings.of),
-    "10 trees, no surroundings": _contact(lambda one: WithoutSurroundings.of(fewer_trees(one, 10))),
     "touchnet-v1": lambda _: load_model("touchnet-v1").estimator,
 }
 """Estimators of the levels by name, from the model's own."""
