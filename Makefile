@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make bench. Each can be repeated and reuses what stands.
 # ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
 PYTHON ?= python3
 ROS ?= kilted
@@ -18,7 +18,7 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup runtime demo test test-ros check format clean
+.PHONY: setup runtime demo test test-ros check bench format clean
 
 # What a robot needs, for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
@@ -57,6 +57,10 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+# Fails on a loss of more than 20 % of speed; make bench BENCH=--renew commits the ratios of this machine.
+bench: setup
+	$(BIN)/python benchmarks/guard/bench.py $(BENCH)
 
 format: setup
 	$(BIN)/ruff format .

@@ -11,28 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
 from foretouch.cloud.io.files import read_cloud
-from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
-from foretouch.grasp.axis import find_axis, side_coordinate
-from foretouch.grasp.preprocessing import finite_points
-from foretouch.grasp.ranking import (
-    SurfacePoints,
-    _ScaledSide,
-    _two_rankings,
-    contact_radius,
-    contact_side,
-    find_grasp_plane,
-)
+from foretouch.grasp.original_score import OriginalScore
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
-ROUND = 0.9  # middle over major eigenvalue, above which the axis is arbitrary, and with it the original's score
 METHODS = ("original", "stable")
 TUNED_ON = 8  # each k-th recorded cloud served to tune `stable`
 MOVED_MM = 10.0
-CONTACT_M = 0.00625  # half a voxel: over which normal and curvature of a contact are averaged [m]
 CHANGES = (
     "order",
     "jitter 1 um",
@@ -80,7 +67,7 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
     scores: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     seconds: dict[str, float] = defaultdict(float)
     for seed, xyz in enumerate(clouds):
-        judge = OriginalScore.of(xyz)
+        judge = OriginalScore.of(Cloud(xyz), TOP_VIEW)
         plans = {}
         for method in METHODS:
             plans[method] = plan(xyz, method)
@@ -181,53 +168,6 @@ def made_clouds() -> Iterator[Float32]:
                 }[shape]
                 depth = 1.2 - height + rng.normal(0.0, 0.0007, a.shape)
                 yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
-
-
-class OriginalScore:
-    """The original's score of any two contacts on a cloud, in the scales of its own candidates."""
-
-    def __init__(self, xyz: Float32) -> None:
-        config = GeoGraspConfig()
-        self._xyz = finite_points(Cloud(xyz)).downsampled(config).without_outliers(config)
-        axis = find_axis(self._xyz, TOP_VIEW, config)
-        self.has_axis = axis.ratio < ROUND
-        self._plane = find_grasp_plane(
-            self._xyz,
-            axis.centroid,
-            axis.direction,
-            side_coordinate(axis.direction, TOP_VIEW),
-            config.slab_half_width_m,
-        )
-        radius = contact_radius(self._plane.width_m, config)
-        self._sides = [
-            _ScaledSide(contact_side(self._xyz, one, radius, config).candidates, self._plane, axis.centroid)
-            for one in (self._plane.first, self._plane.second)
-        ]
-
-    @classmethod
-    def of(cls, xyz: Float32) -> "OriginalScore | None":
-        """None if the original finds no grasp plane."""
-        try:
-            return cls(xyz)
-        except CloudError:
-            return None
-
-    def __call__(self, pair: Float64) -> tuple[float, bool]:
-        """The score, and whether both rankings are at least 1."""
-        across = self._xyz[self._plane.second] - self._xyz[self._plane.first]
-        first, second = (pair if (pair[1] - pair[0]) @ across >= 0.0 else pair[::-1])[:, None]
-        a, b = self._surface(first), self._surface(second)
-        (_, pd_a, k_a), (_, pd_b, k_b) = self._sides[0].scaled(a), self._sides[1].scaled(b)
-        unit = (second - first) / np.linalg.norm(second - first)
-        r1, r2 = _two_rankings(unit, self._plane.normal, (a.normal, b.normal), (pd_a, pd_b), (k_a, k_b))
-        return float(1.5 * r1[0] + r2[0]), bool(r1[0] >= 1.0 and r2[0] >= 1.0)
-
-    def _surface(self, contact: Float64) -> SurfacePoints:
-        squared = ((self._xyz - contact) ** 2).sum(axis=1)
-        near = np.flatnonzero(squared <= max(CONTACT_M**2, float(squared.min())))
-        normals, curvature = normals_and_curvature(self._xyz, near)
-        mean = normals.mean(axis=0)
-        return SurfacePoints(contact, (mean / np.linalg.norm(mean))[None], np.array([curvature.mean()]))
 
 
 def _timed(xyz: Float32, method: str) -> float:

@@ -181,12 +181,16 @@ class Pipeline:
         tare: Touch | None = None,
         residuals: ObjectResiduals | None = None,
         history: History | None = None,
+        model: TouchModel | None = None,
     ) -> list[TouchPrediction]:
-        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once."""
+        """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
+
+        A `model` is used instead of the configured one.
+        """
         if not grasps:
             return []
         limits, reach = self.config.limits, self.config.reach
-        predictions = self.model.predict(
+        predictions = (model or self.model).predict(
             target.cloud, grasps, tare=tare, residuals=residuals, history=history, limits=limits, reach=reach
         )
         if not target.flags:

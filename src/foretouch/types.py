@@ -218,6 +218,13 @@ class Touch:
         return np.concatenate([[self.pdc_th, self.pdc_mf], self.e_th, self.e_mf])
 
 
+LATE = "late"
+"""Flag of a prediction of an old cloud, or beyond the latency budget."""
+
+REDUCED = "reduced"
+"""Flag of a prediction by a cheaper form of the model, to meet the latency budget."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """How many readings a prediction was adapted to, and how old they are."""
@@ -237,7 +244,7 @@ class TouchPrediction:
     lower: Touch | None = None  # lower bounds of the prediction intervals [counts]; None without calibration
     upper: Touch | None = None  # upper bounds
     reference: Reference = "none"  # tactile readings to which the prediction was adapted
-    flags: tuple[str, ...] = ()  # any of `out_of_range`, `unfamiliar`, `late`, `fallback_model`, `ambiguous_target`
+    flags: tuple[str, ...] = ()  # `out_of_range`, `unfamiliar`, `late`, `reduced`, `fallback_model`, `ambiguous_target`
     status: Literal["ok", "bad_grasp", "refused"] = "ok"  # bad_grasp: no hand can execute it
     reason: str = ""  # why it was refused; "" if ok
     evidence: Evidence = Evidence()  # the readings behind `reference`

@@ -2,6 +2,7 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial import cKDTree
 
 from foretouch.simulation.solids import Body, Box, Cylinder, Primitive, Sphere
 
@@ -73,3 +74,34 @@ def test_the_lowest_point_of_a_tilted_cylinder() -> None:
     exact = 0.5 - 0.05 * np.cos(angle) - 0.04 * np.sin(angle)
     assert can.lowest() == pytest.approx(exact, abs=2e-3)  # the rim is bevelled
     assert can.lowest() >= solid.corners()[:, 2].min() - 1e-9
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        Sphere(position=POSITION, radius=0.05),
+        Box(position=POSITION, rotation=ROTATION, size=np.array([0.1, 0.06, 0.12])),
+        Cylinder(position=POSITION, rotation=ROTATION, radius=0.04, height=0.11),
+    ],
+)
+def test_the_distance_from_a_solid_is_that_from_its_visible_surface(solid: Primitive) -> None:
+    """Of points just in front of the surface; on the surface it is zero, and at the centre the least half extent."""
+    directions = rays()
+    t = solid.cast(EYE, directions)
+    hits = EYE + t[np.isfinite(t), None] * directions[np.isfinite(t)]
+    assert np.abs(solid.surface_distance(hits)).max() < 1e-12
+    rng = np.random.default_rng(1)
+    points = POSITION + rng.uniform(-0.15, 0.15, (200, 3))
+    sampled = np.concatenate(
+        [
+            eye + solid.cast(eye, towards)[:, None] * towards
+            for eye in POSITION + 2.0 * np.concatenate([np.eye(3), -np.eye(3)])
+            for towards in [POSITION + rng.uniform(-0.08, 0.08, (60_000, 3)) - eye]
+        ]
+    )
+    sampled = sampled[np.isfinite(sampled).all(axis=1)]
+    nearest = cKDTree(sampled).query(points)[0]
+    found = solid.surface_distance(points)
+    assert (found <= nearest + 1e-9).all()
+    np.testing.assert_allclose(found, nearest, atol=1.5e-3)
+    assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid.half_extents.min())

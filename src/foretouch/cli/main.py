@@ -23,6 +23,7 @@ COMMANDS = {
     "train": "Train a touch model from a configuration",
     "evaluate": "Evaluate a touch model and the baselines on a dataset",
     "experiment": "Run an experiment and write its tables, figures and manifest",
+    "tradeoff": "Measure what accuracy costs in time, and draw the frontier",
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps and tactile readings to a dataset",
     "replay": "Replay a recording or a folder of clouds to the ROS graph",

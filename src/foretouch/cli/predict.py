@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.checked_files import read_json
 from foretouch.cli import inputs
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import print_json, print_table, warn
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, GraspError, TactileError
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, ObjectResiduals, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.tradeoff.budget import LatencyBudget
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
 
@@ -101,9 +102,14 @@ class Adaptation:
         return tuple(one for one in self.touched if not _same(one, sample))
 
     def predict(
-        self, pipeline: Pipeline, target: FoundObject, grasps: Sequence[Grasp], sample: GraspSample | None
+        self,
+        pipeline: Pipeline,
+        target: FoundObject,
+        grasps: Sequence[Grasp],
+        sample: GraspSample | None,
+        model: TouchModel | None = None,
     ) -> list[TouchPrediction]:
-        """Predict K grasps on one object.
+        """Predict K grasps on one object, by a reduced form of the model if one is given.
 
         Raises:
             DatasetError: If a sample lacks the requested tare, or is of another object than the touches.
@@ -115,11 +121,12 @@ class Adaptation:
         touched = self.touches_for(sample)
         if self._history is not None or (touched and self._model.tracks):
             history = self._history_of(touched, tare, sample)
-            return pipeline.predict(target, grasps, history=history)
+            return pipeline.predict(target, grasps, history=history, model=model)
         if not touched:
-            return pipeline.predict(target, grasps, tare=tare)
+            return pipeline.predict(target, grasps, tare=tare, model=model)
         residuals = self._residuals if len(touched) == len(self.touched) else None
-        return pipeline.predict(target, grasps, residuals=residuals or self._residuals_of(touched, tare))
+        residuals = residuals or self._residuals_of(touched, tare)
+        return pipeline.predict(target, grasps, residuals=residuals, model=model)
 
     def _history_of(self, touched: Sequence[GraspSample], tare: Touch | None, sample: GraspSample | None) -> History:
         """The readings of the hand up to the time of a sample, or else until now."""
@@ -314,6 +321,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
     add_adaptation_arguments(parser)
     parser.add_argument(
+        "--budget-ms",
+        type=_positive,
+        metavar="T",
+        help="predict the grasps of each object within this time, by a cheaper form of the model where it is needed, which is flagged",
+    )
+    parser.add_argument(
         "--prequential",
         action="store_true",
         help="of inputs that are datasets, predict the samples in order of time, each from all readings before it, of any object",
@@ -331,6 +344,7 @@ def run(arguments: argparse.Namespace) -> int:
     pipeline = Pipeline(inputs.pipeline_config(arguments, changes, defaults))
     model = {"name": pipeline.model.name, "sha256": pipeline.model.sha256}
     adaptation = read_adaptation(arguments, pipeline.model)
+    budget = None if arguments.budget_ms is None else _make_budget(arguments.budget_ms, pipeline)
 
     def answer(item: SourceItem) -> Iterator[inputs.Record]:
         targets = inputs.target_objects(item, arguments, pipeline)
@@ -347,7 +361,7 @@ def run(arguments: argparse.Namespace) -> int:
                     raise
                 grasps, reason = [], str(err)
             planned = time.perf_counter()
-            predictions = adaptation.predict(pipeline, target, grasps, item.sample)
+            predictions, level = _predict(adaptation, budget, pipeline, target, grasps, item.sample)
             ms = {"grasp": (planned - began) * 1e3, "touch": (time.perf_counter() - planned) * 1e3}
             refused = [one.reason for one in predictions if one.status != "ok"]
             yield {
@@ -357,12 +371,57 @@ def run(arguments: argparse.Namespace) -> int:
                 "reason": "; ".join(refused) or reason,
                 "predictions": [prediction_record(one) for one in predictions],
                 "model": model,
+                **level,
                 "touched": len(adaptation.touches_for(item.sample)),
                 "ms": {**ms, "total": sum(ms.values())},
                 "failed": not predictions or bool(refused),
             }
 
     return inputs.process_inputs(arguments, answer, _show)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:
+    """A budget for this machine, which is measured where there is no profile of it, and warmed up."""
+    from foretouch.tradeoff.budget import LatencyBudget, levels_of, load_profile
+    from foretouch.tradeoff.budget.profile import profile_scene
+
+    levels = levels_of(pipeline.model)
+    budget = LatencyBudget(budget_ms / 1e3, levels, load_profile(levels, say=warn))
+    cloud, grasps = profile_scene(1)
+    for level in levels:
+        level.model.predict(cloud, grasps)
+    return budget
+
+
+def _predict(
+    adaptation: Adaptation,
+    budget: LatencyBudget | None,
+    pipeline: Pipeline,
+    target: FoundObject,
+    grasps: Sequence[Grasp],
+    sample: GraspSample | None,
+) -> tuple[list[TouchPrediction], inputs.Record]:
+    """Predictions, and what the budget chose for the record."""
+    from foretouch.types import LATE, REDUCED
+
+    if budget is None or not grasps:
+        return adaptation.predict(pipeline, target, grasps, sample), {}
+    chosen = budget.begin(len(grasps), time.monotonic())
+    predictions = adaptation.predict(pipeline, target, grasps, sample, chosen.level.model)
+    late = budget.end(chosen)
+    if not chosen.affordable:
+        warn(
+            f"--budget-ms: {budget.budget_s * 1e3:g}: nothing meets it for {len(grasps)} grasps: {chosen.level.name} is used"
+        )
+    flags = (REDUCED,) * chosen.reduced + (LATE,) * late
+    return [dataclasses.replace(one, flags=(*one.flags, *flags)) for one in predictions], {"level": chosen.level.name}
 
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
@@ -374,9 +433,9 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     from foretouch.models.registry import load_model
     from foretouch.types import Evidence, Reference, Touch, TouchPrediction
 
-    for name in ("tare", "touched", "grasp"):
+    for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
-            raise ConfigError(f"--{name}: cannot be combined with --prequential")
+            raise ConfigError(f"--{name.replace('_', '-')}: cannot be combined with --prequential")
 
     def read(paths: Sequence[str]) -> list[GraspSample]:
         samples = []

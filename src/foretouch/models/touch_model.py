@@ -11,7 +11,7 @@ a tare and to touches of one object in closed form (`models.calibration`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -113,21 +113,43 @@ class TouchModel:
         estimator: Predicts from the cloud and the grasp alone.
         card: The card of the model.
         calibration: Rest level, adaptation and intervals; None if the card holds no calibration.
+        widen: (50,) factors of the half widths of the intervals; 1 by default.
 
     Attributes:
         name, sha256: From the card; the hash is of the weights, or over those of all members.
         ranges: Ranges outside which a predicted value is flagged.
     """
 
-    def __init__(self, estimator: Estimator, card: Mapping[str, Any], calibration: Calibration | None = None) -> None:
+    def __init__(
+        self,
+        estimator: Estimator,
+        card: Mapping[str, Any],
+        calibration: Calibration | None = None,
+        widen: Float64 | None = None,
+    ) -> None:
         self.name: str = card["name"]
         self.sha256: str = card["sha256"]
         self.card = dict(card)
         self.calibration = calibration
         self.ranges = estimator.ranges
         self._estimator = estimator
+        self._widen = widen
         parameters = None if calibration is None else calibration.tracker
         self._unread = None if parameters is None else SensorTracker(parameters)
+
+    def reduced(self, estimator: Estimator, widen: Float64) -> TouchModel:
+        """The same model, which estimates in a cheaper way.
+
+        Args:
+            estimator: With the rest level and the readings of this model.
+            widen: (50,) factors of the half widths of its intervals.
+        """
+        return TouchModel(estimator, self.card, self.calibration, widen)
+
+    @property
+    def estimator(self) -> Estimator:
+        """Predicts from the cloud and the grasp alone."""
+        return self._estimator
 
     @property
     def tracks(self) -> bool:
@@ -217,6 +239,8 @@ class TouchModel:
             adapted = (history or self._history_of(tare)).adapt(estimate)
         else:
             adapted = self._adapted(estimate, tare, residuals)
+        if self._widen is not None:
+            adapted = replace(adapted, half=adapted.half * self._widen)
         return self._predictions(grasps, estimate.in_distribution, adapted)
 
     def _history_of(self, tare: Touch | None) -> History:

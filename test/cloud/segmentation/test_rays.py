@@ -53,7 +53,7 @@ def test_one_damaged_coordinate_does_not_move_the_table(value: float, axis: int,
 def test_a_damaged_pixel_that_the_plane_fit_samples_does_not_turn_the_table(value: float, axis: int) -> None:
     xyz = _scene()
     config = SegmentationConfig()
-    coarse, stride, in_range = _coarse(xyz, config.crop)
+    coarse, stride, in_range = _coarse(xyz, config.crop, config.grid_rows)
     sampled = _sample(in_range)
     expected = _strictly(Cloud(xyz)).plane
     for index in sampled[:: len(sampled) // 10]:

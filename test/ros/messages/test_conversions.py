@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 
 from foretouch.dataset.messages import decode_grasp, has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError
+from foretouch.ros.messages import conversions
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
     grasp_to_msg,
@@ -21,7 +22,7 @@ from foretouch.ros.messages.conversions import (
     stamp_to_msg,
 )
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import Grasp, Plane, Touch, TouchPrediction
+from foretouch.types import Evidence, Grasp, Plane, Touch, TouchPrediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
@@ -158,3 +159,19 @@ def test_a_refusal_says_why_and_holds_no_number():
     message = refusal_to_msg(grasp, Header(), Status.NO_MODEL, "absent")
     assert (message.status, message.reason) == (Status.NO_MODEL, "absent")
     assert all(math.isnan(i.value) for i in (message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf))
+
+
+def test_a_message_without_constructor_equals_the_constructed_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    value, low, high = (Touch.from_vector(np.arange(50.0) + shift) for shift in (0.5, -10.0, 10.0))
+    rotation = np.eye(3)
+    grasp = Grasp(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.05, 1.0]), rotation, id="a")
+    prediction = TouchPrediction(grasp, value, low, high, "touches", ("late",), evidence=Evidence(2, 3.5, 4, 1.0))
+    header = Header(frame_id="cam")
+    for one in (prediction, TouchPrediction(grasp, value)):
+        made = conversions.prediction_to_msg(one, conversions.grasp_to_msg(grasp), header)
+        monkeypatch.setattr(conversions, "_UNCHECKED", False)
+        constructed = conversions.prediction_to_msg(one, conversions.grasp_to_msg(grasp), header)
+        monkeypatch.undo()
+        assert serialize_message(made) == serialize_message(constructed)
+        assert str(made) == str(constructed)
+        assert made.get_fields_and_field_types() == constructed.get_fields_and_field_types()

@@ -29,7 +29,6 @@ SegmentationStatus = Literal["ok", "empty_cloud", "bad_cloud", "too_few_points",
 
 _coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np.float32, np.int64, np.int64)
 
-_GRID_ROWS = 120  # coarse rows that suffice to find an object: every fourth pixel of 848x480
 _PLANE_POINTS = 2048  # sampled to fit the plane
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
@@ -44,6 +43,12 @@ class SegmentationConfig(Settings):
     clusters: ClusterConfig = ClusterConfig()
     min_points: int = setting(
         100, "Minimum number of points in range for a segmentation", minimum=3, maximum=10_000_000
+    )
+    grid_rows: int = setting(
+        120,
+        "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
+        minimum=30,
+        maximum=10_000,
     )
 
 
@@ -128,7 +133,7 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
         if not image:
             xyz, n_out_of_view = _in_view(xyz, config)
             log.counts["off_ray"] = n_out_of_view
-        coarse, stride, index = _coarse(xyz, config.crop)
+        coarse, stride, index = _coarse(xyz, config.crop, config.grid_rows)
         index = _sample(index)
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
         rays, sample = (
@@ -160,15 +165,15 @@ def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Resul
     return "ok", "", fit.plane, objects, labels
 
 
-def _coarse(xyz: Float32, config: CropConfig) -> tuple[Float32, int, npt.NDArray[np.intp]]:
-    """Every fourth pixel of an image of 480 rows or more, unless few of them are in range.
+def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, npt.NDArray[np.intp]]:
+    """Every k-th pixel of an image, so that about `grid_rows` rows are left, unless few of them are in range.
 
     Returns:
         The coarse image, its stride, and the flat indices of its points in range.
     """
     if xyz.ndim == 2:
         return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
-    stride = int(min(max(min(xyz.shape[:2]) // _GRID_ROWS, 1), 8))
+    stride = int(min(max(min(xyz.shape[:2]) // grid_rows, 1), 8))
     coarse, index = _every(xyz, stride, config)
     if stride == 1 or len(index) >= _SPARSE:
         return coarse, stride, index

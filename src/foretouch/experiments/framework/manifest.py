@@ -132,8 +132,8 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
     return found
 
 
-def write_results(out: Path, rows: Sequence[Row]) -> Path:
-    """Write `results.csv`: None is an empty field, and numbers are read back exactly.
+def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> Path:
+    """Write a table: None is an empty field, and numbers are read back exactly.
 
     Raises:
         FileError: If it cannot be written.
@@ -143,7 +143,7 @@ def write_results(out: Path, rows: Sequence[Row]) -> Path:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    path = out / RESULTS_FILE
+    path = out / name
     try:
         write_text(path, text.getvalue())
     except OSError as err:

@@ -9,7 +9,7 @@ The networks are those of the recipes of `foretouch train`; a recipe with one mo
 modality.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final, Protocol
@@ -27,12 +27,13 @@ RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touc
 """The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
-def network(name: str, effort: float) -> baselines.Baseline:
+def network(name: str, effort: float, changes: Mapping[str, Any] | None = None) -> baselines.Baseline:
     """A recipe as a baseline, which is trained again in each call.
 
     Args:
         name: One of `RECIPES`.
         effort: Share of its epochs; at least one is run.
+        changes: Settings of the recipe that differ, by dotted name.
 
     Raises:
         ConfigError: If there is no such recipe.
@@ -45,7 +46,7 @@ def network(name: str, effort: float) -> baselines.Baseline:
         from foretouch.learning.training.learners import load_run_config
         from foretouch.learning.training.supervised import train_network
 
-        recipe: Any = load_run_config(RECIPES[name])  # of a supervised network
+        recipe: Any = load_run_config(RECIPES[name]).updated(changes or {})  # of a supervised network
         model, how = recipe.model, recipe.train
         how = how.replace(epochs=max(1, round(effort * how.epochs)), seed=seed)
         data = TrainingSet.build([*train, *test], model, unlabelled=True)

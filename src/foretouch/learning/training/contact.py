@@ -40,6 +40,7 @@ class ContactConfig(Settings):
         minimum=0.1,
         maximum=1.0,
     )
+    depth: int | None = setting(None, "Most levels of a tree; not limited by default", minimum=1, maximum=100)
     feature_share: float = setting(0.5, "Share of the features tried at each split", minimum=0.01, maximum=1.0)
     decay: float = setting(2.0, "Decay of the kernel over the mean distance per standardised feature", minimum=0.01)
     ridges: tuple[float, ...] = setting(
@@ -133,13 +134,8 @@ def fit_contact(
         ridge, claim = choose_claims(inputs, scaled, objects, config.decay, config.object_effect, config.ridges)
     else:
         ridge, claim = _choose_ridge(inputs, scaled, objects, config), None
-    grown, targets, leaf = inputs, scaled, config.leaf
-    if thinned is not None:
-        grown = np.concatenate([inputs, thinned[:, rows.shape[1] - inputs.shape[1] :]])
-        targets, leaf = np.concatenate([scaled, scaled]), 2 * leaf
-    forest_config = config.replace(leaf=leaf)
     return ContactEstimator(
-        forests={name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()},
+        forests=fit_forests(rows, labels, config, thinned),
         kernel=_kernel(inputs, scaled, objects, ridge, config.decay, config.object_effect if hand else 0.0),
         novelty=HandNoveltyDetector.fit(rows, objects) if hand else SizeNoveltyDetector.fit(rows),
         mean=mean,
@@ -147,6 +143,19 @@ def fit_contact(
         ranges=config.ranges,
         claim=claim,
     )
+
+
+def fit_forests(
+    rows: Float64, labels: Float64, config: ContactConfig, thinned: Float64 | None = None
+) -> dict[str, Forest]:
+    """The forests of `fit_contact` alone, by name; arguments as there."""
+    first = len(CONDITIONS) if config.features == "hand" else 0
+    grown, leaf = rows[:, first:], config.leaf
+    targets = (labels - labels.mean(axis=0)) / labels.std(axis=0)
+    if thinned is not None:
+        grown, targets, leaf = np.concatenate([grown, thinned[:, first:]]), np.concatenate([targets, targets]), 2 * leaf
+    forest_config = config.replace(leaf=leaf)
+    return {name: _forest(grown, targets[:, column], forest_config) for name, column in _targets()}
 
 
 def _targets() -> Iterator[tuple[str, npt.NDArray[np.intp]]]:
@@ -161,6 +170,7 @@ def _forest(rows: Float64, scaled: Float64, config: ContactConfig) -> Forest:
     fitted = ExtraTreesRegressor(
         config.trees,
         min_samples_leaf=config.leaf,
+        max_depth=config.depth,
         max_features=config.feature_share,
         random_state=config.seed,
         n_jobs=1,

@@ -2,7 +2,9 @@
 """Messages of grasps, planes and predictions to the core's types and back: pure functions without a node."""
 
 import math
-from typing import Any, Literal
+import os
+from collections.abc import Sequence
+from typing import Any, Final, Literal
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -41,7 +43,7 @@ def stamp_to_msg(nanoseconds: int) -> Time:
 def duration_to_msg(seconds: float) -> Duration:
     """Convert a time span [s], which may be negative."""
     sec, nanosec = divmod(round(seconds * _SECOND_NS), _SECOND_NS)
-    return Duration(sec=int(np.clip(sec, -(2**31), 2**31 - 1)), nanosec=nanosec)
+    return Duration(sec=max(-(2**31), min(sec, 2**31 - 1)), nanosec=nanosec)
 
 
 def header_to_msg(frame_id: str, nanoseconds: int) -> Header:
@@ -109,15 +111,46 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
     if prediction.value is None:
         status = Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED
         return refusal_to_msg(grasp, header, status, prediction.reason)
-    return TouchPredictionMsg(
+    return _prediction(
         header=header,
         grasp=grasp,
         **_modalities(prediction.value, prediction.lower, prediction.upper),
         reference=_REFERENCES[prediction.reference],
         status=Status.OK,
+        reason="",
         flags=list(prediction.flags),
         **_evidence(prediction.evidence),
     )
+
+
+_UNCHECKED: Final = "_check_fields" in Interval.__slots__ and os.environ.get("ROS_PYTHON_CHECK_FIELDS") != "1"
+"""Whether messages may be made without their constructors, as generated from Jazzy on."""
+
+
+def _prediction(**fields: Any) -> TouchPredictionMsg:
+    """A message of these fields; the node adds model and age.
+
+    The constructor would make 50 intervals of its own first, which takes as long as all else.
+    """
+    if not _UNCHECKED:
+        return TouchPredictionMsg(**fields)
+    message = TouchPredictionMsg.__new__(TouchPredictionMsg)
+    message._check_fields = False  # noqa: SLF001
+    for name, value in {**fields, "model": "", "model_sha256": "", "input_age": Duration()}.items():
+        setattr(message, name, value)
+    return message
+
+
+def _intervals(rows: Sequence[tuple[float, float, float]]) -> list[Interval]:
+    """Intervals of value, lower and upper bound."""
+    if not _UNCHECKED:
+        return [Interval(value=value, lower=low, upper=high) for value, low, high in rows]
+    made = []
+    for value, low, high in rows:
+        one = Interval.__new__(Interval)
+        one._check_fields, one._value, one._lower, one._upper = False, value, low, high  # noqa: SLF001
+        made.append(one)
+    return made
 
 
 def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
@@ -197,8 +230,7 @@ def _modalities(value: Touch, lower: Touch | None, upper: Touch | None) -> dict[
     """The fields pdc_th, pdc_mf, e_th and e_mf of a message; unknown bounds become NaN."""
     unknown = np.full(TOUCH_SIZE, math.nan)
     columns = [unknown if touch is None else touch.vector() for touch in (value, lower, upper)]
-    rows = np.stack(columns, axis=1).tolist()
-    intervals = [Interval(value=v, lower=low, upper=high) for v, low, high in rows]
+    intervals = _intervals(np.stack(columns, axis=1).tolist())
     return {
         "pdc_th": intervals[0],
         "pdc_mf": intervals[1],

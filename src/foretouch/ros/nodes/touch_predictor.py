@@ -12,6 +12,7 @@ gives the reason, and cleaning up and configuring again retries.
 """
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -41,6 +42,7 @@ from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
+from foretouch.tradeoff.budget import Answer
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
@@ -89,6 +91,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
         self._predictor.warm_up()
+        if self.config.latency_budget_ms > 0.0:
+            self._predictor.keep_to(self.config.latency_budget_ms, self.config, self._say)
         self._adapt(self._predictor)
         self._touch = self.advertise(TouchPredictionArray, "touch")
         self._markers = self.advertise(MarkerArray, "markers")
@@ -136,7 +140,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if model is not None and self._adapter is None:
             known["regime"] = "none: the model's card holds no calibration"
         adapted = self._adapter.notes() if self._adapter else {}
-        return {**super().notes(), **known, **adapted, **(self._keeper.notes() if self._keeper else {})}
+        budget = self._predictor.budget.notes() if self._predictor and self._predictor.budget else {}
+        return {**super().notes(), **known, **budget, **adapted, **(self._keeper.notes() if self._keeper else {})}
 
     def config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
@@ -159,13 +164,13 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
         check_frames(GRASPS_TOPIC, grasps.header, header)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
-        message = self._predict(targets, grasps.grasps, header, None)
+        message, answer = self._predict(targets, grasps.grasps, header, None, self.arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             for prediction in message.predictions:
                 prediction.flags = [*prediction.flags, AMBIGUOUS_TARGET]
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
-        self._touch.publish(message)
+        self._touch.publish(self._loaded().end(message, answer))
         if self._markers.get_subscription_count() and message.predictions:
             self.internal_errors.guarded("markers", self._draw)(message.predictions[0])  # the answer is published
         return message.status, message.reason
@@ -182,11 +187,25 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
-        self, targets: Sequence[FoundObject], grasps: Sequence[Any], header: Header, posing: GeoGraspConfig | None
-    ) -> TouchPredictionArray:
+        self,
+        targets: Sequence[FoundObject],
+        grasps: Sequence[Any],
+        header: Header,
+        posing: GeoGraspConfig | None,
+        arrived: float,
+    ) -> tuple[TouchPredictionArray, Answer | None]:
+        """The predictions of a request that arrived at a time [s], to be published by `Predictor.end`."""
         predictor = self._loaded()
-        message = predictor.array(targets, grasps, header, self.config, posing)
-        return predictor.finish(message, self.age_s(stamp_ns(header.stamp)), self.config.late_after_s)
+        answer = predictor.begin(len(grasps), arrived)
+        if answer is not None and not answer.affordable:
+            self._warn_once(f"budget: {self.config.latency_budget_ms:g} ms: no level of the model meets it for "
+                            f"{len(grasps)} grasps: the fastest is used, {answer.level.name}")  # fmt: skip
+        message = predictor.array(
+            targets, grasps, header, self.config, posing, None if answer is None else answer.level.model
+        )
+        reduced = answer is not None and answer.reduced
+        age_s, late_after_s = self.age_s(stamp_ns(header.stamp)), self.config.late_after_s
+        return predictor.finish(message, age_s, late_after_s, reduced=reduced), answer
 
     def _loaded(self) -> Predictor:
         if self._predictor is None:
@@ -240,6 +259,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text)
 
+    def _warn_once(self, text: str) -> None:
+        self.get_logger().warning(text, once=True)
+
     def _forget_touches(self, _request: Any, response: Any) -> Any:
         count = self._adapter.forget() if self._adapter else 0
         response.success, response.message = True, f"{count} touches forgotten"
@@ -253,20 +275,21 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # The services.
 
     async def _predict_touch(self, request: Any, response: Any) -> Any:
-        response.touch = await self._in_thread(lambda: self._response_or_refusal(request))
+        arrived = time.monotonic()
+        response.touch = await self._in_thread(lambda: self._response_or_refusal(request, arrived))
         return response
 
-    def _response_or_refusal(self, request: Any) -> TouchPredictionArray:
+    def _response_or_refusal(self, request: Any, arrived: float) -> TouchPredictionArray:
         header = request.cloud.header
         try:
-            return self._answer_request(request, header)
+            return self._answer_request(request, header, arrived)
         except RefusalError as refusal:
             return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
         except Exception as err:  # noqa: BLE001  the answer names the request's cloud
             reason = self.internal_errors.report("predict_touch", err)
             return TouchPredictionArray(header=header, status=Status.FAILED, reason=reason)
 
-    def _answer_request(self, request: Any, header: Header) -> TouchPredictionArray:
+    def _answer_request(self, request: Any, header: Header, arrived: float) -> TouchPredictionArray:
         if len(request.grasps) > self.config.max_grasps:
             raise RefusalError(
                 Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {self.config.max_grasps}"
@@ -276,9 +299,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if not request.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
-        message = self._predict(targets, request.grasps, header, posing)
+        message, answer = self._predict(targets, request.grasps, header, posing, arrived)
         self._add_requested(request.cloud, request.grasps)  # not before: the same grasp may have been executed already
-        return message
+        return self._loaded().end(message, answer)
 
     # The action.
 
@@ -308,7 +331,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _predict_candidates(
         self, target: FoundObject, grasps: Sequence[Grasp], header: Header
     ) -> Sequence[TouchPrediction]:
-        return list(self._predict([target], grasps, header, None).predictions)
+        message, answer = self._predict([target], grasps, header, None, time.monotonic())
+        return list(self._loaded().end(message, answer).predictions)
 
     def _remember_table(self, message: TablePlane) -> None:
         with self._latest_lock:

@@ -114,6 +114,9 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         config_class: Class of its settings.
         inputs: Message type and name of each topic of a set; the answer gets the header of the first.
         options: For rclpy's `Node`.
+
+    Attributes:
+        arrived: Time of arrival of the set that is being answered, `time.monotonic` [s].
     """
 
     def __init__(self, name: str, config_class: type[_P], inputs: Sequence[tuple[type, str]], **options: Any) -> None:
@@ -130,6 +133,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.internal_errors.guarded(name, self._work, lambda *_: self.statistics.drop("failed")),
             lambda _, reason: self.statistics.drop(reason),
         )
+        self.arrived = 0.0
         self._outcomes: Counter[str] = Counter()
         self._last_reason = ""
 
@@ -191,6 +195,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
             self.statistics.drop("inactive")
 
     def _work(self, job: StampedSet) -> None:
+        self.arrived = job.arrived
         header = job.messages[self._topics[0][1]].header
         age_s = self.age_s(stamp_ns(header.stamp))
         status, reason = self._answer_or_refuse(job.messages, header)

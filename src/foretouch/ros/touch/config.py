@@ -30,6 +30,15 @@ class TouchPredictorConfig(ProcessingConfig, ReachConfig):
         minimum=0.0,
         maximum=3600.0,
     )
+    latency_budget_ms: float = setting(
+        0.0,
+        "Time from the receipt of a cloud and its grasps to their predictions, for which cheaper forms of the model are used "
+        "and flagged reduced; 0 for no limit",
+        unit="ms",
+        minimum=0.0,
+        maximum=60_000.0,
+        read_only=True,
+    )
     thumb_takes_g1: bool = setting(True, "Whether the markers show the thumb at g1, else the middle finger")
     use_tare: bool = setting(True, "Whether predictions use the tare: the tactile readings at rest")
     tare_max_age_s: float = setting(60.0, "Age beyond which the tare is not used", unit="s", minimum=0.0, maximum=1e6)

@@ -126,15 +126,28 @@ class OnlineAdapter:
     # Output, for the thread that predicts.
 
     def predict(
-        self, cloud: Cloud, grasps: Sequence[Grasp], *, limits: ObjectLimits, reach: ReachConfig
+        self,
+        cloud: Cloud,
+        grasps: Sequence[Grasp],
+        *,
+        limits: ObjectLimits,
+        reach: ReachConfig,
+        model: TouchModel | None = None,
     ) -> list[TouchPrediction]:
         """Predict as `TouchModel.predict`, with the touches of the object in this cloud, else with a recent tare.
+
+        Args:
+            cloud: The object's points [m].
+            grasps: In the cloud's frame.
+            limits: Range and size of objects.
+            reach: Of the hand.
+            model: The model in a reduced form; by default the model itself.
 
         Raises:
             CloudError: See `TouchModel.predict`.
             ModelError: See `TouchModel.predict`.
         """
-        config = self._config()
+        config, model = self._config(), model or self._model
         self.process_touches()
         tare = self._recent_tare(config)
         basis: dict[str, Any] = {"tare": tare}
@@ -149,10 +162,10 @@ class OnlineAdapter:
                     self._tare_refused = True
                 if "residuals" in basis:  # which the next touch changes
                     residuals = basis["residuals"]
-                    predictions = self._model.predict(cloud, grasps, residuals=residuals, limits=limits, reach=reach)
+                    predictions = model.predict(cloud, grasps, residuals=residuals, limits=limits, reach=reach)
                     return self._noted(predictions, residuals.tare)
             self._on_reading()
-        return self._noted(self._model.predict(cloud, grasps, **basis, limits=limits, reach=reach), tare)
+        return self._noted(model.predict(cloud, grasps, **basis, limits=limits, reach=reach), tare)
 
     def locked(self) -> AbstractContextManager[Any]:
         """Within, no reading is added to the memory."""

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 from std_msgs.msg import Header
@@ -12,16 +14,22 @@ from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_ta
 from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
+from foretouch.grasp.reach import ReachConfig
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.conversions import duration_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg, prediction_to_msg, refusal_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.types import Float64, Grasp
+from foretouch.tradeoff.budget import Answer, LatencyBudget, levels_of, load_profile
+from foretouch.tradeoff.budget.profile import profile_scene
+from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
+from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
+
+_COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
 
 class Predictor:
@@ -36,6 +44,7 @@ class Predictor:
         adapter: Adapts predictions to tactile readings; None for vision alone.
         fault: Why `model` could not be loaded; "" if it could.
         flags: Flags of every prediction.
+        budget: Chooses the level of each request; None without a budget.
     """
 
     def __init__(self, model: str, fallback: str = "") -> None:
@@ -43,6 +52,7 @@ class Predictor:
         self.adapter: OnlineAdapter | None = None
         self.fault = ""
         self.flags: tuple[str, ...] = ()
+        self.budget: LatencyBudget | None = None
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -56,6 +66,47 @@ class Predictor:
             pipeline = Pipeline()
             for target in pipeline.segment(warm_up_cloud()).targets:
                 self.model.predict(target.cloud, pipeline.plan(target).grasps)
+
+    def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], None]) -> None:
+        """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
+        if self.model is None:
+            return
+        levels = levels_of(self.model)
+        profile = load_profile(levels, say=say)
+        around = self._around(levels[-1].model, config)
+        self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
+        for count in around:
+            level = self.budget.affordable(count)
+            name = f"none; the fastest is used, {levels[-1].name}" if level is None else level.name
+            say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
+
+    def _around(self, model: TouchModel, config: TouchPredictorConfig) -> dict[int, float]:
+        """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
+        cloud, grasps = profile_scene(max(_COUNTS))
+        target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
+        for count in _COUNTS:
+            whole, inner = [], []
+            for _ in range(3):
+                start = time.thread_time()
+                model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
+                middle = time.thread_time()
+                self.array([target], messages[:count], Header(), config, model=model)
+                whole.append(time.thread_time() - middle)
+                inner.append(middle - start)
+            around[count] = max(0.0, min(whole) - min(inner))
+        return around
+
+    def begin(self, count: int, arrived: float) -> Answer | None:
+        """Choose the level of a request of so many grasps that arrived at a `time.monotonic` [s]; None without a budget."""
+        return self.budget.begin(count, arrived) if self.budget is not None else None
+
+    def end(self, message: TouchPredictionArray, answer: Answer | None) -> TouchPredictionArray:
+        """Flag predictions that missed their budget; called right before the message is published."""
+        if self.budget is not None and answer is not None and self.budget.end(answer):
+            for prediction in message.predictions:
+                if LATE not in prediction.flags:
+                    prediction.flags = [*prediction.flags, LATE]
+        return message
 
     def _fall_back(self, name: str) -> None:
         try:
@@ -71,6 +122,7 @@ class Predictor:
         header: Header,
         config: TouchPredictorConfig,
         posing: GeoGraspConfig | None = None,
+        model: TouchModel | None = None,
     ) -> TouchPredictionArray:
         """Predict or refuse every grasp, in order.
 
@@ -80,6 +132,7 @@ class Predictor:
             header: Header of the cloud.
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
+            model: The model in a reduced form; by default the model itself.
 
         Returns:
             Status OK if any prediction is OK, else the status of the first.
@@ -93,7 +146,7 @@ class Predictor:
                 answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
             poser = _Poser(targets[k], config.limits, posing)
-            predicted = self._on_target(poser, [grasps[i] for i in members], header, config)
+            predicted = self._on_target(poser, [grasps[i] for i in members], header, config, model)
             for i, answer in zip(members, predicted, strict=True):
                 answers[i] = answer
         predictions = [answer for answer in answers if answer is not None]
@@ -101,27 +154,36 @@ class Predictor:
         status, reason = (Status.OK, "") if ok or not predictions else (predictions[0].status, predictions[0].reason)
         return TouchPredictionArray(header=header, predictions=predictions, status=status, reason=reason)
 
-    def finish(self, message: TouchPredictionArray, age_s: float, late_after_s: float) -> TouchPredictionArray:
+    def finish(
+        self, message: TouchPredictionArray, age_s: float, late_after_s: float, *, reduced: bool = False
+    ) -> TouchPredictionArray:
         """Add the model, the age of its input and the resulting flags to each prediction.
 
         Args:
             message: Changed and returned.
             age_s: Time since the cloud's stamp [s].
             late_after_s: Age beyond which a prediction is `late`; 0 for never [s].
+            reduced: Whether a cheaper form of the model predicted.
         """
-        late = ("late",) if 0.0 < late_after_s < age_s else ()
+        cheaper = (REDUCED,) * reduced
+        late = (LATE,) if 0.0 < late_after_s < age_s else ()
         age = duration_to_msg(age_s)
         for prediction in message.predictions:
-            prediction.flags = [*prediction.flags, *self.flags, *late]
+            prediction.flags = [*prediction.flags, *self.flags, *cheaper, *late]
             prediction.input_age = age
             if self.model is not None:
                 prediction.model, prediction.model_sha256 = self.model.name, self.model.sha256
         return message
 
     def _on_target(
-        self, poser: _Poser, grasps: Sequence[GraspMsg], header: Header, config: TouchPredictorConfig
+        self,
+        poser: _Poser,
+        grasps: Sequence[GraspMsg],
+        header: Header,
+        config: TouchPredictorConfig,
+        model: TouchModel | None,
     ) -> list[TouchPrediction]:
-        model = self.model
+        model = model or self.model
         if model is None:
             return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
         answers: list[TouchPrediction | None] = []
@@ -134,13 +196,18 @@ class Predictor:
                 answers.append(refusal_to_msg(grasp, header, _status_of(err), str(err)))
         cloud, limits = poser.target.cloud, config.limits
         try:
-            predicted = iter(
-                (self.adapter or model).predict(cloud, posed, limits=limits, reach=config) if posed else []
-            )
+            predicted = iter(self._predicted(model, cloud, posed, limits, config) if posed else [])
         except (CloudError, ModelError) as err:
             status, reason = _status_of(err), str(err)
             return [old or refusal_to_msg(g, header, status, reason) for g, old in zip(grasps, answers, strict=True)]
         return [old or prediction_to_msg(next(predicted), g, header) for g, old in zip(grasps, answers, strict=True)]
+
+    def _predicted(
+        self, model: TouchModel, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits, reach: ReachConfig
+    ) -> list[Prediction]:
+        if self.adapter is not None:
+            return self.adapter.predict(cloud, grasps, limits=limits, reach=reach, model=model)
+        return model.predict(cloud, grasps, limits=limits, reach=reach)
 
 
 class _Poser:

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the levels of the default model to the package, from the results of `foretouch tradeoff model --preset full`.
+
+A level's errors are compared with those of the model by modality, on blocks of time and on objects left out; its
+intervals are widened by the larger ratio. Levels that another one beats in skill without being slower are left out by
+`KEPT`, which was chosen from the picture of that area.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from foretouch.experiments.framework.manifest import read_results
+from foretouch.models import load_model
+from foretouch.tactile import MODALITIES
+
+KEPT = ("10 trees", "no surroundings", "touchnet-v1")
+TARGET = Path(__file__).parents[2] / "src/foretouch/tradeoff/budget/levels.json"
+
+
+def entry(row: dict, base: dict) -> dict:
+    """Skill and widening of a level; a network has no errors on objects left out, where it fades to the mean."""
+    widen = []
+    for name in MODALITIES:
+        pairs = [(row[f"{split}_rmse_{name}"], base[f"{split}_rmse_{name}"]) for split in ("time", "object")]
+        widen.append(round(max(1.0, *(own / its for own, its in pairs if own is not None)), 4))
+    return {"skill": row["time"], "low": row["time_low"], "high": row["time_high"], "widen": widen}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", type=Path, help="results.csv of the area `model`")
+    rows = {row["variant"]: row for row in read_results(parser.parse_args().results)}
+    model = load_model()
+    base = rows[model.name]
+    levels = {name: entry(rows[name], base) for name in (model.name, *KEPT)}
+    for name, one in levels.items():
+        print(f"{name:30} skill {one['skill']:.3f}  intervals times {one['widen']}")
+    content = {model.sha256: {"name": model.name, "levels": levels}}
+    TARGET.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    print(TARGET)
+
+
+if __name__ == "__main__":
+    main()

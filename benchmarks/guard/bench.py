@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Has anything become slower? Ratios of CPU time to peers of the same run, against the committed ones. See README.md."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import csv
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from cases import Case, all_cases, why_not
+
+RATIOS = Path(__file__).parent / "ratios.csv"
+ALLOWED = 0.8  # of the committed ratio: a loss of 20 %
+AGAIN = 2  # times that a ratio which is too low is measured again, after all others
+RENEWED = 3  # measurements of which the median is committed
+_TURNS = 7
+_FEWEST_TURNS = 3
+_TURN_S = 0.03  # CPU time of a turn, at least: beside it the clock costs nothing
+_CASE_S = 6.0  # CPU time after which a case ends
+
+
+class Measured(NamedTuple):
+    """CPU time of one call of both ways, the least of all turns: other load can only increase it [s]."""
+
+    ours_s: float
+    peer_s: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times as fast as the peer."""
+        return self.peer_s / self.ours_s
+
+
+class Runner:
+    """A case that is set up once, and whose answers are compared before it is timed.
+
+    Raises:
+        SystemExit: If the answers differ.
+    """
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        self._jobs = case.make()
+        self._calls = [1, 1]
+        if case.own_clock:
+            return
+        first, second = (job() for job in self._jobs)
+        if first is not None and second is not None:
+            difference = largest_difference(first, second)
+            print(f"  {case.name}: answers differ by {difference:.1e}, allowed {case.gap:g}")
+            if not difference <= case.gap:
+                raise SystemExit(f"{case.name}: its answer is not that of {case.peer}; nothing is timed")
+        self._calls = [max(1, math.ceil(_TURN_S / max(self._turn(job, 1), 1e-6))) for job in self._jobs]
+
+    def measure(self) -> Measured:
+        """Both ways turn by turn, so that what loads the machine meets both."""
+        least, spent = [math.inf, math.inf], 0.0
+        for number in range(1 if self.case.own_clock else _TURNS):
+            if number >= _FEWEST_TURNS and spent > _CASE_S:
+                break
+            for k in (0, 1) if number % 2 else (1, 0):
+                seconds = self._turn(self._jobs[k], self._calls[k])
+                spent += seconds * self._calls[k]
+                least[k] = min(least[k], seconds)
+        return Measured(*least)
+
+    def _turn(self, job: Callable[[], Any], calls: int) -> float:
+        if self.case.own_clock:
+            return float(job())
+        began = time.process_time()
+        for _ in range(calls):
+            job()
+        return (time.process_time() - began) / calls
+
+
+def largest_difference(first: Any, second: Any) -> float:
+    """Of two answers; infinite if their shapes differ."""
+    one, other = np.asarray(first), np.asarray(second)
+    return float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
+
+
+def lost(measured: Measured, committed: float | None) -> bool:
+    """Whether a ratio has lost more than 20 %."""
+    return committed is not None and not measured.ratio >= ALLOWED * committed
+
+
+def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> dict[str, Measured]:
+    """Measure all; those that lost are measured again after all others, and the best counts."""
+    best = {one.case.name: one.measure() for one in runners}
+    for _ in range(AGAIN):
+        for one in runners:
+            name = one.case.name
+            if lost(best[name], committed.get(name)):
+                print(f"  {name}: {best[name].ratio:.3g} of {committed[name]:.3g}, measured again", flush=True)
+                best[name] = max(best[name], one.measure(), key=lambda measured: measured.ratio)
+    return best
+
+
+def read_ratios(path: Path) -> dict[str, float]:
+    """Committed ratios by name."""
+    if not path.is_file():
+        return {}
+    with path.open(encoding="utf-8") as file:
+        return {row["name"]: float(row["ratio"]) for row in csv.DictReader(file)}
+
+
+def renew(runners: Sequence[Runner], path: Path) -> None:
+    """Write the median of several measurements, each over all cases; rows of other cases stay."""
+    found: dict[str, list[Measured]] = {}
+    for _ in range(RENEWED):
+        for one in runners:
+            found.setdefault(one.case.name, []).append(one.measure())
+            print(f"  {one.case.name}: {found[one.case.name][-1].ratio:.3g}", flush=True)
+    rows: dict[str, dict[str, str]] = {}
+    if path.is_file():
+        with path.open(encoding="utf-8") as file:
+            rows = {row["name"]: row for row in csv.DictReader(file)}
+    for one in runners:
+        measured = found[one.case.name]
+        rows[one.case.name] = {
+            "name": one.case.name,
+            "peer": one.case.peer,
+            "ratio": f"{statistics.median(each.ratio for each in measured):.4g}",
+            "cpu_ms": f"{1e3 * statistics.median(each.ours_s for each in measured):.4g}",
+        }
+    order = [case.name for case in all_cases() if case.name in rows]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["name", "peer", "ratio", "cpu_ms"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[name] for name in order)
+
+
+def table(runners: Sequence[Runner], best: Mapping[str, Measured], committed: Mapping[str, float]) -> bool:
+    """Print ratio now, committed and allowed; returns whether none is lost."""
+    print(f"\n{'':30}{'CPU ms':>9}{'ratio now':>11}{'committed':>11}{'allowed':>9}   peer")
+    kept = True
+    for one in runners:
+        measured, known = best[one.case.name], committed.get(one.case.name)
+        limits = f"{'-':>11}{'-':>9}" if known is None else f"{known:>11.3g}{ALLOWED * known:>9.3g}"
+        note = "   LOST" if lost(measured, known) else ""
+        print(f"{one.case.name:30}{1e3 * measured.ours_s:>9.2f}{measured.ratio:>11.3g}{limits}   {one.case.peer}{note}")
+        kept = kept and not note
+    return kept
+
+
+def main() -> int:
+    """Exit status 1 if a ratio has lost more than 20 %."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", action="append", metavar="TEXT", help="cases whose name contains it; may be repeated")
+    parser.add_argument(
+        "--renew", action="store_true", help="write the ratios of this machine to ratios.csv, to commit"
+    )
+    parser.add_argument("--ratios", type=Path, default=RATIOS, help="committed ratios (default: beside this script)")
+    arguments = parser.parse_args()
+    began, runners = time.monotonic(), []
+    print("set up, and equal answers first:", flush=True)
+    for case in all_cases():
+        if arguments.only and not any(text in case.name for text in arguments.only):
+            continue
+        reason = why_not(case)
+        if reason:
+            print(f"  {case.name}: skipped: {reason}")
+            continue
+        runners.append(Runner(case))
+    if not runners:
+        parser.error("--only: no case has such a name")
+    if arguments.renew:
+        renew(runners, arguments.ratios)
+        print(f"{arguments.ratios}: renewed in {time.monotonic() - began:.0f} s")
+        return 0
+    committed = read_ratios(arguments.ratios)
+    kept = table(runners, guard(runners, committed), committed)
+    load = os.getloadavg()[0]
+    print(
+        f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost"
+    )
+    return 0 if kept else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cheaper forms of a fitted contact model, which need no training: fewer trees, or a part of the features alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import ModelError
+from foretouch.models.contact import hand_features
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.regressors import Forest
+from foretouch.models.touch_model import Estimate
+from foretouch.types import Cloud, Float64, Grasp
+
+_AROUND = [
+    k for k, name in enumerate(hand_features.FEATURES) if name.startswith(("g1_", "g2_")) and "_depth" not in name
+]
+"""Columns that describe the points around each contact."""
+
+
+def fewer_trees(estimator: ContactEstimator, count: int) -> ContactEstimator:
+    """The same model with the first trees of each forest alone: as if it had been fitted with so many."""
+    return replace(estimator, forests={name: first_trees(one, count) for name, one in estimator.forests.items()})
+
+
+def first_trees(forest: Forest, count: int) -> Forest:
+    """The first trees of a forest, with their nodes and values alone."""
+    if count >= len(forest.roots):
+        return forest
+    nodes = int(forest.roots[count])
+    leaves = int(forest.leaf[:nodes].max()) + 1
+    return Forest(
+        roots=forest.roots[:count],
+        feature=forest.feature[:nodes],
+        threshold=forest.threshold[:nodes],
+        children=forest.children[:nodes],
+        leaf=forest.leaf[:nodes],
+        value=forest.value[:leaves],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class WithoutSurroundings(ContactEstimator):
+    """A contact model that does not look at the points around the contacts: it takes their means in training.
+
+    The object, the hand and the place of the grasp on the object are described as before.
+    """
+
+    @classmethod
+    def of(cls, estimator: ContactEstimator) -> WithoutSurroundings:
+        """From a fitted model.
+
+        Raises:
+            ModelError: If its features are in the camera's frame.
+        """
+        if estimator.claim is None:
+            raise ModelError("contact: features in the camera's frame need the surroundings of the contacts")
+        return cls(**{name: getattr(estimator, name) for name in estimator.__dataclass_fields__})
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+        """See `Estimator.estimate`."""
+        scene = _PlainScene(cloud.xyz)
+        return Estimate(*self.predict_rows(scene.describe(grasps)))
+
+    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+        """As `ContactEstimator.predict_rows`."""
+        plain = rows.copy()
+        plain[:, _AROUND] = self.kernel.centre[np.array(_AROUND) - len(hand_features.CONDITIONS)]
+        return super().predict_rows(plain)
+
+
+class _PlainScene(hand_features.HandScene):
+    """Describes no surroundings: these columns are 0."""
+
+    def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
+        del fingers
+        return np.zeros((len(contacts), len(_AROUND) // 2))

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choose a level for each request: down at once where the machine does not keep up, and back up with hysteresis.
+
+The expected time of a level is that of its profile, plus what the caller needs around the prediction, times how much
+slower than that the latest answers were. The first level that meets what is left of the budget is chosen. If that is
+less than an idle machine would choose, the machine is overloaded, and no better level is chosen until one has met the
+budget with a margin for a second. The least time between receipt and choice, among the latest requests of about as many
+grasps, is that of an idle machine: the rest was spent in a queue.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from foretouch.tradeoff.budget.levels import Level
+from foretouch.tradeoff.budget.profile import Profile
+
+_MARGIN: Final = 1.1  # of the expected time, a p95
+_MARGIN_UP: Final = 1.3  # the same, to return to a better level
+_HOLD_S: Final = 1.0  # for which a better level must meet the budget before it is chosen
+_WINDOW: Final = 100  # latest answers from which the slowdown is estimated
+_LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
+_QUANTILE: Final = 0.95
+_WAITS: Final = 30  # latest requests of each order of magnitude, of which the least wait is that of an idle machine
+_REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
+_SLOWDOWNS: Final = (0.5, 100.0)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A request that is being answered."""
+
+    level: Level  # by which
+    reduced: bool  # whether it is less than the model itself
+    count: int  # number of grasps
+    arrived: float  # time of receipt [s]
+    began: float  # time of the choice [s]
+    expected_s: float  # time from there to the end, by the profile
+    affordable: bool  # whether a level meets the budget on the machine as it was profiled
+
+
+class LatencyBudget:
+    """Chooses the level of each request. Thread-safe.
+
+    Args:
+        budget_s: From the receipt of a request to its answer [s].
+        levels: The best first.
+        profile: Times of the levels.
+        around: By number of grasps, ascending, what a caller needs around a prediction [s].
+        now: Clock [s].
+    """
+
+    def __init__(
+        self,
+        budget_s: float,
+        levels: Sequence[Level],
+        profile: Profile,
+        around: Mapping[int, float] | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.budget_s = budget_s
+        self._levels = tuple(levels)
+        self._profile = profile
+        self._around = dict(around or {1: 0.0})
+        self._now = now
+        self._lock = threading.Lock()
+        self._ratios: deque[float] = deque(maxlen=_WINDOW)
+        self._waits: dict[int, deque[float]] = {}  # by digits of the number of grasps
+        self._floor = 0
+        self._better_since: float | None = None
+        self._counts: Counter[str] = Counter()
+        self._last = ""
+
+    def expected_s(self, level: Level, count: int) -> float:
+        """Time of an answer on the machine as it was profiled [s]."""
+        around = float(np.interp(count, list(self._around), list(self._around.values())))
+        return self._profile.seconds(level.name, count) + around * max(1.0, count / max(self._around))
+
+    def affordable(self, count: int) -> Level | None:
+        """The best level for so many grasps that meets the budget on the machine as it was profiled; None if none."""
+        with self._lock:
+            place = self._first(count, _MARGIN, self._left_if_idle(count))
+        return None if place is None else self._levels[place]
+
+    def begin(self, count: int, arrived: float) -> Answer:
+        """Choose the level of a request of so many grasps that arrived at a time [s]."""
+        began = self._now()
+        left = self.budget_s - (began - arrived)
+        last = len(self._levels) - 1
+        with self._lock:
+            self._waits.setdefault(len(str(count)), deque(maxlen=_WAITS)).append(began - arrived)
+            slow = self._slowdown()
+            idle = self._place(count, _MARGIN, self._left_if_idle(count))
+            place = max(idle, self._place(count, _MARGIN * slow, left))
+            if place > max(idle, self._floor):
+                self._floor, self._better_since = place, None
+            elif self._floor > idle:
+                self._rise(self._place(count, _MARGIN_UP * slow, left), began)
+            level = self._levels[min(max(place, self._floor), last)]
+            self._last = level.name
+            affordable = self._first(count, _MARGIN, self._left_if_idle(count)) is not None
+        expected_s = self.expected_s(level, count)
+        return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable)
+
+    def end(self, answer: Answer) -> bool:
+        """Note the end of an answer, right before it is published; returns whether it is late."""
+        ended = self._now()
+        late = ended - answer.arrived > self.budget_s
+        with self._lock:
+            self._ratios.append((ended - answer.began + _REGULAR_S) / (answer.expected_s + _REGULAR_S))
+            self._counts[answer.level.name] += 1
+            self._counts["answered"] += 1
+            self._counts["late"] += late
+            self._counts["reduced"] += answer.reduced
+            self._counts["unaffordable"] += not answer.affordable
+        return late
+
+    def notes(self) -> dict[str, str]:
+        """Entries for /diagnostics."""
+        with self._lock:
+            counts, slow, overloaded = dict(self._counts), self._slowdown(), self._floor > 0
+        return {
+            "budget_ms": f"{self.budget_s * 1e3:g}",
+            "budget.level": self._last or "none yet",
+            "budget.overloaded": str(overloaded).lower(),
+            "budget.slowdown": f"{slow:.2f}",
+            **{f"budget.{name}": str(counts.get(name, 0)) for name in ("answered", "late", "reduced", "unaffordable")},
+            **{f"budget.by.{one.name}": str(counts[one.name]) for one in self._levels if one.name in counts},
+            "budget.profile": f"{self._profile.origin} ({self._profile.state})",
+        }
+
+    def _left_if_idle(self, count: int) -> float:
+        return self.budget_s - min(self._waits.get(len(str(count)), (0.0,)))
+
+    def _first(self, count: int, factor: float, left: float) -> int | None:
+        for place, level in enumerate(self._levels):
+            if factor * self.expected_s(level, count) <= left:
+                return place
+        return None
+
+    def _place(self, count: int, factor: float, left: float) -> int:
+        """The first level that takes no longer than what is left; the fastest for so many grasps if none does."""
+        place = self._first(count, factor, left)
+        if place is not None:
+            return place
+        return min(range(len(self._levels)), key=lambda k: self.expected_s(self._levels[k], count))
+
+    def _rise(self, better: int, now: float) -> None:
+        if better >= self._floor:
+            self._better_since = None
+        elif self._better_since is None:
+            self._better_since = now
+        elif now - self._better_since >= _HOLD_S:
+            self._floor, self._better_since = self._floor - 1, None
+
+    def _slowdown(self) -> float:
+        if not self._ratios:
+            return 1.0
+        ratios = np.array(self._ratios)
+        latest = float(np.median(ratios[-_LATEST:])) if len(ratios) >= _LATEST else 1.0
+        return float(np.clip(max(np.quantile(ratios, _QUANTILE), latest), *_SLOWDOWNS))
