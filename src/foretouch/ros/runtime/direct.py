@@ -8,24 +8,45 @@ The subscriptions recognise such messages by the id of their publisher and leave
 
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
+from std_msgs.msg import Header
 
 from foretouch.ros.runtime.workers import WorkerThread
 
 ID_BYTES = 16  # of a publisher; some versions of ROS pad them
 
 
+class LazyMessage:
+    """A message that is made when it is first needed, which is never if all its receivers are in this process.
+
+    Args:
+        header: Of the message.
+        make: Makes the message.
+    """
+
+    def __init__(self, header: Header, make: Callable[[], Any]) -> None:
+        self.header = header
+        self._make = make
+
+    @cached_property
+    def message(self) -> Any:
+        """The message."""
+        return self._make()
+
+
 class DirectPublisher(LifecyclePublisher[Any]):
     """A publisher that knows the subscriptions of its process.
 
     Attributes:
-        receivers: Called with each message.
+        receivers: Called with each message; empty without hand-over.
         id: Of the publisher, as subscribers see it; empty if the middleware has none.
         name: Of the topic, in full.
     """
@@ -39,15 +60,18 @@ class DirectPublisher(LifecyclePublisher[Any]):
     @property
     def wanted(self) -> bool:
         """Whether anything receives the messages."""
-        return bool(self.is_activated and self.get_subscription_count())
+        return bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Publish while the node is active; nothing is serialised for subscriptions of this process alone."""
+        """Publish a message or a `LazyMessage` while the node is active.
+
+        Nothing is serialised for subscriptions of this process alone.
+        """
         if not self.is_activated:
             return
         receivers = self.receivers
-        if self.get_subscription_count() > len(receivers):
-            super().publish(message)
+        if not receivers or self.get_subscription_count() > len(receivers):
+            super().publish(message.message if isinstance(message, LazyMessage) else message)
         for receive in receivers:
             receive(message)
 
@@ -60,15 +84,21 @@ class DirectInput:
         receive: Called with each message, in the thread of the publisher.
 
     Attributes:
-        publishers: Ids of the publishers that call it.
         name: Of the topic, in full.
     """
 
     def __init__(self, subscription: Subscription[Any], receive: Callable[[Any], None]) -> None:
         self.subscription = subscription
         self.receive = receive
-        self.publishers: frozenset[bytes] = frozenset()
         self.name = subscription.topic_name
+        self._connected = 0
+        self._ids: frozenset[bytes] = frozenset()
+
+    def connect(self, ids: Iterable[bytes]) -> None:
+        """Set the ids of the publishers that call it; what others have sent so far is still on the way."""
+        connected = frozenset(ids)
+        self._connected = len(connected)
+        self._ids |= connected
 
     def has_received(self, info: Any) -> bool:
         """Whether a message from the middleware was handed over by its publisher.
@@ -77,7 +107,27 @@ class DirectInput:
             info: What rclpy passes to a callback beside the message.
         """
         publisher = info.get("publisher_gid")
-        return publisher is not None and publisher["data"][:ID_BYTES] in self.publishers
+        return publisher is not None and publisher["data"][:ID_BYTES] in self._ids
+
+    def has_other_publishers(self) -> bool:
+        """Whether the middleware may have messages that are not handed over."""
+        return not self._connected or self.subscription.get_publisher_count() > self._connected
+
+
+class InputGroup(MutuallyExclusiveCallbackGroup):
+    """Callbacks of a node's subscriptions; an executor does not wait for those that get all messages directly.
+
+    What publishers of this process also send to others would wake it for every message.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.direct: dict[Any, DirectInput] = {}
+
+    def can_execute(self, entity: Any) -> bool:
+        """See rclpy's `CallbackGroup`."""
+        one = self.direct.get(entity)
+        return bool((one is None or one.has_other_publishers()) and super().can_execute(entity))
 
 
 class DirectTopics:
@@ -114,8 +164,7 @@ class DirectTopics:
         for publisher in self._publishers:
             publisher.receivers = tuple(one.receive for one in self._inputs if _match(publisher, one))
         for one in self._inputs:
-            found = (p.id for p in self._publishers if _match(p, one))
-            one.publishers |= frozenset(found)  # what a publisher sent before it was removed is still on the way
+            one.connect(p.id for p in self._publishers if _match(p, one))
 
 
 _of_context: weakref.WeakKeyDictionary[Context, DirectTopics] = weakref.WeakKeyDictionary()

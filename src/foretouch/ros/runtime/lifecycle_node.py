@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
-from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, InputGroup, direct_topics
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -81,9 +81,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
         self.direct_topics = direct_topics(self.context)
-        self._outputs: list[LifecyclePublisher[Any]] = []
+        self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription[Any]] = []
-        self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
@@ -91,7 +90,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.past_conflicts: list[str] = []
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
-        self._input_group = MutuallyExclusiveCallbackGroup()
+        self._input_group = InputGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
@@ -147,7 +146,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def advertise(
         self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True
-    ) -> LifecyclePublisher[Any]:
+    ) -> DirectPublisher:
         """Make a reliable publisher, which publishes only while the node is active.
 
         Args:
@@ -167,11 +166,12 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
                 use_default_callbacks=False,  # each further event costs time at every message
             ),
-            publisher_class=DirectPublisher if direct and self.config.direct else LifecyclePublisher,
+            publisher_class=DirectPublisher,
         )
+        assert isinstance(publisher, DirectPublisher)  # noqa: S101  rclpy declares only its own class
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
-        if isinstance(publisher, DirectPublisher):
+        if direct and self.config.direct:
             (publisher.id,) = (self._ids_of_publishers(topic) - known) or (b"",)
             self.direct_topics.add(publisher)
         return publisher
@@ -205,13 +205,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
                 message_lost=lambda event: losses.reported(event.total_count_change),
+                matched=lambda _: None,  # wakes the executor, which waits for the new publisher from now on
                 use_default_callbacks=False,
             ),
         )
         self._inputs.append(subscription)
         if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, receive))
-            self._direct_inputs.append(direct)
+            self._input_group.direct[subscription] = direct
             self.direct_topics.add(direct)
 
     def _ids_of_publishers(self, topic: str) -> set[bytes]:
@@ -305,15 +306,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _release(self) -> None:
         self._attempt(self.teardown)
-        for one in self._direct_inputs:
-            self.direct_topics.remove(one)
+        for direct in self._input_group.direct.values():
+            self.direct_topics.remove(direct)
         for publisher in self._outputs:
-            if isinstance(publisher, DirectPublisher):
-                self.direct_topics.remove(publisher)
+            self.direct_topics.remove(publisher)
             self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._direct_inputs.clear()
+        self._input_group.direct.clear()
         self._outputs.clear()
         self._inputs.clear()
 
