@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 DOMAIN = 87
 HERE = Path(__file__).resolve().parent
@@ -44,7 +44,13 @@ TICKS = os.sysconf("SC_CLK_TCK")
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
-    parser.add_argument("--rates", type=float, nargs="*", default=[30.0, 60.0], help="clouds a second [Hz]")
+    parser.add_argument(
+        "--rates",
+        type=float,
+        nargs="*",
+        default=[30.0, 60.0],
+        help="clouds a second [Hz]; 0 sends each when the one before is answered",
+    )
     parser.add_argument("--processes", nargs="*", choices=["one", "three"], default=["one", "three"])
     parser.add_argument("--label", default="now", help="name of these rows in the results; rows of that name go")
     parser.add_argument("--source", type=Path, default=SOURCES, help="folder `src` of the nodes, such as of a release")
@@ -72,7 +78,11 @@ class Processes:
     """The nodes of one graph, while the context is open."""
 
     def __init__(
-        self, options: argparse.Namespace, groups: Iterable[Sequence[str]], parameters: Sequence[str] = (), space: str = ""
+        self,
+        options: argparse.Namespace,
+        groups: Iterable[Sequence[str]],
+        parameters: Sequence[str] = (),
+        space: str = "",
     ) -> None:
         self._folder = tempfile.TemporaryDirectory()
         self.traces = []
@@ -80,14 +90,20 @@ class Processes:
         environ = {**os.environ, "PYTHONPATH": str(options.source)}
         for number, names in enumerate(groups):
             path = Path(self._folder.name) / f"{number}.json"
-            given = [f"model:={options.model}", "diagnostics_period_s:=0.5", "grasp_hold:=0.0", *options.set, *parameters]
+            given = [
+                f"model:={options.model}",
+                "diagnostics_period_s:=0.5",
+                "grasp_hold:=0.0",
+                *options.set,
+                *parameters,
+            ]
             settings = list(itertools.chain.from_iterable(("-p", one) for one in given))
             settings += ["-r", f"__ns:={space}"] if space else []
             command = [sys.executable, str(HERE / "traced.py"), str(path), *names, "--ros-args", *settings]
             self.children.append(subprocess.Popen(command, env=environ, stderr=subprocess.DEVNULL))
             self.traces.append(path)
 
-    def __enter__(self) -> Processes:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -152,6 +168,7 @@ class Bench:
         self._thread.start()
 
     def close(self) -> None:
+        """Leave the graph."""
         self._executor.shutdown(timeout_sec=1.0)
         self._thread.join(2.0)
         self.node.destroy_node()
@@ -191,7 +208,9 @@ class Bench:
         return stamp
 
     def send_at(self, messages: Sequence[Any], rate_hz: float, seconds: float) -> list[int]:
-        """Publish clouds in turn at a rate."""
+        """Publish clouds in turn at a rate; 0 for one by one, as many as at 10 Hz."""
+        if not rate_hz:
+            return self.send_one_by_one(messages, round(10.0 * seconds))
         begin, stamps = time.monotonic(), []
         for number in range(round(rate_hz * seconds)):
             time.sleep(max(0.0, begin + number / rate_hz - time.monotonic()))
@@ -337,7 +356,9 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
                    "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "memory_mb": memory}  # fmt: skip
             out.add("runs", row)
             for name, median, mean in zip(STAGES, middle, table.mean(axis=0), strict=True):
-                out.add("stages", {"processes": kind, "rate_hz": rate, "stage": name, "p50_ms": median, "mean_ms": mean})
+                out.add(
+                    "stages", {"processes": kind, "rate_hz": rate, "stage": name, "p50_ms": median, "mean_ms": mean}
+                )
             share = middle.sum() / p50
             print(f"{kind:>5} {rate:3.0f} Hz: sent {len(stamps)}, lost {row['lost']}, p50 {p50:.1f}, p95 {p95:.1f} ms; "
                   f"CPU {row['cpu_ms']:.1f} ms a cloud, of which computation {own:.1f}; {memory:.0f} MB")  # fmt: skip
@@ -409,7 +430,9 @@ def exponents(rows: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
         for name in ("total_p50_ms", "cpu_ms", "segmentation_ms", "grasps_ms", "touch_ms"):
             times = np.log([max(float(row[name]), 1e-3) for row in mine])
             last = (times[-1] - times[-2]) / (load[-1] - load[-2])
-            found.append({"what": what, "quantity": name, "exponent": np.polyfit(load, times, 1)[0], "at_the_end": last})
+            found.append(
+                {"what": what, "quantity": name, "exponent": np.polyfit(load, times, 1)[0], "at_the_end": last}
+            )
     return found
 
 
@@ -447,7 +470,16 @@ def draw(results: Results, path: Path, rate: float = 30.0) -> None:
 
     runs = [row for row in results.read("runs") if float(row["rate_hz"]) == rate]
     known = results.read("stages")
-    colours = ("tab:gray", "lightgray", "tab:blue", "lightsteelblue", "tab:green", "lightgreen", "tab:orange", "tab:gray")
+    colours = (
+        "tab:gray",
+        "lightgray",
+        "tab:blue",
+        "lightsteelblue",
+        "tab:green",
+        "lightgreen",
+        "tab:orange",
+        "tab:gray",
+    )
     figure, axes = plt.subplots(figsize=(9.0, 1.3 + 0.55 * len(runs)))
     longest = max(float(row["p50_ms"]) for row in runs)
     for place, run in enumerate(runs):
@@ -459,7 +491,9 @@ def draw(results: Results, path: Path, rate: float = 30.0) -> None:
             label = one["stage"] if place == 0 else None
             axes.barh(place, width, left=left, color=colour, label=label, height=0.62, edgecolor="white", linewidth=0.4)
             left += width
-        text = f" p50 {float(run['p50_ms']):.0f}, p95 {float(run['p95_ms']):.0f} ms, {run['lost']} of {run['sent']} lost, "
+        text = (
+            f" p50 {float(run['p50_ms']):.0f}, p95 {float(run['p95_ms']):.0f} ms, {run['lost']} of {run['sent']} lost, "
+        )
         axes.text(left + 0.005 * longest, place, text + f"{float(run['cpu_ms']):.0f} ms CPU", va="center", fontsize=8)
     names = {"one": "one process", "three": "three processes"}
     axes.set_yticks(range(len(runs)), [f"{names[run['processes']]}, {run['label']}" for run in runs])

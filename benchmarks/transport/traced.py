@@ -33,7 +33,7 @@ class Trace:
             self._wrap_function(owner, name)
 
     def _wrap_node(self, owner: Any) -> None:
-        receive, work = owner._receive, owner._work
+        receive, work = owner._receive, owner._work  # noqa: SLF001  what is measured
 
         def traced_receive(node: Any, topic: str, message: Any) -> None:
             stamp = message.header.stamp
@@ -51,7 +51,7 @@ class Trace:
                 self.rows.append((*key, self._received.pop(key, began), began, self._current.wall, self._current.cpu))
                 self._current.__dict__.clear()
 
-        owner._receive, owner._work = traced_receive, traced_work
+        owner._receive, owner._work = traced_receive, traced_work  # noqa: SLF001
 
     def _wrap_function(self, owner: Any, name: str) -> None:
         function = getattr(owner, name)

@@ -109,18 +109,18 @@ def answers(graph, outsider, model_card, clouds, *, direct):
     return heard, counts(nodes)
 
 
-def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(scene_cloud, model_card, request):
+def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(graph, scene_cloud, model_card):
     clouds = [scene_cloud(seed, stamp_ns=7 + seed, n_objects=3) for seed in range(3)]
     clouds.append(type(clouds[0])(clouds[0].xyz[:0].reshape(0, 3), None, "cam", 77))  # refused
     found = []
     for direct in (True, False):
-        graph = request.getfixturevalue("graph") if not found else type(graph)()  # of another domain
-        outsider = Outsider(graph.domain)
+        one = graph if direct else type(graph)()  # of another domain
+        outsider = Outsider(one.domain)
         try:
-            found.append(answers(graph, outsider, model_card, clouds, direct=direct))
+            found.append(answers(one, outsider, model_card, clouds, direct=direct))
         finally:
             outsider.close()
-            graph.close()
+            one.close()
     (heard_on, counts_on), (heard_off, counts_off) = found
     for topic in OUTPUTS:
         assert len(heard_on[topic]) == len(clouds), topic
@@ -224,6 +224,22 @@ def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cl
     assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
     assert [(s.received, s.used, s.lost) for s in (node.statistics.summary() for node in nodes)] == [
         (2, 2, 0), (4, 4, 0), (4, 4, 0)]  # fmt: skip
+
+
+def test_inputs_are_taken_in_a_thread_of_their_own(graph):
+    threads = {}
+    node = make_nodes("grasp", parameter_overrides=[Parameter("autostart", value=False)])[0]
+    graph.nodes.append(node)
+    graph._executor.add_node(node)
+    node.subscribe(TablePlane, "other", lambda _: threads.setdefault("input", threading.current_thread().name))
+    node.create_subscription(
+        TablePlane, "other", lambda _: threads.setdefault("plain", threading.current_thread().name), 1
+    )
+    publisher = graph.talk(TablePlane, "other")
+    graph.matched("other", subscribers=2)
+    publisher.publish(TablePlane())
+    graph.until(lambda: len(threads) == 2)
+    assert threads["input"] == "inputs" != threads["plain"]
 
 
 def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):

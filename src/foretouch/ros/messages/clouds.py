@@ -9,6 +9,7 @@ without these fields is one object without an image.
 
 import array
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,6 @@ from foretouch.cloud.segmentation.objects import ObjectSegment
 from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
-from foretouch.ros.runtime.direct import LazyMessage
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Object
@@ -66,8 +66,8 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     return message
 
 
-class TargetCloud(LazyMessage):
-    """An `object_cloud` for subscribers of this process, with the targets that the message is made of.
+class TargetCloud:
+    """An `object_cloud` for subscribers of this process, which use the targets themselves.
 
     Args:
         header: Of the scene's cloud.
@@ -75,8 +75,13 @@ class TargetCloud(LazyMessage):
     """
 
     def __init__(self, header: Header, targets: Sequence[FoundObject]) -> None:
-        super().__init__(header, lambda: objects_to_msg(targets, header.frame_id, stamp_ns(header.stamp)))
+        self.header = header
         self.targets = targets
+
+    @cached_property
+    def message(self) -> PointCloud2:
+        """The message for all others, made when it is first needed."""
+        return objects_to_msg(self.targets, self.header.frame_id, stamp_ns(self.header.stamp))
 
 
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:

@@ -9,37 +9,18 @@ The subscriptions recognise such messages by the id of their publisher and leave
 import threading
 import weakref
 from collections.abc import Callable, Iterable
-from functools import cached_property
 from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
-from std_msgs.msg import Header
 
+from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.runtime.workers import WorkerThread
 
 ID_BYTES = 16  # of a publisher; some versions of ROS pad them
-
-
-class LazyMessage:
-    """A message that is made when it is first needed, which is never if all its receivers are in this process.
-
-    Args:
-        header: Of the message.
-        make: Makes the message.
-    """
-
-    def __init__(self, header: Header, make: Callable[[], Any]) -> None:
-        self.header = header
-        self._make = make
-
-    @cached_property
-    def message(self) -> Any:
-        """The message."""
-        return self._make()
 
 
 class DirectPublisher(LifecyclePublisher[Any]):
@@ -63,7 +44,7 @@ class DirectPublisher(LifecyclePublisher[Any]):
         return bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Publish a message or a `LazyMessage` while the node is active.
+        """Publish a message or a `TargetCloud` while the node is active.
 
         Nothing is serialised for subscriptions of this process alone.
         """
@@ -71,7 +52,7 @@ class DirectPublisher(LifecyclePublisher[Any]):
             return
         receivers = self.receivers
         if not receivers or self.get_subscription_count() > len(receivers):
-            super().publish(message.message if isinstance(message, LazyMessage) else message)
+            super().publish(message.message if isinstance(message, TargetCloud) else message)
         for receive in receivers:
             receive(message)
 
@@ -114,10 +95,11 @@ class DirectInput:
         return not self._connected or self.subscription.get_publisher_count() > self._connected
 
 
-class InputGroup(MutuallyExclusiveCallbackGroup):
+class InputGroup(CallbackGroup):
     """Callbacks of a node's subscriptions; an executor does not wait for those that get all messages directly.
 
-    What publishers of this process also send to others would wake it for every message.
+    What publishers of this process also send to others would wake it for every message. The node itself sees to it that
+    its callbacks never run at the same time.
     """
 
     def __init__(self) -> None:
@@ -127,7 +109,14 @@ class InputGroup(MutuallyExclusiveCallbackGroup):
     def can_execute(self, entity: Any) -> bool:
         """See rclpy's `CallbackGroup`."""
         one = self.direct.get(entity)
-        return bool((one is None or one.has_other_publishers()) and super().can_execute(entity))
+        return one is None or one.has_other_publishers()
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002  of rclpy
+        """See rclpy's `CallbackGroup`."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """See rclpy's `CallbackGroup`."""
 
 
 class DirectTopics:

@@ -172,7 +172,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
         if direct and self.config.direct:
-            (publisher.id,) = (self._ids_of_publishers(topic) - known) or (b"",)
+            fresh = self._ids_of_publishers(topic) - known
+            publisher.id = fresh.pop() if len(fresh) == 1 else b""
             self.direct_topics.add(publisher)
         return publisher
 

@@ -104,7 +104,9 @@ class OnlineAdapter:
             if self._config().use_touches and self._received:
                 self._assembler.add("executed", message, received_ns=0, now_s=time.monotonic())
 
-    def add_grasps(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[GraspMsg], *, requested: bool = False) -> None:
+    def add_grasps(
+        self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[GraspMsg], *, requested: bool = False
+    ) -> None:
         """Keep a cloud and the grasps on it, if there is a hand that may execute one.
 
         Args:
