@@ -107,11 +107,12 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
     Returns:
         Whether one has failed.
     """
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
 
+    from foretouch.ros.runtime.executor import GraphExecutor
     from foretouch.ros.runtime.internal_errors import spin_on
 
-    executor = SingleThreadedExecutor()
+    executor = GraphExecutor(nodes[0].internal_errors)
     try:
         for node in nodes:
             executor.add_node(node)
