@@ -30,10 +30,14 @@ def example(name: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("reference", [getattr(TouchPrediction, name) for name in ("NONE", "TARE", "TOUCHES", "HISTORY")])
+@pytest.mark.parametrize(
+    "reference", [getattr(TouchPrediction, name) for name in ("NONE", "TARE", "TOUCHES", "HISTORY")]
+)
 def test_the_listener_knows_each_reference(reference: int) -> None:
     intervals = [Interval(value=3000.0) for _ in range(24)]
-    assert "based on" in example("listen_touch").describe(TouchPrediction(reference=reference, e_th=intervals, e_mf=intervals))
+    assert "based on" in example("listen_touch").describe(
+        TouchPrediction(reference=reference, e_th=intervals, e_mf=intervals)
+    )
 
 
 def test_the_parts_of_the_day_are_those_of_the_level() -> None:
