@@ -6,8 +6,8 @@
 A simulated camera and hand show and grasp the objects of `config/scenes/campaign_day.yaml` one after the other, while the
 level of the fingertips drifts. In the middle, the process of the graph ends and another one starts; all that it knows is
 the file of the hand (parameters `hand` and `history_folder`). OUT then holds that file, `day.csv` and its picture
-`day.png`: of one electrode the readings and the predictions before them, and the two parts that the predictor tells
-apart, the state of the sensor and the part of the object.
+`day.png`: of one electrode the readings and the predictions before them, and the two parts that the predictor
+separates, the state of the sensor and the part of the object.
 
 160 s of the day pass in each second. The model is therefore the default one with time constants of drift that are shorter
 by this factor. Tares are not used: the rest level of the model was estimated without any, and is not that of simulated
@@ -196,7 +196,7 @@ def draw(rows: Sequence[Row], path: Path) -> Path:
     titles = (
         f"Electrode {ELECTRODE} of the middle finger: each grasp is predicted before it is executed",
         "State of the sensor: is kept over objects and over the restart, and follows the drift",
-        "Part of the object: begins anew with each object, and is kept over the restart",
+        "Part of the object: starts again with each object, and is kept over the restart",
     )
     for axes, title, kind, colour in zip(
         grid, titles, ("prediction", "state", "object"), ("C0", "C1", "C2"), strict=True
