@@ -27,6 +27,7 @@ REFERENCES = {
     TouchPrediction.NONE: "the cloud only",
     TouchPrediction.TARE: "a tare",
     TouchPrediction.TOUCHES: "earlier touches",
+    TouchPrediction.HISTORY: "earlier readings of the hand",
 }
 
 

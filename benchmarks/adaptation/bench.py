@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,14 +22,15 @@ prepare_environment()
 
 from foretouch.dataset.pairing import Interval, TouchBuffer, TouchReading, cut_touch  # noqa: E402
 from foretouch.models import load_model  # noqa: E402
-from foretouch.models.touch_model import ObjectResiduals, TouchModel  # noqa: E402
+from foretouch.models.hand_history import HandHistory  # noqa: E402
+from foretouch.models.touch_model import TouchModel  # noqa: E402
 from foretouch.pipeline import FoundObject  # noqa: E402
 from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
 from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
 from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
-from foretouch.tactile import offsets, restore  # noqa: E402
+from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory  # noqa: E402
 from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
@@ -116,7 +118,10 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model is called, of what adaptation adds to it [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    adapter = OnlineAdapter(model, make_reader(TactileConfig()), lambda: settings, lambda: clock[0], print)
+    memory, alone_memory = (
+        HandMemory(HandHistory(model), lambda: clock[0]) if model.tracks else ObjectMemory(model) for _ in range(2)
+    )
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), memory, lambda: settings, lambda: clock[0], print)
     hand = Hand(adapter, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -124,25 +129,29 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
     cloud, asked = target.cloud, grasps[:1]
 
     def ask() -> Sequence[TouchPrediction]:
-        return adapter.predict(cloud, asked)
+        return adapter.predict(cloud, asked, limits=settings.limits, reach=settings)
 
     def ask_model() -> Sequence[TouchPrediction]:
         return model.predict(cloud, asked)
 
+    def basis() -> dict[str, Any]:
+        tare = adapter._recent_tare(settings)  # noqa: SLF001  what the adapter itself reads
+        return alone_memory.basis(cloud, tare, settings.same_object_m)
+
     hand.send(REST, 300)
     alone, *with_tare = in_turn(ask_model, ask, rounds)
-    residuals, buffered, matched, added = None, [], [], []
+    basis()  # reads the same tare
+    buffered, matched, added = [], [], []
     for grasp in grasps:
         objects, planned = objects_to_msg([target], FRAME, clock[0]), [grasp_to_msg(grasp)]
         buffered.append(spent_ms(partial(adapter.add_grasps, objects, planned)))
         interval = hand.execute(grasp.id)
-        matched.append((spent_ms(partial(model.expect, cloud, asked)), spent_ms(adapter.process_touches)))
         cut = cut_touch(hand.buffer, interval, settings.pairing)
-        residuals = residuals or ObjectResiduals(model, cut.tare)
-        reading = restore(offsets(cut.touch, cut.tare), residuals.tare)
-        expect = partial(model.expect, cloud, [grasp], residuals.tare)
-        added.append((spent_ms(expect), spent_ms(partial(residuals.add, cloud, grasp, reading))))
-    require_equal(model.predict(cloud, asked, residuals=residuals), ask(), adapter)
+        estimate = partial(model.estimate_executed, cloud, [grasp])
+        matched.append((spent_ms(estimate), spent_ms(adapter.process_touches)))
+        add = partial(alone_memory.add, cloud, grasp, cut.touch, cut.tare, 0.0, settings.same_object_m)
+        added.append((spent_ms(estimate), spent_ms(add)))
+    require_equal(model.predict(cloud, asked, **basis()), ask(), adapter)
     _, *with_touches = in_turn(ask_model, ask, rounds)
     return {
         "model alone": (alone,),

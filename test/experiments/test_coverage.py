@@ -92,7 +92,7 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 
 @pytest.mark.real_data
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(Path(__file__).parents[2])
+    monkeypatch.chdir(tmp_path)  # in which the scene is not
     experiment = find_experiment("coverage")
     few = {"samples": 20, "learned": 15, "contact.trees": 2}
     source = real_data / "vision2tactile"

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The experiment joins predictions that know neither the object nor that of the reading, and scores every grasp once."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from experiment_samples import make_collection
+from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.experiments import find_experiment
 from foretouch.experiments.framework.experiment import Cell
 from foretouch.experiments.prequential import _recordings
 from foretouch.experiments.prequential.results import TRACKER, summarise_prequential
 from foretouch.learning.data import labels_of
+from foretouch.types import Touch
 
 
 def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
@@ -22,7 +25,7 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
         for cell in experiment.cells(settings, data)
         for row in experiment.run(Cell(cell.key, cell.values), settings, data)
     ]
-    recordings = _recordings(rows)
+    recordings = _recordings(rows, settings)
     assert recordings is not None
     assert len(recordings) == 6
     names = np.array([sample.object for sample in data.samples])
@@ -33,7 +36,26 @@ def test_predictions_know_neither_the_object_nor_that_of_the_reading() -> None:
             known = labels[(names != target) & (names != name)]
             own = recording.expected[recording.objects == name]
             np.testing.assert_allclose(own, np.tile(known.mean(axis=0), (len(own), 1)))
-    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]]) is None
+    assert _recordings([row for row in rows if row["without"] != ["campbells", "spam"]], settings) is None
+
+
+def test_tares_are_read_unless_told_not_to() -> None:
+    data, experiment = make_collection(3, 4), find_experiment("prequential")
+    tare = Touch.from_vector(labels_of(data.samples).mean(axis=0))
+    samples = [replace(one, tare=tare if k % 4 == 0 else None) for k, one in enumerate(data.samples)]
+    data, settings = replace(data, samples=samples), experiment.resolve("smoke", {})
+    rows = [
+        {**cell.values, **row}
+        for cell in experiment.cells(settings, data)
+        for row in experiment.run(cell, settings, data)
+    ]
+    for recording in (_recordings(rows, settings) or {}).values():
+        assert recording.tares is not None
+        assert_array_equal(np.isfinite(recording.tares).all(axis=1), np.arange(12) % 4 == 0)
+        assert_allclose(recording.tares[::4], 0.0, atol=1e-9)  # from the mean of the others' tares
+    for recording in (_recordings(rows, settings.replace(tares=False)) or {"": None}).values():
+        assert recording is not None
+        assert recording.tares is None
 
 
 @pytest.fixture(scope="module")

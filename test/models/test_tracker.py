@@ -83,18 +83,18 @@ def conditioned(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance of the level at a time, by conditioning the joint Gaussian of all readings; all coordinates alike."""
 
-    def covariance(t1: np.ndarray, t2: np.ndarray) -> np.ndarray:
-        gap = np.abs(t1[:, None] - t2[None])
-        return parameters.slow[0] * np.exp(-gap / parameters.slow_time_s[0]) + parameters.fast[0] * np.exp(
-            -gap / parameters.fast_time_s[0]
-        )
-
     touched = ~np.array(tares)
+
+    def covariance(t1: np.ndarray, t2: np.ndarray, both: np.ndarray) -> np.ndarray:
+        gap = np.abs(t1[:, None] - t2[None])
+        fast = parameters.fast[0] * np.exp(-gap / parameters.fast_time_s[0])
+        return parameters.slow[0] * np.exp(-gap / parameters.slow_time_s[0]) + fast * both
+
     same = np.equal.outer(objects, objects) & np.outer(touched, touched)
     noise = np.where(touched, 1.0, parameters.tare_noise[0])
-    seen = covariance(seconds, seconds) + parameters.object[0, 0] * same + np.diag(noise)
+    seen = covariance(seconds, seconds, np.outer(touched, touched)) + parameters.object[0, 0] * same + np.diag(noise)
     now = np.array([at])
-    cross = covariance(now, seconds)[0] + parameters.object[0, 0] * (np.array(objects) == of) * touched
+    cross = covariance(now, seconds, touched)[0] + parameters.object[0, 0] * (np.array(objects) == of) * touched
     gain = np.linalg.solve(seen, cross)
     variance = parameters.slow[0] + parameters.fast[0] + parameters.object[0, 0] - gain @ cross
     return gain @ values, np.full(SIZE, 400.0 * variance)
@@ -191,6 +191,26 @@ def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
     offset[np.r_[1, 26:50]] = 400.0
     assert tracker.add_tare(START + 6 * DAY, offset) == ("MF",)
     assert_allclose(tracker.level(START + 6 * DAY).offset[26:], 400.0, rtol=0.1)
+
+
+def test_a_tare_leaves_what_only_touches_read() -> None:
+    tracker = SensorTracker(replace(drifting(slow=0.5, fast=4.0), alarm=PATIENT.alarm))
+    for k in range(12):
+        if k % 3 == 0:
+            tracker.start_object()
+            tracker.add_tare(START + 60 * k * S, np.zeros(SIZE))
+        touch(tracker, 60.0 * k, np.full(SIZE, 40.0))  # whatever the object is, and unlike the tares
+    level = tracker.level(START + 720 * S, same_object=False)
+    assert (level.offset > 20.0).all()
+
+
+def test_tares_of_a_common_drift_restart_a_finger_as_rarely_as_stated(rng) -> None:
+    parameters = replace(drifting(slow=3.0), alarm=np.array([[9.7, 1.0], [9.2, 1.8]]))  # limits as of contact-v2
+    deviation = 20.0 * np.sqrt(3.0 + parameters.tare_noise[0])
+    restarts = sum(
+        len(SensorTracker(parameters).add_tare(START, np.full(SIZE, deviation * rng.normal()))) for _ in range(500)
+    )
+    assert restarts <= 8  # of 1000 fingers
 
 
 def test_readings_as_modelled_restart_a_finger_as_rarely_as_stated(rng) -> None:

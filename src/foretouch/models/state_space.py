@@ -5,7 +5,10 @@
 
 The two states are Ornstein-Uhlenbeck processes: they drift, and revert to zero over a time constant (days for the slow
 one, an hour for the fast one) [Uhlenbeck and Ornstein 1930]. The object's part is constant while the same object is
-touched. A tare observes the two states without object and grasp. In the coordinates of a fixed basis in which all four
+touched. A tare observes the slow state alone: the fast one, which single electrodes have on their own and by much more
+than a resting sensor's noise, is taken for how hand and object lie, as the simulator takes it. (The public recordings have
+no tare to decide this. Where tares were observed that do not read it, a filter whose tares read both states kept nothing
+of it.) In the coordinates of a fixed basis in which all four
 covariances are diagonal, (1) falls apart into 50 independent filters of three numbers each [Kalman 1960], so that a
 reading and a prediction cost the same however many were before.
 """
@@ -75,7 +78,7 @@ class TrackerParameters(TensorRecord):
     fast_time_s: Float64  # (50,) its time constant [s]
     object: Float64  # (2, 50) variance between objects, new and known
     noise: Float64  # (2, 50) variance of the noise of a grasp, on new and known objects
-    tare_noise: Float64  # (50,) variance of a tare around the state
+    tare_noise: Float64  # (50,) variance of a tare around the slow state
     worth: Float64  # (2, 50) in [0, 1], shrinkage factor of predicted differences between grasps, per value
     factor: (
         Float64  # (4,) by modality: half width of a 90 % interval over the predicted deviation, before it is adapted
@@ -194,7 +197,7 @@ class StateFilter:
             self.covariance[part, part, chosen] = self.prior[part, chosen]
 
     def predicted(self, parts: int = 3) -> tuple[Float64, Float64]:
-        """(K,) mean and variance of the sum of the parts; with `parts` 2, of the states alone."""
+        """(K,) mean and variance of the sum of the parts; with `parts` 1, of the slow state alone."""
         return self.mean[:parts].sum(axis=0), self.covariance[:parts, :parts].sum(axis=(0, 1))
 
     def observe(self, value: Float64, noise: Float64, parts: int = 3) -> None:

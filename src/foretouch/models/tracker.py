@@ -17,7 +17,8 @@ Gaussian noise; since recorded noise has heavier tails, each limit is above in o
 fails is not used. If the next one fails as well, the finger was exchanged or jumped: it is named, and all that was
 learned about it is forgotten. So a finger without fault is restarted at most once in 2500 touches, if these are
 independent. The first touch of an object has limits four times as high, since there a jump cannot be separated from an
-unusual object. A tare, which is the median of many readings, restarts a finger at once.
+unusual object. A tare, which is the median of many readings, restarts a finger at once; its limit of the squared mean is
+that of one standard Gaussian variable at least, since what drifts may be common to all values of a finger.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ MISS_RATE: Final = 0.1
 """Share of readings outside the intervals."""
 
 _ADAPTATION_RATE: Final = 0.2  # of the logarithm of the factor, a touch
+_COMMON_JUMP: Final = 9.14  # quantile 0.9975 of chi-square with 1 degree of freedom
 _KEPT_SHARE: Final = 0.5  # of what was adapted, at another object
 _FIRST_TOUCH: Final = (
     4.0  # times the limits at the first touch of an object: few objects determine how much these differ
@@ -142,10 +144,12 @@ class SensorTracker:
         _check_counts("tare", offset)
         stamp = self._checked_stamp(stamp_ns, now_ns)
         self._filter.advance(self._seconds_to(stamp))
-        mean, variance = self._filter.predicted(parts=2)
-        failed = self._failed(offset - self.parameters.basis @ mean, variance + self.parameters.tare_noise)
+        mean, variance = self._filter.predicted(parts=1)
+        variance = variance + self.parameters.tare_noise
+        limits = np.maximum(self.parameters.alarm, [0.0, _COMMON_JUMP])
+        failed = self._failed(offset - self.parameters.basis @ mean, variance, limits)
         self._restart(failed)
-        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=2)
+        self._filter.observe(self._inverse @ offset, self.parameters.tare_noise, parts=1)
         self._newest_ns, self._readings = stamp, self._readings + 1
         self._revision += 1
         return tuple(name for name, one in zip(FINGERS, failed, strict=True) if one)
@@ -176,8 +180,8 @@ class SensorTracker:
         self._adapt_factor(np.abs(reading - counts[0]) > half[0])
         mean, variance = self._filter.predicted()
         noise = self.parameters.noise[self._kind]
-        tolerance = 1.0 if self._touches else _FIRST_TOUCH
-        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, tolerance)
+        limits = self.parameters.alarm * (1.0 if self._touches else _FIRST_TOUCH)
+        failed = self._failed(reading - expected - self.parameters.basis @ mean, variance + noise, limits)
         restarted = failed & self._suspect
         self._restart(restarted)
         self._suspect = failed & ~restarted
@@ -278,10 +282,10 @@ class SensorTracker:
         """(4,) logarithm of the factor for another object."""
         return self._first_log_factor + _KEPT_SHARE * (self._log_factor - self._first_log_factor)
 
-    def _failed(self, innovation: Float64, variance: Float64, tolerance: float = 1.0) -> npt.NDArray[np.bool_]:
+    def _failed(self, innovation: Float64, variance: Float64, limits: Float64) -> npt.NDArray[np.bool_]:
         """(2,) whether each finger fails the test, from (50,) innovations [counts] and variances in coordinates."""
         statistics = innovation_statistics(innovation / np.sqrt(self._squared @ variance))
-        return np.asarray((statistics > tolerance * self.parameters.alarm).any(axis=1), np.bool_)
+        return np.asarray((statistics > limits).any(axis=1), np.bool_)
 
     def _coordinates_of(self, fingers: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """(50,) which coordinates the chosen fingers' values depend on."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an effect is: a unit that declares what it reads, writes and changes, and which field of the scene enables it.
 
-`SampleState` holds what the effects of one sample have computed so far, by key.
+`SampleState` holds what the effects of one sample have computed so far, by key. Each effect has a random stream of its own:
+a disabled effect leaves all bit-equal that is not downstream of it.
 """
 
 from collections.abc import Callable

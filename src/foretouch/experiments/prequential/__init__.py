@@ -5,6 +5,9 @@ This is what a robot at work sees. The predictor by sight of an object is fitted
 ones; the parameters of the tracker are fitted without the object too, from predictions of the others by models that
 know neither them nor the object (a fit for each pair). `past_mean` predicts by sight the mean of all readings before
 the object was taken, so that nothing later enters but the parameters.
+
+Where tares were recorded, the tracker reads each before the prediction of its grasp, as a difference from the mean of
+those of the other objects, and the memory shifts that grasp by it.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
 from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording
+from foretouch.learning.training.calibration import rest_level
 
 __all__ = ["EXPERIMENT", "PrequentialSettings"]
 
@@ -41,6 +45,7 @@ class PrequentialSettings(Settings):
     effort: float = setting(1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0)
     jump: float = setting(100.0, "Size of the injected jump of all values", minimum=0.0, maximum=1000.0, unit="counts")
     jump_after: int = setting(25, "Touches of the object before the jump", minimum=0)
+    tares: bool = setting(True, "Whether tares that were recorded are read as well, at the time of their grasps")
     bootstrap: BootstrapConfig = BootstrapConfig()
 
 
@@ -61,12 +66,14 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     samples = real_grasps.labelled(data)
     train = [sample for sample in samples if sample.object not in without]
     fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels_of(train), _SEED)
+    rest, _ = rest_level(train)
     rows: list[Row] = []
     for name in without:
         own = [sample for sample in samples if sample.object == name]
         row: Row = {"object": name, "expected": fitted.predict(own).tolist()}
         if len(without) == 1:
             row |= {"stamps_ns": [sample.stamp_ns for sample in own], "readings": labels_of(own).tolist()}
+            row["tares"] = [None if sample.tare is None else (sample.tare.vector() - rest).tolist() for sample in own]
         rows.append(row)
     return rows
 
@@ -74,13 +81,13 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
     result: list[Row] = []
     for predictor in dict.fromkeys(row["predictor"] for row in rows):
-        recordings = _recordings([row for row in rows if row["predictor"] == predictor])
+        recordings = _recordings([row for row in rows if row["predictor"] == predictor], settings)
         if recordings is not None:
             result += prequential_rows(predictor, recordings, settings, past=predictor == _MEAN)
     return result
 
 
-def _recordings(rows: Sequence[Row]) -> dict[str, Recording] | None:
+def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str, Recording] | None:
     """For each object, all readings with predictions that know neither the object of the reading nor this one.
 
     None if a cell is missing.
@@ -100,7 +107,11 @@ def _recordings(rows: Sequence[Row]) -> dict[str, Recording] | None:
         stamps, readings, expected = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
         )
-        recordings[target] = Recording.ordered(stamps, names, readings, expected)
+        tares = None
+        if settings.tares and any(tare is not None for part in parts for tare in part["tares"]):
+            unknown = np.full(readings.shape[1], np.nan)
+            tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
+        recordings[target] = Recording.ordered(stamps, names, readings, expected, tares)
     return recordings
 
 
@@ -117,6 +128,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=summarise_prequential,
     figure=draw_prequential,
-    free=("predictors", "jump", "jump_after", "bootstrap"),
+    free=("predictors", "jump", "jump_after", "tares", "bootstrap"),
     data_folder="vision2tactile",
 )

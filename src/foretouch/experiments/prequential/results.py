@@ -110,8 +110,13 @@ def prequential_rows(
 def _replay_past(tracker: SensorTracker, recording: Recording, run: int, into: tuple[Float64, Float64]) -> None:
     """Predict one run of grasps with the mean of all readings before it as prediction by sight."""
     runs = recording.runs()
-    mean = recording.readings[runs < run].mean(axis=0)
+    past = runs < run
+    mean = recording.readings[past].mean(axis=0)
     shown = recording.take(runs <= run)
+    if shown.tares is not None and recording.tares is not None:
+        known = np.isfinite(recording.tares[past]).all(axis=1)
+        level = recording.tares[past][known].mean(axis=0) if known.any() else np.nan
+        shown = replace(shown, tares=shown.tares - level)
     played = replay(tracker, replace(shown, expected=np.tile(mean, (len(shown.readings), 1))))
     into[0][runs == run] = played.counts[runs[runs <= run] == run]
     into[1][runs == run] = played.half[runs[runs <= run] == run]
@@ -124,7 +129,10 @@ def _jump_rows(name: str, recording: Recording, tracker: SensorTracker, settings
     ]
     readings = recording.readings.copy()
     readings[first:] = np.clip(readings[first:] + settings.jump, 0.0, FULL_SCALE)
-    played = replay(tracker, replace(recording, readings=readings))
+    tares = None if recording.tares is None else recording.tares.copy()
+    if tares is not None:
+        tares[first + 1 :] += settings.jump
+    played = replay(tracker, replace(recording, readings=readings, tares=tares))
     after = slice(first, first + _JUMP_GRASPS)
     inside = (np.abs(readings - played.counts) <= played.half)[after]
     rows = []

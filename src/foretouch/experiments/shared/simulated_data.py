@@ -7,6 +7,7 @@ experiment on both real and simulated grasps has a link to the real ones there.
 
 import hashlib
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -109,7 +110,10 @@ _REAL: Final = "real"
 class BothSettings(SimulatedSettings):
     """Settings of experiments on real and simulated grasps."""
 
-    scene: str = setting("config/scenes/unseen_objects.yaml", "Scene of the simulated grasps")
+    scene: str = setting(
+        "config/scenes/unseen_objects.yaml",
+        "Scene of the simulated grasps; one of this name that comes with the package where there is no such file",
+    )
     samples: int = setting(2400, "Number of grasps to simulate", minimum=10, maximum=1_000_000)
 
 
@@ -135,12 +139,19 @@ def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path
     if source is None:
         raise ConfigError("experiment: no real grasps; give --data PATH or set FORETOUCH_DATA")
     folder = beside(out)
-    simulate_store(Path(settings.scene), settings.samples, folder)
+    simulate_store(_scene_file(settings.scene), settings.samples, folder)
     link = folder / _REAL
     if link.is_symlink():
         link.unlink()
     link.symlink_to(source.absolute(), target_is_directory=True)
     return folder
+
+
+def _scene_file(scene: str) -> Path:
+    """The file of that path, else the scene of its name that comes with the package."""
+    path = Path(scene)
+    shipped = Path(str(resources.files("foretouch.simulation"))) / "scenes" / path.name
+    return shipped if shipped.is_file() and not path.exists() else path
 
 
 def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:

@@ -136,7 +136,7 @@ class _Replay:
             if self._begins[k]:
                 filtered.start_object(lasting)
             if self._tares is not None and np.isfinite(self._tares[k]).all():
-                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=2)
+                total += _surprise(filtered, np.tile(self._tares[k], count), tare, parts=1)
             total += _surprise(filtered, np.tile(value, count), noise, parts=3)
         prior = 0.5 * (((logs - _PRIOR[0]) / _PRIOR[1]) ** 2).sum(axis=2)
         return np.asarray(total.reshape(count, -1) @ self._weights + prior, np.float64)

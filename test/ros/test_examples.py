@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of the examples that need no running graph."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from foretouch.models import load_model
+from foretouch.models.hand_history import HandHistory
+from foretouch_msgs.msg import Interval, TouchPrediction
+
+pytestmark = pytest.mark.ros
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+START = 1_700_000_000_000_000_000
+
+
+def example(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    "reference", [getattr(TouchPrediction, name) for name in ("NONE", "TARE", "TOUCHES", "HISTORY")]
+)
+def test_the_listener_knows_each_reference(reference: int) -> None:
+    intervals = [Interval(value=3000.0) for _ in range(24)]
+    assert "based on" in example("listen_touch").describe(
+        TouchPrediction(reference=reference, e_th=intervals, e_mf=intervals)
+    )
+
+
+def test_the_parts_of_the_day_are_those_of_the_level() -> None:
+    day, history = example("simulated_day"), HandHistory(load_model("default"))
+    rng = np.random.default_rng(0)
+    for k in range(4):
+        history.tracker.add_touch(START + k * 60_000_000_000, np.full(50, 3100.0), rng.normal(3000.0, 20.0, 50))
+    stamp = START + 180_000_000_000
+    parts = day.parts_of(history)
+    level, other = history.tracker.level(stamp), history.tracker.level(stamp, same_object=False)
+    assert_allclose(parts["state"][0], other.offset[day.VALUE])
+    assert_allclose(parts["state"][0] + parts["object"][0], level.offset[day.VALUE])
+    prior = (history.tracker.parameters.basis**2 @ history.tracker.parameters.object[0])[day.VALUE]
+    assert_allclose(parts["state"][1] ** 2 + prior, other.variance[day.VALUE])
+
+
+def test_in_the_model_of_the_day_time_passes_faster(tmp_path: Path) -> None:
+    day, released = example("simulated_day"), load_model("default")
+    model = load_model(day.write_model(tmp_path))
+    own, other = (one.calibration.tracker_parameters() for one in (model, released))
+    assert_allclose(own.slow_time_s * day.SPEED, other.slow_time_s)
+    assert_allclose(own.fast_time_s * day.SPEED, other.fast_time_s)
+    assert (own.noise == other.noise).all()
+    assert model.sha256 == released.sha256
+
+
+def test_the_picture_of_the_day_shows_both_parts_and_the_restart(tmp_path: Path) -> None:
+    day = example("simulated_day")
+    numbers = {"value": 100.0, "low": 50.0, "high": 150.0, "touches": 1, "readings": 1}
+    rows = [
+        {"kind": kind, "second": float(second), "visit": second // 10, "object": "can", **numbers}
+        for kind in ("prediction", "reading", "state", "object", "rest")
+        for second in (*range(14), *range(20, 30))
+    ]
+    assert day._longest_pause([row for row in rows if row["kind"] == "prediction"]) == (13.0, 20.0)
+    assert day.draw(rows, tmp_path / "day.png").stat().st_size > 20_000
