@@ -14,7 +14,14 @@ KERNELS = Extension(
     sources=sorted(map(str, Path("src/foretouch/kernels").glob("*.c"))),
     depends=sorted(map(str, Path("src/foretouch/kernels").glob("*.h"))),
     # -Wno-psabi: vectors are only passed between functions that are inlined.
-    extra_compile_args=["-std=gnu11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
+    extra_compile_args=[
+        "-std=gnu11",
+        "-O3",
+        "-ffp-contract=off",
+        "-fno-math-errno",
+        "-fno-trapping-math",
+        "-Wno-psabi",
+    ],
     libraries=["m"],
     optional=True,
 )

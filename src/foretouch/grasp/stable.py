@@ -29,7 +29,9 @@ from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64, Plane
 
 _tent_sums = Kernel(
-    "tent_sums", *(np.float64, np.float64, int, np.float64, np.float64), *(float, float, float, int, np.float64, np.int64)
+    "tent_sums",
+    *(np.float64, np.float64, int, np.float64, np.float64),
+    *(float, float, float, int, np.float64, np.int64),
 )
 _local_planes = Kernel("local_planes", np.float64, np.float64, int, np.float64, int, float, np.float64, np.float64)
 _surface_mean = Kernel("surface_mean", np.float64, np.float64, int, np.float64, float, np.float64)
@@ -246,9 +248,9 @@ def _node_sums(
     _, key = np.unique(cell.reshape(-1, 3), axis=0, return_inverse=True)
     key = key.reshape(-1)
     size = int(key.max(initial=-1)) + 1
-    mass = np.bincount(key, share.ravel(), minlength=size)
-    sums = np.stack([np.bincount(key, (share * column[:, None]).ravel(), minlength=size) for column in xyz.T], axis=1)
-    return mass, sums, len(index)
+    mass = np.bincount(key, share.ravel(), minlength=size).astype(np.float64)
+    sums = np.column_stack([np.bincount(key, (share * column[:, None]).ravel(), minlength=size) for column in xyz.T])
+    return mass, sums.astype(np.float64), len(index)
 
 
 def _tents(scaled: Float64) -> tuple[npt.NDArray[np.int64], Float64]:

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 _SCALARS: Final[dict[Any, type[Any]]] = {int: ctypes.c_int64, float: ctypes.c_double}
 
@@ -52,7 +51,9 @@ def _is_first_field() -> bool:
     if sys.implementation.name != "cpython":
         return False
     probe = np.zeros(4)
-    return all(_at(id(one) + _HEAD).value == one.ctypes.data for one in (probe, probe[1:], np.zeros((2, 3), np.float32)))
+    return all(
+        _at(id(one) + _HEAD).value == one.ctypes.data for one in (probe, probe[1:], np.zeros((2, 3), np.float32))
+    )
 
 
 _first_field = _is_first_field()

@@ -273,7 +273,8 @@ def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None)
     elif grid is None:
         return _tree_mean_distance(xyz, np.arange(len(xyz)), k)
     else:
-        result, proven = window_mean_distance(xyz, grid, k)
+        result, sure = window_mean_distance(xyz, grid, k)
+        proven = sure.view(np.uint8)
     pending = np.flatnonzero(proven == 0)
     if len(pending):
         result[pending] = _tree_mean_distance(xyz, pending, k)

@@ -25,10 +25,7 @@ from foretouch.types import Float32
 
 Index = npt.NDArray[np.intp]
 
-_grid_patches = Kernel(
-    "grid_patches",
-    *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64),
-)
+_grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
 _label_window = Kernel(
     "label_window",
     *(np.float32, int, int, int, int, int, np.int32, int, int, int, int),
@@ -162,7 +159,7 @@ def _label_compiled(
     if found[1] and rays is not None:
         rows, columns = np.nonzero(patches < 0)
         rays.record(stride * (rows * image[1] + columns))
-    spans = boxes[: found[0]] + (-1, 1, -1, 1)  # a margin of one cell
+    spans = boxes[: found[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
     spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
     low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
     marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
@@ -170,7 +167,10 @@ def _label_compiled(
     windows: list[Clusters] = []
     any_beside = False
     for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
-        labels, solid = np.empty((bottom - top, right - left), np.int32), np.empty((bottom - top, right - left), np.uint8)
+        labels, solid = (
+            np.empty((bottom - top, right - left), np.int32),
+            np.empty((bottom - top, right - left), np.uint8),
+        )
         rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
         _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
         if found[0] < 0:

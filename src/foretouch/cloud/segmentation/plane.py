@@ -20,8 +20,7 @@ from foretouch.types import Float32, Float64, Plane
 _count_near = Kernel("count_near", np.float32, np.float32, int, int, float, np.int64)
 _points_near = Kernel("points_near", np.float64, np.float64, int, float, float, np.float64, np.int64)
 _residuals_near = Kernel(
-    "residuals_near",
-    *(np.float64, np.float64, int, float, float, float, np.float64, np.float64, np.int64),
+    "residuals_near", *(np.float64, np.float64, int, float, float, float, np.float64, np.float64, np.int64)
 )
 
 _SCORED = 512  # points that score a hypothesis
@@ -155,7 +154,7 @@ def _counts(distance: Float32, offsets: Float32, reach_m: float) -> Index:
         return counts
     distance += offsets[:, None]
     np.abs(distance, out=distance)
-    return np.count_nonzero(distance < np.float32(reach_m), axis=1)
+    return np.asarray(np.count_nonzero(distance < np.float32(reach_m), axis=1))
 
 
 def _cross(a: Float32, b: Float32) -> Float32:
