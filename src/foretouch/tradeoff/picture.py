@@ -47,7 +47,7 @@ def save_small(figure: Figure, path: Path) -> Path:
 
     save(figure, path)
     with Image.open(path) as image:
-        image.convert("RGB").quantize(64).save(path, optimize=True)
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
 
 
@@ -73,8 +73,10 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
             axes.plot([row[column]] * 2, [max(lower, floor), row[f"{panel.skill}_high"]], color=colour, linewidth=0.6)
     axes.set_xscale("log")
     axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
+    times = [row[column] for row in known]
+    digits = "123456789" if max(times) < 4.0 * min(times) else "125"
     for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
-        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "12357" else "")
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else "")
     axes.grid(visible=True, which="both", alpha=0.2)
     kind = "wall time, median" if column == "ms_p50" else "processor time, median (loaded machine)"
     axes.set_xlabel(f"{kind} [ms]")
