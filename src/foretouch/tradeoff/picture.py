@@ -42,12 +42,12 @@ def draw_tradeoff(area: Area[Any, Any], rows: Sequence[Row], folder: Path) -> li
 
 
 def save_small(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 64 colours, a third as large."""
+    """Write a figure as PNG with 128 colours, less than half as large."""
     from PIL import Image
 
     save(figure, path)
     with Image.open(path) as image:
-        image.convert("RGB").quantize(64).save(path, optimize=True)
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     return path
 
 
