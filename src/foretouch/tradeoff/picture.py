@@ -42,12 +42,12 @@ def draw_tradeoff(area: Area[Any, Any], rows: Sequence[Row], folder: Path) -> li
 
 
 def save_small(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 64 colours, a third as large."""
+    """Write a figure as PNG with 128 colours, less than half as large."""
     from PIL import Image
 
     save(figure, path)
     with Image.open(path) as image:
-        image.convert("RGB").quantize(64).save(path, optimize=True)
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     return path
 
 
@@ -57,7 +57,7 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
     line = frontier(rows, panel.skill)
     low, high = line[0][panel.skill], line[-1][panel.skill]
     skills = [row[panel.skill] for row in known]
-    span = max(high - low, 0.5 * min(max(skills) - min(skills), 0.1)) or 0.05
+    span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
     floor = low - _LOWEST * span
     axes.step([r[column] for r in line], [r[panel.skill] for r in line], where="post", color="black", linewidth=1)
     for row in known:
@@ -74,7 +74,7 @@ def _draw_panel(axes: Axes, area: Area[Any, Any], rows: Sequence[Row], panel: Pa
     axes.set_xscale("log")
     axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
     for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
-        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "12357" else "")
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
     axes.grid(visible=True, which="both", alpha=0.2)
     kind = "wall time, median" if column == "ms_p50" else "processor time, median (loaded machine)"
     axes.set_xlabel(f"{kind} [ms]")

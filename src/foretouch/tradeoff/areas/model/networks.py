@@ -18,6 +18,8 @@ from foretouch.learning.data.training_set import TrainingSet
 from foretouch.learning.training.contact import describe_objects
 from foretouch.learning.training.learners import load_run_config
 from foretouch.learning.training.supervised import train_network
+from foretouch.models.calibration import load_calibration
+from foretouch.models.card import read_card
 from foretouch.models.network.checkpoint import Member, NetworkEstimator, load_network
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import Affine, FoldedNetwork, fold
@@ -70,14 +72,16 @@ def trained_rows(recipe: str, data: Described, one: Fold, variants: Sequence[Var
 def timed_estimator(values: Mapping[str, Any]) -> Estimator:
     """A network with the weights of touchnet-v1 if it has its shape, else with random ones, for its time."""
     recipe = values.get("recipe", "touchnet")
-    fallback = Fallback.fit(np.random.default_rng(0).normal(size=(320, 18)), np.zeros((320, 50)))
+    path = find_card(NETWORK)
+    _, fallback = load_calibration(path, read_card(path))
+    assert fallback is not None  # noqa: S101  touchnet-v1 has one
     if values.get("separate"):
         config = recipe_config(recipe)
         nets = [_untrained(config.replace(outputs=(name,))) for name in MODALITIES]
         return NetworkEstimator([Member(net.config, fold(net)) for net in nets], fallback)
     if recipe != "touchnet":
         return make_estimator(values, [_untrained(recipe_config(recipe))], fallback)
-    net, _ = load_network(find_card(NETWORK))
+    net, _ = load_network(path)
     return make_estimator(values, [net] * values.get("members", 1), fallback)
 
 

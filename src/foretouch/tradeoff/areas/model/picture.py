@@ -50,5 +50,5 @@ def draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
             textcoords="axes fraction", va="center", fontsize=8, annotation_clip=False,
             arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "grey", "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5)},
         )  # fmt: skip
-    axes.legend(loc="lower right", fontsize=8, title="frontier for")
+    axes.legend(loc="center left", fontsize=8, title="frontier for")
     return [save_small(figure, folder / "ten_milliseconds.png")]

@@ -16,11 +16,13 @@ def _notes(rows: Sequence[Row]) -> Iterator[str]:
     for row in rows:
         if not row["moved"] or row["moved_equal"] is None or row["score_change"] is None:
             continue
+        real = row["touch_half_real"]
+        on_real = "" if real is None else f" (real objects {row['touch_counts_real']:.0f} = {real:.2f})"
         yield (
             f"{row['variant']}: {row['moved']:.0%} of best grasps move more than 5 mm; of these {row['moved_equal']:.0%} score "
             f"the same within {measures.EQUAL_SCORE:g}, {row['moved_better']:.0%} better, {row['moved_worse']:.0%} worse; mean "
             f"change of the score {row['score_change']:+.2f} [{row['score_change_low']:+.2f}, {row['score_change_high']:+.2f}], of touch {row['touch_counts']:.0f} counts = "
-            f"{row['touch_half']:.2f} half widths; contacts {row['contact_mm']:.1f} mm from the true surface."
+            f"{row['touch_half']:.2f} half widths{on_real}; contacts {row['contact_mm']:.1f} mm from the true surface."
         )
 
 

@@ -184,7 +184,9 @@ def tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
         row["contact_mm"] = _mean(own, "error_mm")
         row |= _moves(own)
         row |= _interval("score_change", own)
-        row |= {key: _mean(own, key) for key in ("touch_counts", "touch_half")}
+        real = [one for one in own if one["iou"] is None]
+        for key in ("touch_counts", "touch_half"):
+            row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
         result.append({key: round(value, 5) if isinstance(value, float) else value for key, value in row.items()})
     return result
 
