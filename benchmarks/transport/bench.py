@@ -38,6 +38,7 @@ STAGES = (
 )
 SIZES = ((260, 192), (424, 240), (640, 360), (848, 480), (1280, 704))  # 50k to 900k points
 COUNTS = {"grasps": (1, 10, 100, 1000), "objects": (1, 2, 5, 10), "cameras": (1, 2, 3, 4)}
+_REST_S = 3.0  # without clouds
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -341,10 +342,14 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
                 bench = Bench()
                 bench.ready()
                 check(bench, clouds, messages, options.model)
-                bench.send_at(messages, 10.0, 2.0)  # warm
                 before = graph.cpu_s()
+                time.sleep(_REST_S)
+                rest = (graph.cpu_s() - before) / _REST_S
+                bench.send_at(messages, 10.0, 2.0)  # warm
+                before, began = graph.cpu_s(), time.monotonic()
                 stamps = bench.send_at(messages, rate, options.seconds)
                 cpu, memory = graph.cpu_s() - before, graph.memory_mb()
+                cpu -= rest * (time.monotonic() - began)
                 time.sleep(1.2)  # one more round of diagnostics
                 answered = sum(1 for s in stamps if s in bench.received and bench.received[s][1].predictions)
                 table, totals, own = stages(graph.end(), bench, stamps)
@@ -353,7 +358,7 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
             p50, p95, p99 = np.percentile(totals, (50, 95, 99))
             row = {"processes": kind, "rate_hz": rate, "seconds": options.seconds, "sent": len(stamps),
                    "answered": answered, "lost": len(stamps) - answered, "p50_ms": p50, "p95_ms": p95, "p99_ms": p99,
-                   "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "memory_mb": memory}  # fmt: skip
+                   "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "rest_percent": 100.0 * rest, "memory_mb": memory}  # fmt: skip
             out.add("runs", row)
             for name, median, mean in zip(STAGES, middle, table.mean(axis=0), strict=True):
                 out.add(
@@ -361,7 +366,8 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
                 )
             share = middle.sum() / p50
             print(f"{kind:>5} {rate:3.0f} Hz: sent {len(stamps)}, lost {row['lost']}, p50 {p50:.1f}, p95 {p95:.1f} ms; "
-                  f"CPU {row['cpu_ms']:.1f} ms a cloud, of which computation {own:.1f}; {memory:.0f} MB")  # fmt: skip
+                  f"CPU {row['cpu_ms']:.1f} ms a cloud, of which computation {own:.1f}, and {100.0 * rest:.1f} % of a core at rest; "
+                f"{memory:.0f} MB")  # fmt: skip
             print("  " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STAGES, middle, strict=True)))
             print(f"  medians of the stages sum to {share:.3f} of the median total, their means to "
                   f"{table.mean(axis=0).sum() / totals.mean():.3f} of its mean")  # fmt: skip
@@ -469,6 +475,8 @@ def draw(results: Results, path: Path, rate: float = 30.0) -> None:
     import matplotlib.pyplot as plt
 
     runs = [row for row in results.read("runs") if float(row["rate_hz"]) == rate]
+    if not runs:
+        return
     known = results.read("stages")
     colours = (
         "tab:gray",

@@ -39,7 +39,7 @@ PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
 """Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
 
-_POLL_S = 0.2  # between checks whether the nodes have ended
+_POLL_S = 0.5  # between checks whether the nodes have ended, or the process was interrupted
 
 
 def __getattr__(name: str) -> Callable[[], int]:

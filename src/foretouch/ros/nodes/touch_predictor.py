@@ -14,7 +14,7 @@ gives the reason, and cleaning up and configuring again retries.
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -43,7 +43,6 @@ from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.tradeoff.budget import Answer
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
@@ -56,6 +55,9 @@ from foretouch_msgs.msg import (
     TouchPredictionArray,
 )
 from foretouch_msgs.srv import PredictTouch
+
+if TYPE_CHECKING:
+    from foretouch.tradeoff.budget import Answer
 
 _T = TypeVar("_T")
 _PARALLEL_REQUESTS = 2  # more would only share the processor
@@ -194,7 +196,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         header: Header,
         posing: GeoGraspConfig | None,
         arrived: float,
-    ) -> tuple[TouchPredictionArray, Answer | None]:
+    ) -> "tuple[TouchPredictionArray, Answer | None]":
         """The predictions of a request that arrived at a time [s], to be published by `Predictor.end`."""
         predictor = self._loaded()
         answer = predictor.begin(len(grasps), arrived)

@@ -11,7 +11,6 @@ import weakref
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -72,14 +71,11 @@ class DirectInput:
         self.subscription = subscription
         self.receive = receive
         self.name = subscription.topic_name
-        self._connected = 0
         self._ids: frozenset[bytes] = frozenset()
 
     def connect(self, ids: Iterable[bytes]) -> None:
         """Set the ids of the publishers that call it; what others have sent so far is still on the way."""
-        connected = frozenset(ids)
-        self._connected = len(connected)
-        self._ids |= connected
+        self._ids |= frozenset(ids)
 
     def has_received(self, info: Any) -> bool:
         """Whether a message from the middleware was handed over by its publisher.
@@ -89,34 +85,6 @@ class DirectInput:
         """
         publisher = info.get("publisher_gid")
         return publisher is not None and publisher["data"][:ID_BYTES] in self._ids
-
-    def has_other_publishers(self) -> bool:
-        """Whether the middleware may have messages that are not handed over."""
-        return not self._connected or self.subscription.get_publisher_count() > self._connected
-
-
-class InputGroup(CallbackGroup):
-    """Callbacks of a node's subscriptions; an executor does not wait for those that get all messages directly.
-
-    What publishers of this process also send to others would wake it for every message. The node itself sees to it that
-    its callbacks never run at the same time.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.direct: dict[Any, DirectInput] = {}
-
-    def can_execute(self, entity: Any) -> bool:
-        """See rclpy's `CallbackGroup`."""
-        one = self.direct.get(entity)
-        return one is None or one.has_other_publishers()
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002  of rclpy
-        """See rclpy's `CallbackGroup`."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """See rclpy's `CallbackGroup`."""
 
 
 class DirectTopics:

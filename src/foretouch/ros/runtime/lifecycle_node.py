@@ -27,7 +27,8 @@ from rclpy.subscription import Subscription
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
-from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, InputGroup, direct_topics
+from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -83,6 +84,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription] = []
+        self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
@@ -206,14 +208,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             event_callbacks=SubscriptionEventCallbacks(
                 incompatible_qos=lambda event: self._mismatch(topic, "publisher", event),
                 message_lost=lambda event: losses.reported(event.total_count_change),
-                matched=lambda _: None,  # wakes the executor, which waits for the new publisher from now on
                 use_default_callbacks=False,
             ),
         )
         self._inputs.append(subscription)
         if self.config.direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, receive))
-            self._input_group.direct[subscription] = direct
+            self._direct_inputs.append(direct)
             self.direct_topics.add(direct)
 
     def _ids_of_publishers(self, topic: str) -> set[bytes]:
@@ -307,14 +308,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _release(self) -> None:
         self._attempt(self.teardown)
-        for direct in self._input_group.direct.values():
+        for direct in self._direct_inputs:
             self.direct_topics.remove(direct)
         for publisher in self._outputs:
             self.direct_topics.remove(publisher)
             self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        self._input_group.direct.clear()
+        self._direct_inputs.clear()
         self._outputs.clear()
         self._inputs.clear()
 
