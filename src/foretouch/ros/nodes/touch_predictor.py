@@ -80,8 +80,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._keeper: HistoryKeeper | None = None
         self._used_tare = self.config.use_tare
         self._threads: ThreadPool | None = None
-        self._answering: list[Service] = []
-        self._action: ActionServer | None = None
+        self._answering: list[Service[Any, Any]] = []
+        self._action: ActionServer[Any, Any, Any] | None = None
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()

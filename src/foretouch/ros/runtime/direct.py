@@ -22,7 +22,7 @@ from foretouch.ros.runtime.workers import WorkerThread
 ID_BYTES = 16  # of a publisher; some versions of ROS pad them
 
 
-class DirectPublisher(LifecyclePublisher):
+class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not generic before Kilted
     """A publisher that knows the subscriptions of its process.
 
     Attributes:
@@ -67,7 +67,7 @@ class DirectInput:
         name: Of the topic, in full.
     """
 
-    def __init__(self, subscription: Subscription, receive: Callable[[Any], None]) -> None:
+    def __init__(self, subscription: "Subscription[Any]", receive: Callable[[Any], None]) -> None:
         self.subscription = subscription
         self.receive = receive
         self.name = subscription.topic_name

@@ -83,7 +83,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self.state_name = "unconfigured"
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
-        self._inputs: list[Subscription] = []
+        self._inputs: list[Subscription[Any]] = []
         self._direct_inputs: list[DirectInput] = []
         self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}

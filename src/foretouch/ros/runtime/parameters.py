@@ -41,18 +41,18 @@ class NodeSettings(Generic[_S]):
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _changed(self, parameters: Sequence[Parameter]) -> _S | None:
+    def _changed(self, parameters: Sequence["Parameter[Any]"]) -> _S | None:
         changes = {p.name: _plain(p.value) for p in parameters if p.name in self._names}
         return self._cls.from_mapping({**self.value.to_mapping(), **changes}) if changes else None
 
-    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+    def _check(self, parameters: Sequence["Parameter[Any]"]) -> SetParametersResult:
         try:
             self._changed(parameters)
         except ConfigError as err:
             return SetParametersResult(successful=False, reason=str(err))
         return SetParametersResult(successful=True)
 
-    def _apply(self, parameters: Sequence[Parameter]) -> None:
+    def _apply(self, parameters: Sequence["Parameter[Any]"]) -> None:
         changed = self._changed(parameters)
         if changed is not None:
             self.value = changed
