@@ -13,7 +13,10 @@ import numpy.typing as npt
 
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.config import Settings, setting
+from foretouch.kernels import Kernel
 from foretouch.types import Float32, Plane
+
+_plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
 
 Bool = npt.NDArray[np.bool_]
 Int32 = npt.NDArray[np.int32]
@@ -105,6 +108,10 @@ class HeightThreshold(NamedTuple):
 
 def heights(plane: Plane, xyz: Float32) -> Float32:
     """Heights (...) float32 of points (..., 3) above the table [m], summed in an order that no library changes."""
+    if _plane_heights and xyz.flags.c_contiguous:
+        compiled = np.empty(xyz.shape[:-1], np.float32)
+        _plane_heights(xyz, compiled.size, plane.coefficients.astype(np.float32), compiled)
+        return compiled
     a, b, c = plane.normal.astype(np.float32)
     height: Float32 = xyz[..., 0] * a
     height += xyz[..., 1] * b
