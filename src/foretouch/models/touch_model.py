@@ -215,8 +215,9 @@ class TouchModel:
         """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
         if residuals is None and self._unread is not None:
-            unread = history is None and tare is None
-            adapted = self._by_sight(estimate) if unread else (history or self._history_of(tare)).adapt(estimate)
+            if history is None and tare is not None:
+                history = self._history_of(tare)
+            adapted = self._by_sight(estimate) if history is None else history.adapt(estimate)
         else:
             adapted = self._adapted(estimate, tare, residuals)
         return self._predictions(grasps, estimate.in_distribution, adapted)

@@ -34,7 +34,9 @@ def test_folded_equals_eager(small: ModelConfig, make_net, changes) -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"tnet": False}, {"trunk_relu": False}, {"trunk_widths": (16,)}, {"trunk_widths": (16, 24)}], ids=str
+    "changes",
+    [{}, {"tnet": False}, {"trunk_relu": False}, {"trunk_widths": (16,)}, {"trunk_widths": (16, 24)}],
+    ids=str,
 )
 def test_bfloat16_differs_by_its_rounding(small: ModelConfig, make_net, changes) -> None:
     """Of features of one cloud, by at most a few of its steps, 2⁻⁸ of the largest."""

@@ -139,9 +139,7 @@ def _shared(layers: list[Affine], dtype: torch.dtype) -> tuple[Affine, ...]:
     return (layers[0], *(Affine(layer.weight.to(dtype), layer.bias.to(dtype)) for layer in layers[1:]))
 
 
-def _fold_transform(
-    transform: InputTransform, dtype: torch.dtype
-) -> tuple[tuple[Affine, ...], tuple[Affine, ...]]:
+def _fold_transform(transform: InputTransform, dtype: torch.dtype) -> tuple[tuple[Affine, ...], tuple[Affine, ...]]:
     matrix = Affine(transform.matrix.weight.detach().clone(), transform.matrix.bias.detach().clone())
     return _shared(_fold_layers(transform.points), dtype), (*_fold_layers(transform.cloud), matrix)
 
