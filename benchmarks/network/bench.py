@@ -140,6 +140,10 @@ def networks(cloud: Cloud, candidates: list[Grasp]) -> None:
         print(f"| {name} | {one:.1f} | {peer / one:.1f} | {many} |")
 
 
+def _times(model: TouchModel, cloud: Cloud, candidates: list[Grasp]) -> list[float]:
+    return [median_ms(lambda k=k: model.predict(cloud, candidates[:k])) for k in COUNTS]
+
+
 def shipped(cloud: Cloud, candidates: list[Grasp]) -> None:
     """The models of the package, with compiled kernels and with NumPy."""
     print(f"\n| shipped model | skill: {', '.join(SPLITS)} | {' | '.join(map(str, COUNTS))} grasps [ms] | difference |")
@@ -149,8 +153,8 @@ def shipped(cloud: Cloud, candidates: list[Grasp]) -> None:
         compiled = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
         with kernels.disabled():
             plain = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
-            slow = [median_ms(lambda k=k: model.predict(cloud, candidates[:k])) for k in COUNTS]
-        fast = [median_ms(lambda k=k: model.predict(cloud, candidates[:k])) for k in COUNTS]
+            slow = _times(model, cloud, candidates)
+        fast = _times(model, cloud, candidates)
         cells = " | ".join(f"{a:.2f} ({b:.2f})" for a, b in zip(fast, slow, strict=True))
         print(
             f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {cells} |"

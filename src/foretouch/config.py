@@ -15,7 +15,6 @@ import dataclasses
 import math
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -201,8 +200,13 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     return result
 
 
-@cache
+_INFOS: dict[type, tuple[SettingInfo, ...]] = {}
+
+
 def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
+    """The settings of a class without those of its parts, found out once."""
+    if cls in _INFOS:
+        return _INFOS[cls]
     hints = typing.get_type_hints(cls)
     infos = []
     for f in dataclasses.fields(cls):
@@ -213,7 +217,8 @@ def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
         kind: dict[str, Any] = {"type": item, "is_list": is_list, "optional": optional}
         infos.append(SettingInfo(name=f.name, default=f.default, **kind, **f.metadata))
-    return tuple(infos)
+    _INFOS[cls] = tuple(infos)
+    return _INFOS[cls]
 
 
 def _analyse(hint: Any) -> tuple[type, bool, bool]:

@@ -10,6 +10,19 @@ typedef struct {
     int32_t child[2]; /* left, right; of a leaf, itself */
 } Node;
 
+/* The value of a finite float16 by its bits. */
+static inline float value_of(uint16_t half) {
+    const uint32_t bits = (uint32_t)(half & 0x7fff) << 13, sign = (uint32_t)(half & 0x8000) << 16;
+    float scaled;
+    uint32_t result;
+    memcpy(&scaled, &bits, sizeof scaled);
+    scaled *= 0x1p112f; /* the exponents of float16 begin at -14, those of float32 at -126 */
+    memcpy(&result, &scaled, sizeof result);
+    result |= sign;
+    memcpy(&scaled, &result, sizeof scaled);
+    return scaled;
+}
+
 /* The sum as NumPy has it, of contiguous numbers: in pairs. */
 static double pairwise(const double *a, int64_t n) {
     if (n < 8) {
@@ -72,12 +85,13 @@ static void find_leaves(
 
 /* Means over the trees of several forests of the values that rows (count, columns) reach.
  *
- * nodes, roots and leaf are those of all forests, one after the other; leaf is where the values of a leaf begin. sizes:
+ * nodes, roots, leaf and value (bits of float16) are those of all forests, one after the other; leaf is where the values
+ * of a leaf begin. sizes:
  * (forests, 2), trees and outputs of each; width is the sum of the outputs. scratch: 64 times the most trees; single: as
  * many as the most trees; result: (count, width). */
 VECTORISED void forest_means(
     const float *rows, int64_t count, int64_t columns, const int32_t *packed, const int32_t *roots, const int64_t *leaf,
-    const float *value, const int64_t *sizes, int64_t forests, int64_t width, int32_t *scratch, double *single,
+    const uint16_t *value, const int64_t *sizes, int64_t forests, int64_t width, int32_t *scratch, double *single,
     double *result
 ) {
     const Node *nodes = (const Node *)packed;
@@ -92,19 +106,19 @@ VECTORISED void forest_means(
                 double *sum = sums + i * width;
                 if (outputs == 1) {
                     for (int64_t t = 0; t < trees; t++) {
-                        single[t] = value[leaf[scratch[t * block + i]]];
+                        single[t] = value_of(value[leaf[scratch[t * block + i]]]);
                     }
                     sum[0] = pairwise(single, trees) / (double)trees;
                     continue;
                 }
-                const float *first = value + leaf[scratch[i]];
+                const uint16_t *first = value + leaf[scratch[i]];
                 for (int64_t j = 0; j < outputs; j++) {
-                    sum[j] = first[j];
+                    sum[j] = value_of(first[j]);
                 }
                 for (int64_t t = 1; t < trees; t++) {
-                    const float *reached = value + leaf[scratch[t * block + i]];
+                    const uint16_t *reached = value + leaf[scratch[t * block + i]];
                     for (int64_t j = 0; j < outputs; j++) {
-                        sum[j] += reached[j];
+                        sum[j] += value_of(reached[j]);
                     }
                 }
                 for (int64_t j = 0; j < outputs; j++) {

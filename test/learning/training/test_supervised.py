@@ -75,12 +75,14 @@ def test_training_does_not_see_the_held_out_labels(samples, small) -> None:
     assert all(torch.equal(one[key], two[key]) for key in one)
 
 
-def test_validation_predicts_what_the_model_predicts(samples, small) -> None:
+@pytest.mark.parametrize(("precision", "atol"), [("float32", 0.05), ("bfloat16", 1e-3)])
+def test_validation_predicts_what_the_model_predicts(samples, small, precision: str, atol: float) -> None:
+    small = small.replace(precision=precision)
     data = TrainingSet.build(samples, small)
     net = train_network(data, np.arange(40), QUICK.replace(epochs=2))
     model = TouchModel(NetworkEstimator([Member(small, fold(net))]), {"name": "toy", "sha256": ""})
     (prediction,) = model.predict(samples[50].cloud, [samples[50].grasp])
-    assert_allclose(prediction.value.vector(), predict_set(net, data, np.array([50]))[0], atol=0.05)
+    assert_allclose(prediction.value.vector(), predict_set(net, data, np.array([50]))[0], atol=atol)
 
 
 def test_what_was_trained_on_is_familiar(samples, small) -> None:

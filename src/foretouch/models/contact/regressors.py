@@ -37,7 +37,7 @@ _DTYPES: Final = {
 
 _forest_means = Kernel(
     "forest_means",
-    *(np.float32, int, int, np.int32, np.int32, np.int64, np.float32, np.int64, int, int),
+    *(np.float32, int, int, np.int32, np.int32, np.int64, np.uint16, np.int64, int, int),
     *(np.int32, np.float64, np.float64),
 )
 _city_distances = Kernel("city_distances", np.float64, int, int, np.float64, int, np.float64)
@@ -113,6 +113,10 @@ class Forest(TensorRecord):
         return CompiledForests([self])
 
     def _check(self) -> None:
+        assert self._checked  # noqa: S101  or an error was raised
+
+    @cached_property
+    def _checked(self) -> bool:
         """Dtypes, and that each node leads to later ones and each leaf to a value, since predictions rely on it."""
         for name, kind in _DTYPES.items():
             if getattr(self, name).dtype != kind:
@@ -132,6 +136,7 @@ class Forest(TensorRecord):
             raise ModelError("leaf: names no value")
         if self.roots.min() < 0 or self.roots.max() >= count or not np.isfinite(self.value).all():
             raise ModelError("roots, value: a root is no node, or a value is not finite")
+        return True
 
 
 class CompiledForests:
@@ -158,9 +163,10 @@ class CompiledForests:
             nodes.append(np.column_stack([threshold.view(np.int32), feature, forest.children + first]))
             roots.append(forest.roots + first)
             leaf.append(forest.leaf.astype(np.int64) * forest.output_size + begin)
-            value.append(forest.value.astype(np.float32).reshape(-1))
+            value.append(forest.value.reshape(-1))
             first, begin = first + forest.feature.size, begin + forest.value.size
-        self._nodes, self._roots, self._leaf, self._value = map(np.concatenate, (nodes, roots, leaf, value))
+        self._nodes, self._roots, self._leaf = map(np.concatenate, (nodes, roots, leaf))
+        self._value = np.concatenate(value).view(np.uint16)
         self._sizes = np.array([(forest.roots.size, forest.output_size) for forest in forests], np.int64)
         self._most, self._width = int(self._sizes[:, 0].max()), int(self._sizes[:, 1].sum())
         self._widest = max(int(forest.feature.max()) for forest in forests)
