@@ -19,11 +19,13 @@ TARGET = Path(__file__).parents[2] / "src/foretouch/tradeoff/budget/levels.json"
 
 
 def entry(row: dict, base: dict) -> dict:
-    """Skill and widening of a level; a network has no errors on objects left out, where it fades to the mean."""
-    widen = []
-    for name in MODALITIES:
-        pairs = [(row[f"{split}_rmse_{name}"], base[f"{split}_rmse_{name}"]) for split in ("time", "object")]
-        widen.append(round(max(1.0, *(own / its for own, its in pairs if own is not None)), 4))
+    """Skill and widening of a level."""
+    widen = [
+        round(
+            max(1.0, *(row[f"{split}_rmse_{name}"] / base[f"{split}_rmse_{name}"] for split in ("time", "object"))), 4
+        )
+        for name in MODALITIES
+    ]
     return {"skill": row["time"], "low": row["time_low"], "high": row["time_high"], "widen": widen}
 
 

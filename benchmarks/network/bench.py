@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time the shared-feature network against four eager networks of P2, after proving equal answers; then the shipped models."""
+"""Time the shared-feature network against four eager networks of P2, after proving equal answers; then the shipped models.
+
+Each is timed with compiled kernels and without. `--quick` leaves out the networks of P2.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 
@@ -10,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from foretouch import kernels
 from foretouch.learning.data import SPLITS
 from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.config import ModelConfig
@@ -23,6 +28,8 @@ from foretouch.types import Cloud, Grasp
 
 REPEATS = 40
 GRASPS = 100
+COUNTS = (1, 10, 100, 1000)
+SECONDS = 1.0  # of CPU time for one median, or three calls
 TOLERANCE_COUNTS = 0.01
 
 
@@ -69,14 +76,14 @@ class ChannelsFirst(nn.Module):
 
 def median_ms(call: Callable[[], object]) -> float:
     """Median CPU time of this thread [ms]."""
-    for _ in range(5):
-        call()
-    times = []
-    for _ in range(REPEATS):
+    times: list[float] = []
+    for k in range(5 + REPEATS):
         start = time.thread_time()
         call()
         times.append(time.thread_time() - start)
-    return float(np.median(times)) * 1e3
+        if k >= 5 and sum(times) > SECONDS:
+            break
+    return float(np.median(times[3:])) * 1e3
 
 
 def prove_equal(name: str, difference: Tensor) -> None:
@@ -88,19 +95,19 @@ def prove_equal(name: str, difference: Tensor) -> None:
 
 
 def scene(rng: np.random.Generator) -> tuple[Cloud, list[Grasp]]:
-    """A cloud of 3000 points and 100 grasps on it."""
+    """A cloud of 3000 points and 1000 grasps on it."""
     xyz = rng.uniform([-0.05, -0.05, 1.15], [0.05, 0.05, 1.25], (3000, 3)).astype(np.float32)
-    pairs = rng.choice(3000, (GRASPS, 2), replace=False).astype(np.int64)
+    pairs = rng.choice(3000, (max(COUNTS), 2), replace=False).astype(np.int64)
     return Cloud(xyz), [Grasp(xyz[a].astype(float), xyz[b].astype(float), np.eye(3)) for a, b in pairs]
 
 
 @torch.inference_mode()
-def main() -> None:
-    torch.set_num_threads(1)
+def networks(cloud: Cloud, candidates: list[Grasp]) -> None:
+    """P2's four networks, and one with shared features."""
     shared = make_net(ModelConfig(), 0)
     four = [make_net(ModelConfig(outputs=(name,)), k) for k, name in enumerate(MODALITIES)]
     first = [ChannelsFirst(net).eval() for net in four]
-    folded = fold(shared)
+    folded, half = fold(shared), fold(shared, "bfloat16")
     points, grasps = torch.randn(1, 750, 3) * 0.4, torch.randn(GRASPS, 15)
     eager = shared.to_counts(shared.regress(shared.features(points).expand(GRASPS, -1), grasps))
     prove_equal("folded shared network and eager one", folded.regress(folded.features(points[0]), grasps) - eager)
@@ -109,25 +116,55 @@ def main() -> None:
             f"{net.config.outputs[0]}, rows and channels first",
             net.counts(points, grasps[:1]) - convolved(points, grasps[:1]),
         )
+    rounded = (half.regress(half.features(points[0]), grasps) - eager).abs()
+    print(f"shared layers in bfloat16: largest difference {float(rounded.max()):.1e} counts, with random weights")
 
-    cloud, candidates = scene(np.random.default_rng(0))
-    full = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
+    plain, fast = (
+        TouchModel(NetworkEstimator([Member(ModelConfig(), net)]), {"name": "full width", "sha256": ""})
+        for net in (folded, half)
+    )
     rows: list[tuple[str, Callable[[int], object]]] = [
         ("four eager networks, channels first", lambda k: [net(points.expand(k, -1, -1), grasps[:k]) for net in first]),
         ("four eager networks, rows", lambda k: [net.counts(points.expand(k, -1, -1), grasps[:k]) for net in four]),
         ("shared, folded: network", lambda k: folded.regress(folded.features(points[0]), grasps[:k])),
-        ("shared, folded: TouchModel.predict", lambda k: full.predict(cloud, candidates[:k])),
+        ("shared, folded: TouchModel.predict", lambda k: plain.predict(cloud, candidates[:k])),
+        ("shared, folded, bfloat16: network", lambda k: half.regress(half.features(points[0]), grasps[:k])),
+        ("shared, folded, bfloat16: TouchModel.predict", lambda k: fast.predict(cloud, candidates[:k])),
     ]
-    print(f"\n| median CPU time [ms], one thread | 1 grasp | {GRASPS} grasps |\n|---|---|---|")
+    print(f"\n| median CPU time [ms], one thread | 1 grasp | times as fast | {GRASPS} grasps |\n|---|---|---|---|")
+    peer = 0.0
     for name, call in rows:
         one = median_ms(lambda call=call: call(1))
+        peer = peer or one
         many = "not run" if "eager" in name else f"{median_ms(lambda call=call: call(GRASPS)):.1f}"
-        print(f"| {name} | {one:.1f} | {many} |")
-    print(f"\n| shipped model | skill: {', '.join(SPLITS)} | 1 grasp [ms] | {GRASPS} grasps [ms] |\n|---|---|---|---|")
+        print(f"| {name} | {one:.1f} | {peer / one:.1f} | {many} |")
+
+
+def shipped(cloud: Cloud, candidates: list[Grasp]) -> None:
+    """The models of the package, with compiled kernels and with NumPy."""
+    print(f"\n| shipped model | skill: {', '.join(SPLITS)} | {' | '.join(map(str, COUNTS))} grasps [ms] | difference |")
+    print(f"|---|---|{'---|' * len(COUNTS)}---|")
     for model in map(load_model, available_models()):
         skills = (np.mean([row["skill"] for row in model.card["skill"][split].values()]) for split in SPLITS)
-        one, many = (median_ms(lambda model=model, k=k: model.predict(cloud, candidates[:k])) for k in (1, GRASPS))
-        print(f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {one:.1f} | {many:.1f} |")
+        compiled = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
+        with kernels.disabled():
+            plain = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
+            slow = [median_ms(lambda k=k: model.predict(cloud, candidates[:k])) for k in COUNTS]
+        fast = [median_ms(lambda k=k: model.predict(cloud, candidates[:k])) for k in COUNTS]
+        cells = " | ".join(f"{a:.2f} ({b:.2f})" for a, b in zip(fast, slow, strict=True))
+        print(
+            f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {cells} |"
+            f" {np.abs(compiled - plain).max():.0e} counts |"
+        )
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    cloud, candidates = scene(np.random.default_rng(0))
+    if "--quick" not in sys.argv:
+        networks(cloud, candidates)
+    print(f"\nCompiled kernels (in brackets: NumPy); {kernels.why_absent or 'kernels are available'}")
+    shipped(cloud, candidates)
 
 
 if __name__ == "__main__":

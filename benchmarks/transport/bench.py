@@ -1,32 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cloud published -> touch received, every node in a process of its own (see README.md)."""
+"""Stamp of a cloud -> touch received: stages, processor time, losses, and growth with the load (see README.md)."""
 
 from __future__ import annotations
 
 import argparse
+import csv
+import itertools
+import json
 import os
+import platform
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
 
 DOMAIN = 87
+HERE = Path(__file__).resolve().parent
+SOURCES = HERE.parents[1] / "src"
+PICTURE = HERE.parents[1] / "docs" / "stamp_to_touch.png"
 NODES = ("segmentation", "grasp", "touch_predictor")
 FRAME = "camera_depth_optical_frame"
-BASE_NS = 1_700_000_000_000_000_000  # stamps are told apart by their number, times are taken beside them
+STAGES = (
+    "cloud: send, read",
+    "wait",
+    "segmentation",
+    "hand over targets",
+    "grasps",
+    "hand over grasps",
+    "touch",
+    "answer: send, read",
+)
+SIZES = ((260, 192), (424, 240), (640, 360), (848, 480), (1280, 704))  # 50k to 900k points
+COUNTS = {"grasps": (1, 10, 100, 1000), "objects": (1, 2, 5, 10), "cameras": (1, 2, 3, 4)}
+_REST_S = 3.0  # without clouds
+TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rate", type=float, default=30.0, help="clouds a second")
-    parser.add_argument("--width", type=int, default=848)
-    parser.add_argument("--height", type=int, default=480)
-    parser.add_argument("--scenes", type=int, default=5, help="different clouds, sent in turn")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
+    parser.add_argument(
+        "--rates",
+        type=float,
+        nargs="*",
+        default=[30.0, 60.0],
+        help="clouds a second [Hz]; 0 sends each when the one before is answered",
+    )
+    parser.add_argument("--processes", nargs="*", choices=["one", "three"], default=["one", "three"])
+    parser.add_argument("--label", default="now", help="name of these rows in the results; rows of that name go")
+    parser.add_argument("--source", type=Path, default=SOURCES, help="folder `src` of the nodes, such as of a release")
     parser.add_argument("--model", default="default")
-    parser.add_argument("--one-process", action="store_true", help="the three nodes share a process")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME:=VALUE", help="parameters of all nodes")
+    parser.add_argument("--growth", action="store_true", help="also vary points, grasps, objects and cameras")
+    parser.add_argument("--clouds", type=int, default=15, help="clouds of each point of the growth")
+    parser.add_argument("--out", type=Path, default=HERE / "results")
+    parser.add_argument("--draw", action="store_true", help="only draw the picture from the results")
     parser.add_argument("--default-profile", action="store_true", help="Fast DDS as it comes")
     return parser.parse_args()
 
@@ -41,58 +75,76 @@ def environment(options: argparse.Namespace) -> None:
     prepare_environment()
 
 
-def start(options: argparse.Namespace) -> list[subprocess.Popen[bytes]]:
-    """The nodes, as processes."""
-    processes = []
-    for name in ("perception",) if options.one_process else NODES:
-        code = f"import sys; from foretouch.ros.executables import {name}; sys.exit({name}())"
-        model = ["-p", f"model:={options.model}"] if name in ("perception", "touch_predictor") else []
-        command = [sys.executable, "-c", code, "--ros-args", *model, "-p", "diagnostics_period_s:=0.5"]
-        processes.append(subprocess.Popen(command))
-    return processes
+class Processes:
+    """The nodes of one graph, while the context is open."""
+
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        groups: Iterable[Sequence[str]],
+        parameters: Sequence[str] = (),
+        space: str = "",
+    ) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self.traces = []
+        self.children = []
+        environ = {**os.environ, "PYTHONPATH": str(options.source)}
+        for number, names in enumerate(groups):
+            path = Path(self._folder.name) / f"{number}.json"
+            given = [
+                f"model:={options.model}",
+                "diagnostics_period_s:=0.5",
+                "grasp_hold:=0.0",
+                *options.set,
+                *parameters,
+            ]
+            settings = list(itertools.chain.from_iterable(("-p", one) for one in given))
+            settings += ["-r", f"__ns:={space}"] if space else []
+            command = [sys.executable, str(HERE / "traced.py"), str(path), *names, "--ros-args", *settings]
+            self.children.append(subprocess.Popen(command, env=environ, stderr=subprocess.DEVNULL))
+            self.traces.append(path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self.children:
+            child.send_signal(signal.SIGINT)
+        for child in self.children:
+            child.wait(20.0)
+        self._folder.cleanup()
+
+    def cpu_s(self) -> float:
+        """Processor time of all threads so far [s]."""
+        return sum(sum(map(int, _stat(child.pid)[11:13])) for child in self.children) / TICKS
+
+    def memory_mb(self) -> float:
+        """Largest resident memory, summed over the processes [MB]."""
+        texts = [Path(f"/proc/{child.pid}/status").read_text(encoding="utf-8") for child in self.children]
+        return sum(int(text.split("VmHWM:")[1].split()[0]) for text in texts) / 1024.0
+
+    def end(self) -> list[dict[str, Any]]:
+        """End the processes, and return the rows of their traces."""
+        for child in self.children:
+            child.send_signal(signal.SIGINT)
+        for child in self.children:
+            child.wait(20.0)
+        return [row for path in self.traces for row in json.loads(path.read_text(encoding="utf-8"))]
 
 
-def scenes(options: argparse.Namespace) -> list[Any]:
-    """Clouds of seeded scenes, with noise and without stamps, that hold a target."""
-    import numpy as np
-
-    from foretouch.pipeline import Pipeline
-    from foretouch.simulation.depth_scene import random_scene
-
-    clouds: list[Any] = []
-    sizes = []
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-        scene = random_scene(rng, width=options.width, height=options.height, n_objects=3)
-        cloud = scene.render(rng, noise_m=0.001).cloud(frame_id=FRAME)
-        targets = Pipeline().segment(cloud).targets
-        if targets:
-            clouds.append(cloud)
-            sizes.append(targets[0].cloud.size)
-        if len(clouds) == options.scenes:
-            break
-    print(f"scenes: {len(clouds)} of {options.width} x {options.height}, targets of {sizes} points")
-    return clouds
+def _stat(pid: int) -> list[str]:
+    return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
 
 
-def expected(clouds: list[Any], options: argparse.Namespace) -> list[list[float]]:
-    """What the command line's functions predict for each cloud: PDC of both fingers, of all grasps."""
-    import numpy as np
-
-    from foretouch.pipeline import Pipeline, PipelineConfig
-
-    pipeline = Pipeline(PipelineConfig(model=options.model))
-    answers = []
-    for cloud in clouds:
-        values = [p.value for target in pipeline.run(cloud).targets for p in target.predictions]
-        answers.append([float(np.float32(v)) for touch in values for v in (touch.pdc_th, touch.pdc_mf)])
-    return answers
-
-
+@dataclass
 class Bench:
-    """Publisher and subscriber of the measurement, in this process, and the latest diagnostics."""
+    """Publisher of clouds and subscriber of answers, in this process, for some namespaces."""
 
-    def __init__(self) -> None:
+    spaces: Sequence[str] = ("/foretouch",)
+    received: dict[int, tuple[int, Any]] = field(default_factory=dict)  # by stamp: time of arrival [ns], message
+    diagnostics: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.executors import SingleThreadedExecutor
@@ -101,119 +153,381 @@ class Bench:
 
         from foretouch_msgs.msg import TouchPredictionArray
 
-        rclpy.init()
+        if not rclpy.ok():
+            rclpy.init()
         self.node = rclpy.create_node("transport_bench", namespace="/foretouch")
-        self.publisher = self.node.create_publisher(PointCloud2, "points", qos_profile_sensor_data)
+        self.publishers = [
+            self.node.create_publisher(PointCloud2, f"{space}/points", qos_profile_sensor_data) for space in self.spaces
+        ]
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-        self.node.create_subscription(TouchPredictionArray, "touch", self._touch, reliable)
+        for space in self.spaces:
+            self.node.create_subscription(TouchPredictionArray, f"{space}/touch", self._touch, reliable)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
-        self.received: dict[int, tuple[float, Any]] = {}
-        self.diagnostics: dict[str, dict[str, str]] = {}
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.node)
-        threading.Thread(target=executor.spin, daemon=True).start()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self._thread.join(2.0)
+        self.node.destroy_node()
 
     def _touch(self, message: Any) -> None:
-        now = time.monotonic()
-        number = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec - BASE_NS
-        self.received[number] = (now, message)
+        now, stamp = time.time_ns(), message.header.stamp
+        self.received[stamp.sec * 10**9 + stamp.nanosec] = now, message
 
     def _diagnose(self, message: Any) -> None:
         for status in message.status:
             self.diagnostics[status.name] = {pair.key: pair.value for pair in status.values}
 
     def ready(self, timeout_s: float = 120.0) -> None:
-        """Wait until the chain is closed."""
+        """Wait until all nodes are active and connected."""
         end = time.monotonic() + timeout_s
-        ends = {"points": (1, 1), "table": (1, 2), "object_cloud": (1, 2), "grasps": (1, 1), "touch": (1, 1)}
-        while not all(
-            self.node.count_publishers(f"/foretouch/{topic}") >= p
-            and self.node.count_subscribers(f"/foretouch/{topic}") >= s
-            for topic, (p, s) in ends.items()
-        ):
+        wanted = {"points": 1, "table": 2, "object_cloud": 2, "grasps": 1, "touch": 1}
+
+        def connected() -> bool:
+            return all(
+                self.node.count_subscribers(f"{space}/{topic}") >= count
+                and self.node.count_publishers(f"{space}/{topic}") >= 1
+                for space in self.spaces
+                for topic, count in wanted.items()
+            ) and all(one.get_subscription_count() == 1 for one in self.publishers)
+
+        while not connected():
             if time.monotonic() > end:
                 raise SystemExit("the graph does not come up")
             time.sleep(0.1)
-        time.sleep(2.0)
+        time.sleep(1.5)
 
-    def send(self, messages: list[Any], count: int, rate_hz: float, first: int) -> dict[int, float]:
-        """Publish clouds in turn, each with a stamp of its own."""
-        sent = {}
-        begin = time.monotonic()
-        for k in range(count):
-            message = messages[k % len(messages)]
-            number = first + k
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(BASE_NS + number, 1_000_000_000)
-            time.sleep(max(0.0, begin + k / rate_hz - time.monotonic()))
-            sent[number] = time.monotonic()
-            self.publisher.publish(message)
-        return sent
+    def send(self, message: Any, camera: int = 0) -> int:
+        """Publish a cloud with a stamp of this moment, which is returned."""
+        stamp = time.time_ns()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+        self.publishers[camera].publish(message)
+        return stamp
 
-    def wait_for(self, numbers: Any, timeout_s: float) -> None:
+    def send_at(self, messages: Sequence[Any], rate_hz: float, seconds: float) -> list[int]:
+        """Publish clouds in turn at a rate; 0 for one by one, as many as at 10 Hz."""
+        if not rate_hz:
+            return self.send_one_by_one(messages, round(10.0 * seconds))
+        begin, stamps = time.monotonic(), []
+        for number in range(round(rate_hz * seconds)):
+            time.sleep(max(0.0, begin + number / rate_hz - time.monotonic()))
+            stamps.append(self.send(messages[number % len(messages)]))
+        self.wait_for(stamps, 3.0)
+        return stamps
+
+    def send_one_by_one(self, messages: Sequence[Any], count: int) -> list[int]:
+        """Publish to all cameras at once, the next clouds when all are answered."""
+        stamps: list[int] = []
+        for number in range(count):
+            fresh = [self.send(messages[number % len(messages)], k) for k in range(len(self.publishers))]
+            self.wait_for(fresh, 20.0)
+            stamps += fresh
+            time.sleep(0.005)
+        return stamps
+
+    def wait_for(self, stamps: Sequence[int], timeout_s: float) -> None:
         """Wait until clouds are answered, but not for ever."""
         end = time.monotonic() + timeout_s
-        while time.monotonic() < end and not all(number in self.received for number in numbers):
-            time.sleep(0.05)
+        while time.monotonic() < end and not all(stamp in self.received for stamp in stamps):
+            time.sleep(0.002)
 
 
-def check(bench: Bench, messages: list[Any], answers: list[list[float]]) -> None:
-    """One cloud at a time: every answer equals the command line's."""
-    for k, message in enumerate(messages):
-        bench.send([message], 1, 1.0, first=k)
-        bench.wait_for([k], 30.0)
-        if k not in bench.received:
-            raise SystemExit(f"cloud {k}: no answer")
-        predictions = bench.received[k][1].predictions
-        values = [v for p in predictions for v in (p.pdc_th.value, p.pdc_mf.value)]
-        if values != answers[k] or not values:
-            raise SystemExit(f"cloud {k}: {values} is not {answers[k]}")
-    print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit")
-
-
-def report(bench: Bench, sent: dict[int, float]) -> None:
-    """The two tables."""
+def scenes(width: int, height: int, n_objects: int = 3, count: int = 5) -> list[Any]:
+    """Clouds of seeded scenes, with noise and without stamps, that hold a target."""
     import numpy as np
 
-    good = [n for n in sent if n in bench.received and bench.received[n][1].predictions]
-    latency = np.array([bench.received[n][0] - sent[n] for n in good]) * 1e3
-    span = max(sent.values()) - min(sent.values())
-    print(f"\n{'sent':>8} {'received':>8} {'rate Hz':>8} {'p50 ms':>8} {'p95 ms':>8} {'max ms':>8}")
-    times = np.percentile(latency, [50, 95, 100]) if len(latency) else [float("nan")] * 3
-    print(f"{len(sent):8d} {len(good):8d} {(len(sent) - 1) / span:8.2f} " + " ".join(f"{t:8.1f}" for t in times))
-    print(f"\n{'node':<28} {'received':>8} {'used':>8} {'lost':>6} {'p50 ms':>8} {'p95 ms':>8}  dropped")
-    for name, known in sorted(bench.diagnostics.items()):
-        drops = {k.removeprefix("dropped."): v for k, v in known.items() if k.startswith("dropped.")}
-        print(
-            f"{name:<28} {known['received']:>8} {known['used']:>8} {known['lost_on_the_way']:>6} "
-            f"{known.get('latency_ms.p50', '-'):>8} {known.get('latency_ms.p95', '-'):>8}  {drops or 'none'}"
+    from foretouch.errors import ConfigError
+    from foretouch.pipeline import Pipeline
+    from foretouch.simulation.depth_scene import random_scene
+
+    clouds: list[Any] = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        try:
+            scene = random_scene(rng, width=width, height=height, n_objects=n_objects)
+        except ConfigError:  # the objects find no place
+            continue
+        cloud = scene.render(rng, noise_m=0.001).cloud(frame_id=FRAME)
+        if len(Pipeline().segment(cloud).segmentation.objects) >= max(1, n_objects if n_objects < 5 else n_objects - 2):
+            clouds.append(cloud)
+        if len(clouds) == count:
+            break
+    return clouds
+
+
+def check(bench: Bench, clouds: Sequence[Any], messages: Sequence[Any], model: str) -> None:
+    """One cloud at a time: every answer equals that of the command line, before anything is timed."""
+    import numpy as np
+
+    from foretouch.grasp import LiveGeoGraspConfig
+    from foretouch.pipeline import Pipeline, PipelineConfig
+
+    pipeline = Pipeline(PipelineConfig(model=model, grasp=LiveGeoGraspConfig()))
+    for number, (cloud, message) in enumerate(zip(clouds, messages, strict=True)):
+        predicted = [one.value for target in pipeline.run(cloud).targets for one in target.predictions]
+        expected = [float(np.float32(v)) for touch in predicted for v in (touch.pdc_th, touch.pdc_mf)]
+        stamp = bench.send(message)
+        bench.wait_for([stamp], 30.0)
+        if stamp not in bench.received:
+            raise SystemExit(f"cloud {number}: no answer")
+        values = [v for p in bench.received[stamp][1].predictions for v in (p.pdc_th.value, p.pdc_mf.value)]
+        if values != expected or not values:
+            raise SystemExit(f"cloud {number}: {values} is not {expected}")
+    print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit", flush=True)
+
+
+def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int]) -> tuple[Any, Any, float]:
+    """Times of each answered cloud by stage and in total [ms], and its processor time in the core functions [ms].
+
+    Returns:
+        (N, 8) float64 of `STAGES`, (N,) float64 from stamp to reception, and the mean.
+    """
+    import numpy as np
+
+    by_key = {(row["node"], row["stamp_ns"]): row for row in trace}
+    rows, totals, cpu = [], [], []
+    for stamp in stamps:
+        found = [by_key.get((name, stamp)) for name in NODES]
+        if stamp not in bench.received or not bench.received[stamp][1].predictions or None in found:
+            continue
+        first, second, third = (one for one in found if one is not None)
+        end = bench.received[stamp][0]
+        rows.append(
+            [
+                first["received_ns"] - stamp,
+                first["began_ns"] - first["received_ns"],
+                first["computed_ns"],
+                second["began_ns"] - first["began_ns"] - first["computed_ns"],
+                second["computed_ns"],
+                third["began_ns"] - second["began_ns"] - second["computed_ns"],
+                third["computed_ns"],
+                end - third["began_ns"] - third["computed_ns"],
+            ]
         )
+        totals.append(end - stamp)
+        cpu.append(sum(one["computed_cpu_ns"] for one in (first, second, third)))
+    return np.array(rows, np.float64) / 1e6, np.array(totals, np.float64) / 1e6, float(np.mean(cpu)) / 1e6
+
+
+def accounts(bench: Bench) -> str:
+    """Whether received = used + dropped + waiting in every node, and what was dropped."""
+    texts = []
+    for name, known in sorted(bench.diagnostics.items()):
+        if "received" not in known or name.split("/")[-1] not in NODES:
+            continue
+        parts = [int(known[key]) for key in ("received", "used", "dropped", "waiting")]
+        drops = {k.removeprefix("dropped."): int(v) for k, v in known.items() if k.startswith("dropped.")}
+        sign = "=" if parts[0] == sum(parts[1:]) else "IS NOT"
+        texts.append(f"  {name}: received {parts[0]} {sign} used {parts[1]} + dropped {drops or 0} + waiting {parts[3]}; "
+                     f"lost on the way {known['lost_on_the_way']}")  # fmt: skip
+    return "\n".join(texts)
+
+
+def measure_rates(options: argparse.Namespace, out: Results) -> None:
+    """Runs at each rate, in one process and in three."""
+    import numpy as np
+
+    from foretouch.ros.messages.clouds import cloud_to_msg
+
+    clouds = scenes(848, 480)
+    messages = [cloud_to_msg(cloud) for cloud in clouds]
+    for kind in options.processes:
+        groups = [NODES] if kind == "one" else [(name,) for name in NODES]
+        for rate in options.rates:
+            with Processes(options, groups) as graph:
+                bench = Bench()
+                bench.ready()
+                check(bench, clouds, messages, options.model)
+                before = graph.cpu_s()
+                time.sleep(_REST_S)
+                rest = (graph.cpu_s() - before) / _REST_S
+                bench.send_at(messages, 10.0, 2.0)  # warm
+                before, began = graph.cpu_s(), time.monotonic()
+                stamps = bench.send_at(messages, rate, options.seconds)
+                cpu, memory = graph.cpu_s() - before, graph.memory_mb()
+                cpu -= rest * (time.monotonic() - began)
+                time.sleep(1.2)  # one more round of diagnostics
+                answered = sum(1 for s in stamps if s in bench.received and bench.received[s][1].predictions)
+                table, totals, own = stages(graph.end(), bench, stamps)
+                bench.close()
+            middle = np.median(table, axis=0)
+            p50, p95, p99 = np.percentile(totals, (50, 95, 99))
+            row = {"processes": kind, "rate_hz": rate, "seconds": options.seconds, "sent": len(stamps),
+                   "answered": answered, "lost": len(stamps) - answered, "p50_ms": p50, "p95_ms": p95, "p99_ms": p99,
+                   "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "rest_percent": 100.0 * rest, "memory_mb": memory}  # fmt: skip
+            out.add("runs", row)
+            for name, median, mean in zip(STAGES, middle, table.mean(axis=0), strict=True):
+                out.add(
+                    "stages", {"processes": kind, "rate_hz": rate, "stage": name, "p50_ms": median, "mean_ms": mean}
+                )
+            share = middle.sum() / p50
+            print(f"{kind:>5} {rate:3.0f} Hz: sent {len(stamps)}, lost {row['lost']}, p50 {p50:.1f}, p95 {p95:.1f} ms; "
+                  f"CPU {row['cpu_ms']:.1f} ms a cloud, of which computation {own:.1f}, and {100.0 * rest:.1f} % of a core at rest; "
+                f"{memory:.0f} MB")  # fmt: skip
+            print("  " + ", ".join(f"{name} {value:.2f}" for name, value in zip(STAGES, middle, strict=True)))
+            print(f"  medians of the stages sum to {share:.3f} of the median total, their means to "
+                  f"{table.mean(axis=0).sum() / totals.mean():.3f} of its mean")  # fmt: skip
+            print(accounts(bench), flush=True)
+
+
+def measure_growth(options: argparse.Namespace, out: Results) -> None:
+    """One process a graph, clouds one by one: times and processor time against the load."""
+    from foretouch.ros.messages.clouds import cloud_to_msg
+
+    for width, height in SIZES:
+        grow(options, out, "points", width * height, [cloud_to_msg(one) for one in scenes(width, height)], ())
+    usual = [cloud_to_msg(one) for one in scenes(848, 480)]
+    for count in COUNTS["grasps"]:
+        grow(options, out, "grasps", count, usual, (f"grasp.count:={count}",))
+    for count in COUNTS["objects"]:
+        messages = [cloud_to_msg(one) for one in scenes(848, 480, count, 3)]
+        grow(options, out, "objects", count, messages, ("target.mode:=all",))
+    for count in COUNTS["cameras"]:
+        grow(options, out, "cameras", count, usual, (), [f"/camera{number}" for number in range(count)])
+
+
+def grow(
+    options: argparse.Namespace,
+    out: Results,
+    what: str,
+    value: int,
+    messages: Sequence[Any],
+    parameters: Sequence[str],
+    spaces: Sequence[str] = ("/foretouch",),
+) -> None:
+    """Measure one load."""
+    import numpy as np
+
+    graphs = [Processes(options, [NODES], parameters, space) for space in spaces]
+    try:
+        bench = Bench(spaces)
+        bench.ready()
+        bench.send_one_by_one(messages, len(messages))
+        before = sum(one.cpu_s() for one in graphs)
+        stamps = bench.send_one_by_one(messages, options.clouds)
+        cpu = 1e3 * (sum(one.cpu_s() for one in graphs) - before) / options.clouds
+        memory = sum(one.memory_mb() for one in graphs)
+        predictions = np.mean([len(bench.received[s][1].predictions) for s in stamps if s in bench.received])
+        trace = [row for one in graphs for row in one.end()]
+        table, totals, own = stages(trace, bench, stamps)
+        bench.close()
+    finally:
+        for one in graphs:
+            one.__exit__()
+    columns = dict(zip(("segmentation", "grasps", "touch"), np.median(table[:, [2, 4, 6]], axis=0), strict=True))
+    row = {"what": what, "value": value, "predictions": predictions, "total_p50_ms": np.median(totals), "cpu_ms": cpu,
+           "computation_cpu_ms": own * len(spaces), **{f"{k}_ms": v for k, v in columns.items()}, "memory_mb": memory}  # fmt: skip
+    out.add("growth", row)
+    print(" ".join(f"{k} {v:.1f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
+
+
+def exponents(rows: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
+    """Fitted exponents b of time = a load^b by load and quantity, over all loads and over the two largest."""
+    import numpy as np
+
+    found = []
+    for what in dict.fromkeys(row["what"] for row in rows):
+        mine = [row for row in rows if row["what"] == what]
+        load = np.log([float(row["value"]) for row in mine])
+        for name in ("total_p50_ms", "cpu_ms", "segmentation_ms", "grasps_ms", "touch_ms"):
+            times = np.log([max(float(row[name]), 1e-3) for row in mine])
+            last = (times[-1] - times[-2]) / (load[-1] - load[-2])
+            found.append(
+                {"what": what, "quantity": name, "exponent": np.polyfit(load, times, 1)[0], "at_the_end": last}
+            )
+    return found
+
+
+class Results:
+    """CSV files, in which the rows of this label are replaced."""
+
+    def __init__(self, folder: Path, label: str) -> None:
+        self._folder, self._label = folder, label
+        self._rows: dict[str, list[dict[str, Any]]] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def read(self, name: str) -> list[dict[str, str]]:
+        """Rows of a file."""
+        path = self._folder / f"{name}.csv"
+        return list(csv.DictReader(path.open(encoding="utf-8"))) if path.exists() else []
+
+    def add(self, name: str, row: dict[str, Any]) -> None:
+        """Add a row to a file, at once."""
+        mine = self._rows.setdefault(name, [])
+        plain = {key: f"{value:.3f}" if isinstance(value, float) else str(value) for key, value in row.items()}
+        mine.append({"label": self._label, **plain})
+        kept = [old for old in self.read(name) if old["label"] != self._label]
+        with (self._folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(mine[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows([*kept, *mine])
+
+
+def draw(results: Results, path: Path, rate: float = 30.0) -> None:
+    """Stages of each run at 30 Hz as a bar, with what was lost beside it."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    runs = [row for row in results.read("runs") if float(row["rate_hz"]) == rate]
+    if not runs:
+        return
+    known = results.read("stages")
+    colours = (
+        "tab:gray",
+        "lightgray",
+        "tab:blue",
+        "lightsteelblue",
+        "tab:green",
+        "lightgreen",
+        "tab:orange",
+        "tab:gray",
+    )
+    figure, axes = plt.subplots(figsize=(9.0, 1.3 + 0.55 * len(runs)))
+    longest = max(float(row["p50_ms"]) for row in runs)
+    for place, run in enumerate(runs):
+        left = 0.0
+        key = [run[name] for name in ("label", "processes", "rate_hz")]
+        mine = [one for one in known if [one[name] for name in ("label", "processes", "rate_hz")] == key]
+        for one, colour in zip(mine, colours, strict=True):
+            width = float(one["p50_ms"])
+            label = one["stage"] if place == 0 else None
+            axes.barh(place, width, left=left, color=colour, label=label, height=0.62, edgecolor="white", linewidth=0.4)
+            left += width
+        text = (
+            f" p50 {float(run['p50_ms']):.0f}, p95 {float(run['p95_ms']):.0f} ms, {run['lost']} of {run['sent']} lost, "
+        )
+        axes.text(left + 0.005 * longest, place, text + f"{float(run['cpu_ms']):.0f} ms CPU", va="center", fontsize=8)
+    names = {"one": "one process", "three": "three processes"}
+    axes.set_yticks(range(len(runs)), [f"{names[run['processes']]}, {run['label']}" for run in runs])
+    axes.invert_yaxis()
+    axes.set(xlabel=f"from the stamp of an 848x480 cloud to its touch, {rate:.0f} Hz, median of each stage [ms]",
+             xlim=(0.0, 1.45 * longest))  # fmt: skip
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(ncols=4, fontsize=8, frameon=False, loc="lower center", bbox_to_anchor=(0.4, 1.0))
+    figure.savefig(path, dpi=110, bbox_inches="tight")
 
 
 def main() -> int:
     options = arguments()
     environment(options)
-    from foretouch.ros.messages.clouds import cloud_to_msg
-
-    processes = start(options)
-    try:
-        clouds = scenes(options)
-        messages = [cloud_to_msg(cloud) for cloud in clouds]
-        answers = expected(clouds, options)
-        bench = Bench()
-        bench.ready()
-        check(bench, messages, answers)
-        count = round(options.seconds * options.rate)
-        sent = bench.send(messages, count, options.rate, first=1000)
-        bench.wait_for(sent, 5.0)
-        time.sleep(1.0)  # one more round of diagnostics
-        report(bench, sent)
-        return 0 if all(n in bench.received for n in sent) else 1
-    finally:
-        for process in processes:
-            process.send_signal(signal.SIGINT)
-        for process in processes:
-            _, _, usage = os.wait4(process.pid, 0)
-            print(f"{process.args[2].split()[-1]:<28} {usage.ru_utime + usage.ru_stime:8.1f} s of CPU, start included")
+    results = Results(options.out, options.label)
+    if not options.draw:
+        print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+        measure_rates(options, results)
+        if options.growth:
+            measure_growth(options, results)
+            mine = [row for row in results.read("growth") if row["label"] == options.label]
+            for row in exponents(mine):
+                results.add("exponents", row)
+    if results.read("runs"):
+        draw(results, PICTURE)
+    return 0
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import dataclasses
 import math
 import typing
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -200,7 +201,8 @@ def parse_overrides(pairs: Sequence[str]) -> dict[str, Any]:
     return result
 
 
-def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
+@cache
+def _own_infos(cls: type[Settings]) -> tuple[SettingInfo, ...]:
     hints = typing.get_type_hints(cls)
     infos = []
     for f in dataclasses.fields(cls):
@@ -211,7 +213,7 @@ def _own_infos(cls: type[Settings]) -> list[SettingInfo]:
             raise TypeError(f"{cls.__name__}.{f.name}: declare it with setting()")
         kind: dict[str, Any] = {"type": item, "is_list": is_list, "optional": optional}
         infos.append(SettingInfo(name=f.name, default=f.default, **kind, **f.metadata))
-    return infos
+    return tuple(infos)
 
 
 def _analyse(hint: Any) -> tuple[type, bool, bool]:

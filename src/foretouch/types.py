@@ -151,7 +151,7 @@ class Grasp:
         return float(np.linalg.norm(self.g1 - self.g2))
 
 
-class GraspList(tuple[Grasp, ...]):
+class GraspList(tuple[Grasp, ...]):  # noqa: SLOT001  it keeps what is computed
     """Grasps whose arrays are made once, however many functions need them."""
 
     @cached_property

@@ -99,7 +99,9 @@ def test_what_is_surely_in_reach_is_accepted(ball, distance_m: float, rng) -> No
     g1, g2 = at, at[::-1] + rng.normal(size=at.shape) * 10.0 ** rng.uniform(-3.0, 0.0, (300, 1))
     g1[0], g2[1] = 1e160, -1e300
     found = surely_in_reach(g1, g2, ball, 0.08, distance_m)
-    accepted = [_accepts(check_reach, Grasp(a, b, np.eye(3)), ball, 0.08, distance_m) for a, b in zip(g1, g2, strict=True)]
+    accepted = [
+        _accepts(check_reach, Grasp(a, b, np.eye(3)), ball, 0.08, distance_m) for a, b in zip(g1, g2, strict=True)
+    ]
     assert not (found & ~np.array(accepted)).any()
     assert found.any() == (distance_m > 0.0)
 

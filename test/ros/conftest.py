@@ -22,12 +22,14 @@ from foretouch.ros.runtime.environment import prepare_environment
 prepare_environment()
 
 import rclpy  # noqa: E402
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
+from rclpy.executors import ExternalShutdownException  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
 from foretouch.ros.executables import make_nodes  # noqa: E402
+from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
+from foretouch.ros.runtime.internal_errors import InternalErrors  # noqa: E402
 
 _counter = itertools.count()
 
@@ -46,7 +48,7 @@ class Graph:
         rclpy.init(domain_id=self.domain)
         self.probe = Node("probe", namespace="/foretouch")
         self.nodes: list[Any] = []
-        self._executor = SingleThreadedExecutor()
+        self._executor = GraphExecutor(InternalErrors(print))
         self._executor.add_node(self.probe)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -236,18 +237,31 @@ class TouchModel:
         """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
         if residuals is None and self._unread is not None:
-            adapted = (history or self._history_of(tare)).adapt(estimate)
+            unread = history is None and tare is None
+            adapted = self._by_sight(estimate) if unread else (history or self._history_of(tare)).adapt(estimate)
         else:
             adapted = self._adapted(estimate, tare, residuals)
         if self._widen is not None:
             adapted = replace(adapted, half=adapted.half * self._widen)
         return self._predictions(grasps, estimate.in_distribution, adapted)
 
-    def _history_of(self, tare: Touch | None) -> History:
-        """A hand of which nothing was read but maybe a tare, just now."""
-        if tare is None:
-            assert self._unread is not None  # noqa: S101  only called with a tracker
-            return History(self._unread, 0)
+    def _by_sight(self, estimate: Estimate) -> _Adapted:
+        """As `History.adapt` of a hand of which nothing was read, whose levels are computed once."""
+        known, new = self._unread_levels
+        inside = estimate.in_distribution[:, None]
+        offset, half = (np.where(inside, *pair) for pair in zip(known, new, strict=True))
+        return _Adapted(estimate.counts + offset, half, "none", Evidence())
+
+    @cached_property
+    def _unread_levels(self) -> tuple[tuple[Float64, Float64], tuple[Float64, Float64]]:
+        """(50,) offset and half widths of known and of new objects [counts]."""
+        tracker = self.new_tracker()
+        levels = (tracker.level(0, same_object=False, known=known) for known in (True, False))
+        (known, known_half), (new, new_half) = (tracker.adapt(one, np.zeros((1, TOUCH_SIZE))) for one in levels)
+        return (known[0], known_half[0]), (new[0], new_half[0])
+
+    def _history_of(self, tare: Touch) -> History:
+        """A hand of which nothing was read but a tare, just now."""
         tracker = self.new_tracker()
         tracker.add_tare(0, self.tare_offset(tare))
         return History(tracker, 0, tare=True)
@@ -314,8 +328,9 @@ class TouchModel:
         self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
     ) -> list[TouchPrediction]:
         counts, half = adapted.counts, adapted.half
-        outside: list[bool] = self.ranges.outside(counts).any(axis=1).tolist()
-        flags = [_FLAGS[pair] for pair in zip(outside, in_distribution.tolist(), strict=True)]
+        outside: list[bool] = np.any(self.ranges.outside(counts), axis=1).tolist()
+        known: list[bool] = in_distribution.tolist()
+        flags = [_FLAGS[pair] for pair in zip(outside, known, strict=True)]
         values = Touch.from_rows(counts)
         lower: Sequence[Touch | None] = [None] * len(grasps)
         upper = lower
@@ -323,7 +338,7 @@ class TouchModel:
             lower, upper = Touch.from_rows(counts - half), Touch.from_rows(counts + half)
         rows = zip(grasps, values, lower, upper, flags, strict=True)
         predictions = TouchPrediction.usable(rows, adapted.reference, adapted.evidence)
-        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)):
+        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist():
             reason = "the model gives a value that is not finite"
             predictions[k] = TouchPrediction(grasps[k], None, status="refused", reason=reason)
         return predictions

@@ -39,7 +39,7 @@ PERCEPTION = ("segmentation", "grasp", "touch_predictor")
 EXECUTABLES: dict[str, tuple[str, ...]] = {**{name: (name,) for name in NODES}, "perception": PERCEPTION}
 """Nodes of each executable, which is installed as `foretouch_<name>` and is the function `<name>` of this module."""
 
-_POLL_S = 0.2  # between checks whether the nodes have ended
+_POLL_S = 0.5  # between checks whether the nodes have ended, or the process was interrupted
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -107,11 +107,12 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
     Returns:
         Whether one has failed.
     """
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
 
+    from foretouch.ros.runtime.executor import GraphExecutor
     from foretouch.ros.runtime.internal_errors import spin_on
 
-    executor = SingleThreadedExecutor()
+    executor = GraphExecutor(nodes[0].internal_errors)
     try:
         for node in nodes:
             executor.add_node(node)

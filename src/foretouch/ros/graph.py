@@ -68,15 +68,15 @@ class Graph:
     def __enter__(self) -> Self:
         prepare_environment()
         import rclpy
-        from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
         from foretouch.ros.nodes.monitor import MonitorNode
+        from foretouch.ros.runtime.executor import GraphExecutor
 
         rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self._executor = SingleThreadedExecutor()
         try:
             self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+            self._executor = GraphExecutor(self.monitor.internal_errors)
             self._executor.add_node(self.monitor)
             self._make_nodes()
         except BaseException:
@@ -162,7 +162,8 @@ class Graph:
             node.stop()
         time.sleep(_QUIET_S)
         self._closing.set()
-        self._executor.shutdown(timeout_sec=1.0)
+        if hasattr(self, "_executor"):
+            self._executor.shutdown(timeout_sec=1.0)
         if self._thread is not None:
             self._thread.join(timeout=2.0)
         for node in self.nodes.values():

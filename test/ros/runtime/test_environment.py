@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
+import platform
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -53,3 +54,23 @@ def test_it_loads_neither_numpy_nor_rclpy():
     code = "import sys, foretouch.ros.runtime.environment, foretouch.ros.executables; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.split() == ["False", "False"]
+
+
+def _page_faults(**environment):
+    code = (
+        "import resource; from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()\n"
+        "bytearray(5_000_000); before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "for _ in range(20): bytearray(5_000_000)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)"
+    )
+    known = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_TUNABLES"))}
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=known | environment
+    )
+    return int(result.stdout)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or platform.libc_ver()[0] != "glibc", reason="only glibc has mallopt")
+def test_the_memory_of_a_cloud_is_used_again():
+    assert _page_faults() < 2000  # of 24,400
+    assert _page_faults(MALLOC_TRIM_THRESHOLD_="131072") > 10_000  # the user's own stays

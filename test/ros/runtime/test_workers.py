@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 
-from foretouch.ros.runtime.workers import Worker
+from foretouch.ros.runtime.workers import Worker, WorkerThread
 
 
 def test_items_are_worked_on_in_order_in_another_thread():
@@ -85,3 +85,42 @@ def test_what_comes_after_the_end_is_counted_as_stopped():
     worker.stop()
     worker.put("late")
     assert dropped == [("late", "stopped")]
+
+
+def test_what_one_worker_hands_to_another_of_its_thread_comes_before_all_that_waits():
+    done, ready, begun = [], threading.Event(), threading.Event()
+    thread = WorkerThread("shared")
+
+    def first(item):
+        begun.wait(5.0)  # until all are put
+        done.append(("first", item))
+        second.put(item)
+
+    def last(item):
+        done.append(("second", item, threading.current_thread().name))
+        if item == 3:
+            ready.set()
+
+    one = Worker("first", 10, first, lambda *_: None, thread)
+    second = Worker("second", 10, last, lambda *_: None, thread)
+    for worker in (one, second):
+        worker.start()
+    for item in (1, 2, 3):
+        one.put(item)
+    begun.set()
+    assert ready.wait(5.0)
+    one.stop()
+    second.stop()
+    assert done == [step for item in (1, 2, 3) for step in (("first", item), ("second", item, "shared"))]
+
+
+def test_stopping_one_worker_of_a_thread_leaves_the_other_working():
+    done, thread = threading.Event(), WorkerThread("shared")
+    one, other = (Worker("w", 5, lambda _: done.set(), lambda *_: None, thread) for _ in range(2))
+    one.start()
+    other.start()
+    one.stop()
+    other.put(1)
+    assert done.wait(5.0)
+    other.stop()
+    assert "shared" not in [running.name for running in threading.enumerate()]

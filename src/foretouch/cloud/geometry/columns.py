@@ -30,11 +30,11 @@ def distances(columns: Float64) -> Float64:
 
 def quantiles(values: Float64, shares: Sequence[float]) -> list[float]:
     """Of (N,) values, N > 0: equal to `np.quantile`."""
-    at = [share * (len(values) - 1) for share in shares]
-    below = [int(one) for one in at]
-    above = [min(one + 1, len(values) - 1) for one in below]
-    ordered = np.sort(values)  # NumPy's sort is vectorised; its partition by several indices is not
+    ordered, last = np.sort(values), len(values) - 1  # the sort is vectorised; a partition by several indices is not
     found = []
-    for low, high, t in zip(ordered[below].tolist(), ordered[above].tolist(), np.subtract(at, below), strict=True):
-        found.append(float(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t))
+    for share in shares:
+        at = share * last
+        k = int(at)
+        low, high, t = float(ordered[k]), float(ordered[min(k + 1, last)]), at - k
+        found.append(high - (high - low) * (1.0 - t) if t >= 0.5 else low + (high - low) * t)
     return found

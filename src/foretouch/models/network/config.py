@@ -50,6 +50,11 @@ class ModelConfig(Settings):
     head_widths: tuple[int, ...] = setting((1024, 512, 256), "Layers of the head", minimum=1, maximum=8192)
     head_norm: bool = setting(False, "Batch norm in the head")
     head_dropout: float = setting(0.0, "Dropout before the last layer, in training", minimum=0.0, maximum=0.9)
+    precision: str = setting(
+        "float32",
+        "Precision of the shared layers in prediction: bfloat16 is three times as fast on processors that have it",
+        choices=("float32", "bfloat16"),
+    )
     ranges: TactileRanges = TactileRanges()
 
     def __post_init__(self) -> None:

@@ -9,17 +9,20 @@ without these fields is one object without an image.
 
 import array
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
 
 from foretouch.cloud.io.pointcloud2 import encode
 from foretouch.cloud.segmentation.objects import ObjectSegment
 from foretouch.dataset.messages import decode_objects
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.conversions import header_to_msg, point_to_msg
+from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Object
 
@@ -63,6 +66,24 @@ def objects_to_msg(targets: Sequence[FoundObject], frame_id: str, nanoseconds: i
     return message
 
 
+class TargetCloud:
+    """An `object_cloud` for subscribers of this process, which use the targets themselves.
+
+    Args:
+        header: Of the scene's cloud.
+        targets: The targets, best first.
+    """
+
+    def __init__(self, header: Header, targets: Sequence[FoundObject]) -> None:
+        self.header = header
+        self.targets = targets
+
+    @cached_property
+    def message(self) -> PointCloud2:
+        """The message for all others, made when it is first needed."""
+        return objects_to_msg(self.targets, self.header.frame_id, stamp_ns(self.header.stamp))
+
+
 def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     """Convert an object with the indices of its points; grasps are planned on a `target` only."""
     indices = array.array("I")
@@ -79,13 +100,14 @@ def object_to_msg(segment: ObjectSegment, *, target: bool) -> Object:
     )
 
 
-def objects_from_msg(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
+def objects_from_msg(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
     """The reverse of `objects_to_msg`, in the same order, for objects on a table; also reads any cloud of one object.
 
     Raises:
         CloudError: As `decode_cloud`.
     """
-    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in decode_objects(message))
+    found = message.targets if isinstance(message, TargetCloud) else decode_objects(message)
+    return tuple(FoundObject(one.id, one.cloud, plane, one.pixels, one.image_shape) for one in found)
 
 
 def _record(*, coloured: bool = False, imaged: bool = False) -> np.dtype[Any]:

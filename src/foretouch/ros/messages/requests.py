@@ -13,7 +13,7 @@ from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError
 from foretouch.grasp import GraspHold, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.clouds import objects_from_msg
+from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, plane_from_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
@@ -90,7 +90,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
 
-def read_targets(message: PointCloud2, plane: Plane) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[FoundObject, ...]:
     """Convert a cloud of objects, which must hold at least one.
 
     Raises:

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.lifecycle import LifecyclePublisher
+import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -13,6 +13,7 @@ from foretouch.config import setting
 from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
+from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray, TablePlane
@@ -39,7 +40,7 @@ class GraspNodeConfig(ProcessingConfig):
 class GraspNode(ProcessingNode[GraspNodeConfig]):
     """Plans with GeoGrasp (`Pipeline.plan`)."""
 
-    _grasps: LifecyclePublisher[Any]
+    _grasps: DirectPublisher
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
@@ -69,6 +70,8 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header))
         margin = self.config.grasp_hold
         message = plan_targets(self._pipeline, targets, header, table.reason, self._held, margin)
+        for grasp in message.grasps:  # as after serialisation, for subscribers of this process
+            grasp.score = float(np.float32(grasp.score))
         self._grasps.publish(message)
         return message.status, message.reason
 

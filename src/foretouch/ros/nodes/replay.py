@@ -207,9 +207,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         if self.config.publish == "auto":
             segmented = cloud_is_object(self._source)
         self._topic_publishers[CLOUDS] = self.advertise(
-            PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH
+            PointCloud2, CLOUD_TOPIC if segmented else "points", depth=_DEPTH, direct=False
         )
-        self._table = self.advertise(TablePlane, "table", depth=_DEPTH) if segmented else None
+        self._table = self.advertise(TablePlane, "table", depth=_DEPTH, direct=False) if segmented else None
         self._advertise_others(self._source)
         if self.config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -13,12 +12,12 @@ from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.cloud.segmentation.segment import SegmentationConfig
 from foretouch.config import setting
 from foretouch.pipeline import Pipeline, PipelineConfig, SegmentedScene
-from foretouch.ros.messages.clouds import object_to_msg, objects_to_msg
+from foretouch.ros.messages.clouds import TargetCloud, object_to_msg
 from foretouch.ros.messages.conversions import plane_to_msg
 from foretouch.ros.messages.markers import object_markers
 from foretouch.ros.messages.requests import RefusalError, read_cloud, status_code
+from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC
 from foretouch.types import Float64
 from foretouch_msgs.msg import ObjectArray, Status, TablePlane
@@ -36,10 +35,10 @@ class SegmentationNodeConfig(ProcessingConfig):
 class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
     """Finds the table and the objects (`Pipeline.segment`)."""
 
-    _objects: LifecyclePublisher[Any]
-    _table: LifecyclePublisher[Any]
-    _object_cloud: LifecyclePublisher[Any]
-    _markers: LifecyclePublisher[Any]
+    _objects: DirectPublisher
+    _table: DirectPublisher
+    _object_cloud: DirectPublisher
+    _markers: DirectPublisher
 
     def __init__(self, **options: Any) -> None:
         super().__init__("segmentation", SegmentationNodeConfig, [(PointCloud2, "points")], **options)
@@ -80,13 +79,15 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
         """Publish that nothing was found."""
         self._objects.publish(ObjectArray(header=header, status=status, reason=reason))
         self._table.publish(TablePlane(header=header, plane=plane_to_msg(None), status=status, reason=reason))
-        self._object_cloud.publish(objects_to_msg((), header.frame_id, stamp_ns(header.stamp)))
+        self._object_cloud.publish(TargetCloud(header, ()))
 
     def _publish(self, header: Header, scene: SegmentedScene, shape: tuple[int, ...], status: int) -> None:
         plane = plane_to_msg(scene.segmentation.plane)
         # First what the grasp node waits for.
         self._table.publish(TablePlane(header=header, plane=plane, status=status, reason=scene.reason))
-        self._object_cloud.publish(objects_to_msg(scene.targets, header.frame_id, stamp_ns(header.stamp)))
+        self._object_cloud.publish(TargetCloud(header, scene.targets))
+        if not (self._objects.wanted or self._markers.wanted):
+            return
         chosen = {target.id for target in scene.targets}
         objects = ObjectArray(
             header=header,
@@ -97,7 +98,7 @@ class SegmentationNode(ProcessingNode[SegmentationNodeConfig]):
             reason=scene.reason,
         )
         self._objects.publish(objects)
-        if self._markers.get_subscription_count():
+        if self._markers.wanted:
             self.internal_errors.guarded("markers", self._draw)(objects)  # the answer is published
 
     def _draw(self, objects: ObjectArray) -> None:

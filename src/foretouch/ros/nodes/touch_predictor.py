@@ -14,11 +14,10 @@ gives the reason, and cleaning up and configuring again retries.
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.lifecycle import LifecyclePublisher
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -28,9 +27,11 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, PipelineConfig
+from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
 from foretouch.ros.messages.tactile import tactile_class
+from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
@@ -42,7 +43,6 @@ from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
-from foretouch.tradeoff.budget import Answer
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import (
@@ -56,6 +56,9 @@ from foretouch_msgs.msg import (
 )
 from foretouch_msgs.srv import PredictTouch
 
+if TYPE_CHECKING:
+    from foretouch.tradeoff.budget import Answer
+
 _T = TypeVar("_T")
 _PARALLEL_REQUESTS = 2  # more would only share the processor
 _TABLES_KEPT = 16  # of which one has the stamp of the latest object_cloud
@@ -66,8 +69,8 @@ _EXECUTED_DEPTH = 10
 class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     """Predicts touch (`TouchModel.predict`)."""
 
-    _touch: LifecyclePublisher[Any]
-    _markers: LifecyclePublisher[Any]
+    _touch: DirectPublisher
+    _markers: DirectPublisher
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (GraspArray, GRASPS_TOPIC)]
@@ -171,7 +174,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
         self._touch.publish(self._loaded().end(message, answer))
-        if self._markers.get_subscription_count() and message.predictions:
+        if self._markers.wanted and message.predictions:
             self.internal_errors.guarded("markers", self._draw)(message.predictions[0])  # the answer is published
         return message.status, message.reason
 
@@ -193,7 +196,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         header: Header,
         posing: GeoGraspConfig | None,
         arrived: float,
-    ) -> tuple[TouchPredictionArray, Answer | None]:
+    ) -> "tuple[TouchPredictionArray, Answer | None]":
         """The predictions of a request that arrived at a time [s], to be published by `Predictor.end`."""
         predictor = self._loaded()
         answer = predictor.begin(len(grasps), arrived)
@@ -245,7 +248,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self.subscribe(message, self.config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
 
-    def _add_requested(self, cloud: PointCloud2, grasps: Sequence[Grasp]) -> None:
+    def _add_requested(self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[Grasp]) -> None:
         """Keep grasps of a request, which may be executed."""
         if self._adapter is not None:
             self._adapter.add_grasps(cloud, grasps, requested=True)
@@ -340,7 +343,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             while len(self._tables) > _TABLES_KEPT:
                 del self._tables[next(iter(self._tables))]
 
-    def _remember_cloud(self, message: PointCloud2) -> None:
+    def _remember_cloud(self, message: PointCloud2 | TargetCloud) -> None:
         with self._latest_lock:
             table = self._tables.get(stamp_ns(message.header.stamp))
             if table is not None:

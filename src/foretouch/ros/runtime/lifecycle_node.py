@@ -10,6 +10,7 @@ is reported in the log and in /diagnostics.
 """
 
 import gc
+import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from typing import Any, Generic, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
@@ -26,6 +27,8 @@ from rclpy.subscription import Subscription
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
+from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
 from foretouch.ros.runtime.parameters import NodeSettings
@@ -45,6 +48,11 @@ class NodeConfig(Settings):
     autostart: bool = setting(True, "Whether the node configures and activates itself", read_only=True)
     diagnostics_period_s: float = setting(
         1.0, "Time between reports in /diagnostics", unit="s", minimum=0.1, maximum=60.0, read_only=True
+    )
+    direct: bool = setting(
+        True,
+        "Whether messages to nodes of the same process that have this set are handed over without the middleware",
+        read_only=True,
     )
 
 
@@ -73,15 +81,18 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             raise
         self.statistics = InputStatistics()
         self.state_name = "unconfigured"
-        self._outputs: list[LifecyclePublisher[Any]] = []
+        self.direct_topics = direct_topics(self.context)
+        self._outputs: list[DirectPublisher] = []
         self._inputs: list[Subscription[Any]] = []
+        self._direct_inputs: list[DirectInput] = []
+        self._input_lock = threading.RLock()
         self._losses: dict[str, Losses] = {}
         self._mismatches: dict[str, str] = {}
         self.conflicts: tuple[str, ...] = ()
         self.past_conflicts: list[str] = []
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
-        self._input_group = MutuallyExclusiveCallbackGroup()
+        self._input_group = InputGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
@@ -135,9 +146,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     # What a node uses.
 
-    def advertise(self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH) -> LifecyclePublisher[Any]:
-        """Make a reliable publisher, which publishes only while the node is active."""
-        publisher: LifecyclePublisher[Any] = self.create_lifecycle_publisher(
+    def advertise(
+        self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True
+    ) -> DirectPublisher:
+        """Make a reliable publisher, which publishes only while the node is active.
+
+        Args:
+            message: Type of the messages.
+            topic: Name of the topic.
+            depth: Messages that may wait for a subscriber.
+            direct: Whether subscriptions of the same process may get the objects that are published, which must
+                then stay as they are; not for serialised messages.
+        """
+        known = self._ids_of_publishers(topic)
+        publisher = self.create_publisher(
             message,
             topic,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
@@ -146,8 +168,15 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
                 use_default_callbacks=False,  # each further event costs time at every message
             ),
+            publisher_class=DirectPublisher,
         )
+        assert isinstance(publisher, DirectPublisher)  # noqa: S101  rclpy declares only its own class
+        self.add_managed_entity(publisher)
         self._outputs.append(publisher)
+        if direct and self.config.direct:
+            fresh = self._ids_of_publishers(topic) - known
+            publisher.id = fresh.pop() if len(fresh) == 1 else b""
+            self.direct_topics.add(publisher)
         return publisher
 
     def subscribe(
@@ -159,14 +188,20 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """
         losses = self._losses[topic] = Losses(self.statistics.lose)
 
-        def receive(content: Any, info: Any) -> None:
-            losses.arrived(info)
-            callback(content)
+        def receive(content: Any) -> None:
+            with self._input_lock:
+                callback(content)
 
+        def take(content: Any, info: Any) -> None:
+            if direct is None or not direct.has_received(info):
+                losses.arrived(info)
+                receive(content)
+
+        direct: DirectInput | None = None
         subscription = self.create_subscription(
             message,
             topic,
-            receive,
+            take,
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
             callback_group=self._input_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
@@ -177,6 +212,16 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
         )
         self._inputs.append(subscription)
+        if self.config.direct:
+            direct = DirectInput(subscription, self.internal_errors.guarded(topic, receive))
+            self._direct_inputs.append(direct)
+            self.direct_topics.add(direct)
+
+    def _ids_of_publishers(self, topic: str) -> set[bytes]:
+        """Ids of the node's publishers of a topic."""
+        own = self.get_name(), self.get_namespace()
+        ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+        return {bytes(end.endpoint_gid)[:ID_BYTES] for end in ends if (end.node_name, end.node_namespace) == own}
 
     def look_for_second_graph(self) -> None:
         """Log signs of a second graph once, and report them in /diagnostics while they last."""
@@ -263,10 +308,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     def _release(self) -> None:
         self._attempt(self.teardown)
+        for direct in self._direct_inputs:
+            self.direct_topics.remove(direct)
         for publisher in self._outputs:
+            self.direct_topics.remove(publisher)
             self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
+        self._direct_inputs.clear()
         self._outputs.clear()
         self._inputs.clear()
 

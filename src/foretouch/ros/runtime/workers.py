@@ -4,13 +4,15 @@
 `Worker` serves topics: callbacks only store, and when the work does not keep up, the oldest input is dropped, so
 that answers are as recent as possible. `ThreadPool` serves services and actions, whose callbacks await it as
 coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
-message.
+message. rclpy's events executor (9.1) has no callback groups, blocks while a coroutine waits, and stopped for good when
+another thread published to a subscription of the same process.
 """
 
 import threading
+from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rclpy.node import Node
 
@@ -19,42 +21,109 @@ from foretouch.bounded_queue import BoundedQueue
 _T = TypeVar("_T")
 
 
+class WorkerThread:
+    """A thread that several workers may share; it ends when the last of them is stopped.
+
+    What its own work puts into the queue of another worker comes next, before all that waits: with the nodes of one
+    process, a cloud goes through all steps before the next one is begun.
+
+    Args:
+        name: Of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._changed = threading.Condition()
+        self._started: set[Worker[Any]] = set()
+        self._calls: deque[Worker[Any]] = deque()  # one for each item that was put
+        self._current: Worker[Any] | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self, worker: "Worker[Any]") -> None:
+        """Serve a worker."""
+        with self._changed:
+            self._started.add(worker)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+                self._thread.start()
+
+    def call(self, worker: "Worker[Any]") -> None:
+        """An item was put into the queue of a worker."""
+        with self._changed:
+            if threading.current_thread() is self._thread:
+                self._calls.appendleft(worker)
+            else:
+                self._calls.append(worker)
+            self._changed.notify_all()
+
+    def stop(self, worker: "Worker[Any]") -> None:
+        """Wait for the current item of a worker and serve it no more."""
+        with self._changed:
+            self._started.discard(worker)
+            self._changed.wait_for(lambda: self._current is not worker)
+            ended = None if self._started else self._thread
+            if ended is not None:
+                self._thread = None
+                self._changed.notify_all()
+        if ended is not None:
+            ended.join()
+
+    def _run(self) -> None:
+        own = threading.current_thread()
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._calls or self._thread is not own)
+                if self._thread is not own:
+                    return
+                self._current = worker = self._calls.popleft()
+            worker.work_on_next()
+            with self._changed:
+                self._current = None
+                self._changed.notify_all()
+
+
 class Worker(Generic[_T]):
     """Calls `work` with each item, in order, in one thread.
 
     Args:
-        name: Of the thread.
+        name: Of the thread, where none is given.
         depth: Items that may wait.
         work: Called with each item; must not raise.
         on_drop: Called with each dropped item and the reason, `superseded` or `stopped` (see `BoundedQueue`).
+        thread: To be shared with other workers; None for one of its own.
     """
 
-    def __init__(self, name: str, depth: int, work: Callable[[_T], None], on_drop: Callable[[_T, str], None]) -> None:
-        self._name = name
+    def __init__(
+        self,
+        name: str,
+        depth: int,
+        work: Callable[[_T], None],
+        on_drop: Callable[[_T, str], None],
+        thread: WorkerThread | None = None,
+    ) -> None:
         self._work = work
         self._queue = BoundedQueue[_T](depth, on_drop=on_drop)
-        self._thread: threading.Thread | None = None
+        self._thread = WorkerThread(name) if thread is None else thread
 
     def start(self) -> None:
-        """Start the thread, unless it is running."""
-        if self._thread is None:
-            self._queue.reopen()
-            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-            self._thread.start()
+        """Start to work, unless it has started."""
+        self._queue.reopen()
+        self._thread.start(self)
 
     def put(self, item: _T) -> None:
         """Queue an item; the oldest is dropped where the queue is full."""
-        self._queue.put(item)
+        if self._queue.put(item):
+            self._thread.call(self)
 
     def stop(self) -> None:
-        """Finish the current item, drop the rest and end the thread."""
+        """Finish the current item and drop the rest."""
         self._queue.close("stopped")
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        self._thread.stop(self)
 
-    def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
+    def work_on_next(self) -> None:
+        """Work on the oldest item, if it was not dropped; called by the thread."""
+        item = self._queue.get(0.0)
+        if item is not None:
             self._work(item)
 
 

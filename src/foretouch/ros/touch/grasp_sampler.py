@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
+from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.conversions import pose_stamped
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
@@ -27,7 +28,7 @@ _COSTS = (SampleGrasps.Goal.PRESSURE, SampleGrasps.Goal.SCORE)
 class Latest(NamedTuple):
     """The newest object_cloud and the table of the same stamp."""
 
-    cloud: PointCloud2
+    cloud: PointCloud2 | TargetCloud
     table: TablePlane
 
 

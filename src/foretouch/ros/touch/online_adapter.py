@@ -24,6 +24,7 @@ from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, Rejected
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models.touch_model import TouchModel
+from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.tactile_state import HandMemory, LiveTare, ObjectMemory
 from foretouch.tactile.messages import TactileReader
@@ -103,7 +104,9 @@ class OnlineAdapter:
             if self._config().use_touches and self._received:
                 self._assembler.add("executed", message, received_ns=0, now_s=time.monotonic())
 
-    def add_grasps(self, cloud: PointCloud2, grasps: Sequence[GraspMsg], *, requested: bool = False) -> None:
+    def add_grasps(
+        self, cloud: PointCloud2 | TargetCloud, grasps: Sequence[GraspMsg], *, requested: bool = False
+    ) -> None:
         """Keep a cloud and the grasps on it, if there is a hand that may execute one.
 
         Args:
@@ -116,7 +119,7 @@ class OnlineAdapter:
             return
         with self._input_lock:
             known = requested and self._assembler.has_cloud(stamp)
-        data = b"" if known else bytes(serialize_message(cloud))
+        data = b"" if known else bytes(serialize_message(cloud.message if isinstance(cloud, TargetCloud) else cloud))
         with self._input_lock:
             if not known:
                 message = SerializedCloud(data, partial(deserialize_message, data, PointCloud2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from std_msgs.msg import Header
@@ -22,12 +22,13 @@ from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.tradeoff.budget import Answer, LatencyBudget, levels_of, load_profile
-from foretouch.tradeoff.budget.profile import profile_scene
 from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
+
+if TYPE_CHECKING:  # loaded only for a budget
+    from foretouch.tradeoff.budget import Answer, LatencyBudget
 
 _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 
@@ -69,20 +70,28 @@ class Predictor:
 
     def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], None]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
+        from foretouch.tradeoff.budget import LatencyBudget, levels_of, load_profile
+        from foretouch.tradeoff.budget.profile import profile_scene
+
         if self.model is None:
             return
         levels = levels_of(self.model)
         profile = load_profile(levels, say=say)
-        around = self._around(levels[-1].model, config)
+        cloud, grasps = profile_scene(1)
+        for level in levels:  # each is warm before the first cloud
+            level.model.predict(cloud, grasps)
+        around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
         for count in around:
             level = self.budget.affordable(count)
             name = f"none; the fastest is used, {levels[-1].name}" if level is None else level.name
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
-    def _around(self, model: TouchModel, config: TouchPredictorConfig) -> dict[int, float]:
+    def _around(
+        self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
+    ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
-        cloud, grasps = profile_scene(max(_COUNTS))
+        cloud, grasps = scene
         target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
             whole, inner = [], []

@@ -56,7 +56,8 @@ class TriangleMesh:
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
         key = edges[:, 0] * len(self.vertices) + edges[:, 1]
         twin = edges[:, 1] * len(self.vertices) + edges[:, 0]
-        return len(np.unique(key)) == len(key) and bool(np.isin(twin, key).all())
+        ordered = np.sort(key)
+        return bool((ordered[1:] != ordered[:-1]).all()) and np.array_equal(ordered, np.sort(twin))
 
     def require_closed(self, name: str) -> None:
         """Refuse a surface with a hole, or one that is inside out.

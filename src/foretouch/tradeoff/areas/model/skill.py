@@ -35,8 +35,10 @@ FREE: Final = ("splits", "seeds", "recipes", "bootstrap", "timing_s", "requests"
 """Settings that no cell depends on: a sweep may be resumed with others."""
 
 _CONTACT: Final = "contact"
-_SECONDS: Final = {"contact": 45.0, "touchnet": 110.0, "network": 40.0}  # of a cell on the machine of the benchmarks
-_BASE_FIT_S: Final = 0.2  # of `_probe` there
+_SECONDS: Final = {"contact": 20.0, "touchnet": 95.0, "narrow": 30.0, "wide": 85.0, "T-Net": 80.0}
+"""Processor time of a cell on the machine of the benchmarks [s]."""
+
+_BASE_FIT_S: Final = 0.11  # of `_probe` there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,7 +176,8 @@ def tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
     for split in settings.splits:
         if network[split] is None:
             network[split] = round(float(np.mean([card[split][name]["skill"] for name in MODALITIES])), 5)
-            network |= {f"{split}_{name}": round(card[split][name]["skill"], 5) for name in MODALITIES}
+            network |= {f"{split}_{name}": card[split][name]["skill"] for name in MODALITIES}
+            network |= {f"{split}_rmse_{name}": card[split][name]["rmse"] for name in MODALITIES}
     return result
 
 
@@ -212,7 +215,7 @@ def seconds(settings: ModelSettings, data: ModelData, left: Sequence[Cell]) -> f
     del settings, data
     slower = _probe() / _BASE_FIT_S
     kinds = [one.values["model"] for one in left]
-    return slower * sum(_SECONDS.get(kind, _SECONDS["network"]) for kind in kinds)
+    return slower * sum(_SECONDS[kind] for kind in kinds)
 
 
 def _probe() -> float:

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages between nodes of one process, handed over as objects: not serialised, sent through the middleware and read.
+
+The subscription stays, for publishers of other processes and so that tools show the graph as it is. A publisher of this
+process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers.
+The subscriptions recognise such messages by the id of their publisher and leave them.
+"""
+
+import threading
+import weakref
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.subscription import Subscription
+
+from foretouch.ros.messages.clouds import TargetCloud
+from foretouch.ros.runtime.workers import WorkerThread
+
+ID_BYTES = 16  # of a publisher; some versions of ROS pad them
+
+
+class DirectPublisher(LifecyclePublisher[Any]):
+    """A publisher that knows the subscriptions of its process.
+
+    Attributes:
+        receivers: Called with each message; empty without hand-over.
+        id: Of the publisher, as subscribers see it; empty if the middleware has none.
+        name: Of the topic, in full.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.receivers: tuple[Callable[[Any], None], ...] = ()
+        self.id = b""
+        self.name = self.topic_name
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything receives the messages."""
+        return bool(self.get_subscription_count())
+
+    def publish(self, message: Any) -> None:
+        """Publish a message or a `TargetCloud` while the node is active.
+
+        Nothing is serialised for subscriptions of this process alone.
+        """
+        if not self.is_activated:
+            return
+        receivers = self.receivers
+        if not receivers or self.get_subscription_count() > len(receivers):
+            super().publish(message.message if isinstance(message, TargetCloud) else message)
+        for receive in receivers:
+            receive(message)
+
+
+class DirectInput:
+    """A subscription that publishers of its process may call.
+
+    Args:
+        subscription: The subscription.
+        receive: Called with each message, in the thread of the publisher.
+
+    Attributes:
+        name: Of the topic, in full.
+    """
+
+    def __init__(self, subscription: Subscription[Any], receive: Callable[[Any], None]) -> None:
+        self.subscription = subscription
+        self.receive = receive
+        self.name = subscription.topic_name
+        self._ids: frozenset[bytes] = frozenset()
+
+    def connect(self, ids: Iterable[bytes]) -> None:
+        """Set the ids of the publishers that call it; what others have sent so far is still on the way."""
+        self._ids |= frozenset(ids)
+
+    def has_received(self, info: Any) -> bool:
+        """Whether a message from the middleware was handed over by its publisher.
+
+        Args:
+            info: What rclpy passes to a callback beside the message.
+        """
+        publisher = info.get("publisher_gid")
+        return publisher is not None and publisher["data"][:ID_BYTES] in self._ids
+
+
+class DirectTopics:
+    """The connected publishers and subscriptions of a process. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._publishers: list[DirectPublisher] = []
+        self._inputs: list[DirectInput] = []
+        self._threads: weakref.WeakValueDictionary[str, WorkerThread] = weakref.WeakValueDictionary()
+
+    def thread(self, namespace: str) -> WorkerThread:
+        """The thread that the workers of one graph share."""
+        with self._lock:
+            return self._threads.setdefault(namespace, WorkerThread(f"graph {namespace}"))
+
+    def add(self, one: DirectPublisher | DirectInput) -> None:
+        """Connect a publisher or a subscription."""
+        with self._lock:
+            if isinstance(one, DirectPublisher):
+                self._publishers.append(one)
+            else:
+                self._inputs.append(one)
+            self._connect()
+
+    def remove(self, one: DirectPublisher | DirectInput) -> None:
+        """Disconnect a publisher or a subscription, before it is destroyed."""
+        with self._lock:
+            self._publishers = [other for other in self._publishers if other is not one]
+            self._inputs = [other for other in self._inputs if other is not one]
+            self._connect()
+
+    def _connect(self) -> None:
+        for publisher in self._publishers:
+            publisher.receivers = tuple(one.receive for one in self._inputs if _match(publisher, one))
+        for one in self._inputs:
+            one.connect(p.id for p in self._publishers if _match(p, one))
+
+
+_of_context: weakref.WeakKeyDictionary[Context, DirectTopics] = weakref.WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def direct_topics(context: Context) -> DirectTopics:
+    """The connections of a context of rclpy, of which a process usually has one."""
+    with _lock:
+        return _of_context.setdefault(context, DirectTopics())
+
+
+def _match(publisher: DirectPublisher, one: DirectInput) -> bool:
+    """Whether the middleware would deliver the messages."""
+    if publisher.name != one.name or publisher.msg_type is not one.subscription.msg_type:
+        return False
+    compatible, _ = qos_check_compatible(publisher.qos_profile, one.subscription.qos_profile)
+    return bool(publisher.id) and compatible != QoSCompatibility.ERROR

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages handed over within a process: the same answers and counts as over DDS."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.ros.executables import PERCEPTION, make_nodes
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
+
+pytestmark = pytest.mark.ros
+
+OUTPUTS = {"objects": ObjectArray, "table": TablePlane, "object_cloud": PointCloud2, "grasps": GraspArray,
+           "touch": TouchPredictionArray}  # fmt: skip
+RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Outsider:
+    """A node in a participant of its own, as one in another process: hears serialised messages."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = Node("outsider", namespace="/foretouch", context=self.context)
+        self.heard: dict[str, list[bytes]] = {}
+        self.numbers: dict[str, list[int]] = {}
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def listen(self, topic: str) -> None:
+        heard, numbers = self.heard.setdefault(topic, []), self.numbers.setdefault(topic, [])
+
+        def receive(data: bytes, info: Any) -> None:
+            numbers.append(info["publication_sequence_number"])
+            heard.append(data)
+
+        self.node.create_subscription(OUTPUTS[topic], topic, receive, RELIABLE, raw=True)
+
+    def close(self) -> None:
+        self.executor.shutdown(timeout_sec=2.0)
+        self._thread.join(5.0)
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+    def _serve(self) -> None:
+        while self.context.ok() and not self.executor._is_shutdown:
+            self.executor.spin_once(timeout_sec=0.2)
+
+
+@pytest.fixture
+def outsider(graph) -> Iterator[Outsider]:
+    one = Outsider(graph.domain)
+    yield one
+    one.close()
+
+
+def counts(nodes):
+    """What each node reports of its inputs, and its numbers of answers by status."""
+    return [(s.received, s.used, dict(s.dropped), s.waiting, s.lost, node.notes()) for node in nodes
+            for s in [node.statistics.summary()]]  # fmt: skip
+
+
+def settle(graph, nodes, received):
+    """Wait until nothing is on its way any more."""
+    graph.until(lambda: nodes[0].statistics.summary().received == received)
+    graph.until(lambda: all(node.statistics.summary().waiting == 0 for node in nodes))
+
+
+def content(topic: str, data: bytes) -> str:
+    """Every number of a message; its bytes hold gaps, which the middleware leaves as they were."""
+    message = deserialize_message(data, OUTPUTS[topic])
+    for one in getattr(message, "predictions", ()):
+        one.input_age.sec = one.input_age.nanosec = 0
+    with np.printoptions(floatmode="unique", threshold=10**9):
+        return str(message)
+
+
+def answers(graph, outsider, model_card, clouds, *, direct):
+    """The content of every topic, and the counts, of one graph for these clouds, one after the other."""
+    nodes = graph.add(*PERCEPTION, model=model_card, direct=direct, target__mode="all", grasp__count=3)
+    publisher = graph.talk(PointCloud2, "points")
+    for topic in OUTPUTS:
+        outsider.listen(topic)
+        graph.matched(topic)
+        graph.until(lambda topic=topic: outsider.node.count_publishers(f"/foretouch/{topic}"))
+    graph.matched("points")
+    for number, cloud in enumerate(clouds):
+        publisher.publish(cloud_to_msg(cloud))
+        graph.until(lambda wanted=number + 1: all(len(heard) >= wanted for heard in outsider.heard.values()))
+    settle(graph, nodes, len(clouds))
+    heard = {topic: [content(topic, data) for data in messages] for topic, messages in outsider.heard.items()}
+    return heard, counts(nodes)
+
+
+def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(graph, scene_cloud, model_card):
+    clouds = [scene_cloud(seed, stamp_ns=7 + seed, n_objects=3) for seed in range(3)]
+    clouds.append(type(clouds[0])(clouds[0].xyz[:0].reshape(0, 3), None, "cam", 77))  # refused
+    found = []
+    for direct in (True, False):
+        one = graph if direct else type(graph)()  # of another domain
+        outsider = Outsider(one.domain)
+        try:
+            found.append(answers(one, outsider, model_card, clouds, direct=direct))
+        finally:
+            outsider.close()
+            one.close()
+    (heard_on, counts_on), (heard_off, counts_off) = found
+    for topic in OUTPUTS:
+        assert len(heard_on[topic]) == len(clouds), topic
+        assert heard_on[topic] == heard_off[topic], topic
+    assert counts_on == counts_off
+    assert heard_on["touch"][0].count("pdc_th=") > 3  # of several objects
+
+
+def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cloud, model_card):
+    nodes = graph.add(*PERCEPTION, model=model_card)
+    outsider.listen("touch")
+    publisher = graph.talk(PointCloud2, "points")
+    graph.matched("points")
+    graph.until(lambda: outsider.node.count_publishers("/foretouch/touch"))
+    graph.until(lambda: nodes[2]._touch.wanted)
+    for stamp in (1, 2, 3):
+        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
+        graph.until(lambda stamp=stamp: len(outsider.heard["touch"]) == stamp)
+    outsider.listen("table")  # from now on it is
+    outsider.listen("object_cloud")
+    graph.until(lambda: nodes[0]._table.get_subscription_count() == 3)
+    graph.until(lambda: nodes[0]._object_cloud.get_subscription_count() == 3)
+    publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=4)))
+    graph.until(lambda: outsider.heard["object_cloud"] and outsider.heard["table"])
+    assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
+    settle(graph, nodes, 4)
+    assert [node.statistics.summary().used for node in nodes] == [4, 4, 4]
+    assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
+    assert {node._worker._thread for node in nodes} == {nodes[0]._worker._thread}
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_node_deactivated_in_the_middle_counts_its_clouds(graph, scene_cloud, model_card, direct):
+    nodes = graph.add(*PERCEPTION, model=model_card, direct=direct)
+    heard = graph.listen(TouchPredictionArray, "touch")
+    publisher = graph.talk(PointCloud2, "points")
+    for topic in ("points", "touch"):
+        graph.matched(topic)
+    graph.matched("object_cloud", subscribers=2)
+
+    def send(stamp):
+        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
+        settle(graph, nodes[:1], stamp)
+
+    send(1)
+    graph.until(lambda: len(heard) == 1)
+    nodes[1].trigger_deactivate()
+    send(2)
+    send(3)
+    graph.until(lambda: nodes[1].statistics.summary().dropped == {"inactive": 2})
+    nodes[1].trigger_activate()
+    send(4)
+    graph.until(lambda: len(heard) == 2)
+    assert [stamp_ns(message.header.stamp) for message in heard] == [1, 4]
+    graph.until(lambda: nodes[2].statistics.summary().used == 2)
+    assert [(s.received, s.used, dict(s.dropped)) for s in (node.statistics.summary() for node in nodes)] == [
+        (4, 4, {}), (4, 2, {"inactive": 2}), (4, 2, {})]  # fmt: skip
+
+
+def test_overload_is_superseded_at_the_first_node_only(graph, scene_cloud, model_card):
+    nodes = graph.add(*PERCEPTION, model=model_card, queue_depth=2)
+    publisher = graph.talk(PointCloud2, "points")
+    graph.matched("points")
+    for stamp in range(1, 16):
+        publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp, width=160)))
+    graph.until(lambda: nodes[0].statistics.summary().used > 0)
+    graph.until(lambda: all(node.statistics.summary().waiting == 0 for node in nodes))
+    first, *others = [node.statistics.summary() for node in nodes]
+    assert first.received + first.lost <= 15
+    assert first.received == first.used + sum(first.dropped.values())
+    assert set(first.dropped) <= {"superseded"}
+    for one in others:
+        assert (one.received, one.used, dict(one.dropped)) == (first.used, first.used, {})
+
+
+def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cloud, model_card):
+    """Its clouds are answered beside those of the node of this process, none of which is answered twice."""
+    nodes = graph.add(*PERCEPTION, model=model_card)
+    heard = graph.listen(TouchPredictionArray, "touch")
+    taken = graph.listen(PointCloud2, "object_cloud")
+    tables = graph.listen(TablePlane, "table")
+    publisher = graph.talk(PointCloud2, "points")
+    for topic in ("points", "touch", "table", "object_cloud"):
+        graph.matched(topic)
+    publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=1)))
+    graph.until(lambda: len(heard) == 1 and taken and tables)
+    foreign = {
+        topic: outsider.node.create_publisher(OUTPUTS[topic], topic, RELIABLE) for topic in ("table", "object_cloud")
+    }
+    for topic, one in foreign.items():
+        graph.until(lambda one=one: one.get_subscription_count() == 3)
+        graph.until(lambda topic=topic: graph.probe.count_publishers(f"/foretouch/{topic}") == 2)
+    for stamp in (10, 11):
+        for topic, message in (("table", tables[0]), ("object_cloud", taken[0])):
+            message.header.stamp.nanosec = stamp
+            foreign[topic].publish(message)
+        graph.until(lambda stamp=stamp: stamp in [m.header.stamp.nanosec for m in heard])
+    publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=2)))
+    graph.until(lambda: len(heard) == 4)
+    settle(graph, nodes, 2)
+    assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
+    assert [(s.received, s.used, s.lost) for s in (node.statistics.summary() for node in nodes)] == [
+        (2, 2, 0), (4, 4, 0), (4, 4, 0)]  # fmt: skip
+
+
+def test_inputs_are_taken_in_a_thread_of_their_own(graph):
+    threads = {}
+    node = make_nodes("grasp", parameter_overrides=[Parameter("autostart", value=False)])[0]
+    graph.nodes.append(node)
+    graph._executor.add_node(node)
+    node.subscribe(TablePlane, "other", lambda _: threads.setdefault("input", threading.current_thread().name))
+    node.create_subscription(
+        TablePlane, "other", lambda _: threads.setdefault("plain", threading.current_thread().name), 1
+    )
+    publisher = graph.talk(TablePlane, "other")
+    graph.matched("other", subscribers=2)
+    publisher.publish(TablePlane())
+    graph.until(lambda: len(threads) == 2)
+    assert threads["input"] == "inputs" != threads["plain"]
+
+
+def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):
+    overrides = [Parameter("model", value=model_card)]
+    left, right = (
+        make_nodes(*PERCEPTION, parameter_overrides=overrides, namespace=name) for name in ("/left", "/right")
+    )
+    for node in (*left, *right):
+        graph._executor.add_node(node)
+        node.autostart()
+    graph.nodes += [*left, *right]
+    publisher = graph.probe.create_publisher(PointCloud2, "/left/points", RELIABLE)
+    graph.until(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(cloud_to_msg(scene_cloud()))
+    graph.until(lambda: left[2].statistics.summary().used == 1)
+    assert [node.statistics.summary().received for node in right] == [0, 0, 0]
