@@ -106,6 +106,13 @@ def test_other_resolutions(width: int, height: int) -> None:
     assert min(_overlaps(segmentation, image.labels)) >= 0.93
 
 
+def test_a_coarser_grid_finds_the_same_objects_with_poorer_outlines() -> None:
+    image = _image(2, flying_pixels=True)
+    coarse, shipped = (segment(image.cloud(), SegmentationConfig(grid_rows=rows)) for rows in (60, 120))
+    assert len(coarse.objects) == len(shipped.objects) == 3
+    assert 0.9 < np.mean(_overlaps(coarse, image.labels)) < np.mean(_overlaps(shipped, image.labels))
+
+
 def test_the_same_input_gives_the_same_bits() -> None:
     cloud = _image(3).cloud()
     first, second = segment(cloud), segment(cloud)
