@@ -22,8 +22,8 @@ from cases import Case, all_cases, why_not
 RATIOS = Path(__file__).parent / "ratios.csv"
 ALLOWED = 0.8  # of the committed ratio: a loss of 20 %
 AGAIN = 2  # times that a ratio which is too low is measured again, after all others
-RENEWED = 3  # measurements of which the median is committed
-_TURNS = 7
+RENEWED = 3  # measurements of which the median is committed, by default
+_TURNS = 15
 _FEWEST_TURNS = 3
 _TURN_S = 0.03  # CPU time of a turn, at least: beside it the clock costs nothing
 _CASE_S = 6.0  # CPU time after which a case ends
@@ -114,10 +114,10 @@ def read_ratios(path: Path) -> dict[str, float]:
         return {row["name"]: float(row["ratio"]) for row in csv.DictReader(file)}
 
 
-def renew(runners: Sequence[Runner], path: Path) -> None:
+def renew(runners: Sequence[Runner], path: Path, count: int = RENEWED) -> None:
     """Write the median of several measurements, each over all cases; rows of other cases stay."""
     found: dict[str, list[Measured]] = {}
-    for _ in range(RENEWED):
+    for _ in range(count):
         for one in runners:
             found.setdefault(one.case.name, []).append(one.measure())
             print(f"  {one.case.name}: {found[one.case.name][-1].ratio:.3g}", flush=True)
@@ -148,9 +148,7 @@ def table(runners: Sequence[Runner], best: Mapping[str, Measured], committed: Ma
         measured, known = best[one.case.name], committed.get(one.case.name)
         limits = f"{'-':>11}{'-':>9}" if known is None else f"{known:>11.3g}{ALLOWED * known:>9.3g}"
         note = "   LOST" if lost(measured, known) else ""
-        print(
-            f"{one.case.name:30}{1e3 * measured.ours_s:>9.2f}{measured.ratio:>11.3g}{limits}   {one.case.peer}{note}"
-        )
+        print(f"{one.case.name:30}{1e3 * measured.ours_s:>9.2f}{measured.ratio:>11.3g}{limits}   {one.case.peer}{note}")
         kept = kept and not note
     return kept
 
@@ -159,7 +157,14 @@ def main() -> int:
     """Exit status 1 if a ratio has lost more than 20 %."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", metavar="TEXT", help="cases whose name contains it; may be repeated")
-    parser.add_argument("--renew", action="store_true", help="write the ratios of this machine to ratios.csv, to commit")
+    parser.add_argument(
+        "--renew",
+        type=int,
+        nargs="?",
+        const=RENEWED,
+        metavar="N",
+        help=f"write the median of N measurements (default {RENEWED}) on this machine to ratios.csv, to commit",
+    )
     parser.add_argument("--ratios", type=Path, default=RATIOS, help="committed ratios (default: beside this script)")
     arguments = parser.parse_args()
     began, runners = time.monotonic(), []
@@ -175,13 +180,15 @@ def main() -> int:
     if not runners:
         parser.error("--only: no case has such a name")
     if arguments.renew:
-        renew(runners, arguments.ratios)
+        renew(runners, arguments.ratios, arguments.renew)
         print(f"{arguments.ratios}: renewed in {time.monotonic() - began:.0f} s")
         return 0
     committed = read_ratios(arguments.ratios)
     kept = table(runners, guard(runners, committed), committed)
     load = os.getloadavg()[0]
-    print(f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost")
+    print(
+        f"\n{time.monotonic() - began:.0f} s at a load of {load:.1f}: {'nothing is' if kept else 'something is'} lost"
+    )
     return 0 if kept else 1
 
 

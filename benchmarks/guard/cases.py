@@ -79,7 +79,8 @@ def script(folder: str, name: str) -> ModuleType:
     """A module of another benchmark, with the modules beside it."""
     path = BENCHMARKS / folder / f"{name}.py"
     spec = importlib.util.spec_from_file_location(f"{folder}_{name}", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     sys.path.insert(0, str(path.parent))
@@ -166,9 +167,7 @@ def geograsp_against_scipy() -> tuple[Job, Job]:
 
     def peer() -> Float64:
         ranking, (first, second) = baseline.plan(thinned, one.plane, config)
-        return np.concatenate(
-            [first.candidates.xyz[ranking.first[0]], second.candidates.xyz[ranking.second[0]]],
-        )
+        return np.concatenate([first.candidates.xyz[ranking.first[0]], second.candidates.xyz[ranking.second[0]]])
 
     return geograsp(config), peer
 
@@ -201,9 +200,15 @@ def networks() -> tuple[Job, Job]:
     points, grasp = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15)
     folded = fold(shared)
     with torch.inference_mode():
-        bench.prove_equal("the shared network, folded and eager", folded.regress(folded.features(points[0]), grasp) - shared.counts(points, grasp))
+        bench.prove_equal(
+            "the shared network, folded and eager",
+            folded.regress(folded.features(points[0]), grasp) - shared.counts(points, grasp),
+        )
         for net, convolved in zip(four, eager, strict=True):
-            bench.prove_equal(f"{net.config.outputs[0]}, rows and channels first", net.counts(points, grasp) - convolved(points, grasp))
+            bench.prove_equal(
+                f"{net.config.outputs[0]}, rows and channels first",
+                net.counts(points, grasp) - convolved(points, grasp),
+            )
     model = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
     one, asked = target(), grasps()[:1]
 
@@ -315,7 +320,7 @@ def _program_seconds(folder: str, count: int) -> tuple[int, float]:
     command = [sys.executable, "-m", "foretouch.cli.main", "run", "--source", folder, "--count", str(count), "--json"]
     domain = os.environ.get("ROS_DOMAIN_ID", "88")
     environment = {**os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=_LONGEST_S)
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=_LONGEST_S)
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     predicted = sum(bool(one.get("predictions")) for one in answers)
     if predicted < count:

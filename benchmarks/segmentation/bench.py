@@ -15,12 +15,13 @@ import numpy.typing as npt
 
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.libusb import ensure_libusb
-from foretouch.simulation.depth_scene import random_scene
+from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
+from foretouch.tradeoff.areas.perception.measures import overlaps
 from foretouch.types import Cloud
 
 Labels = npt.NDArray[np.int32]
-FIRST_OBJECT = 2  # label of the first object in the truth
 N_OBJECTS = 3
+OBJECTS = range(FIRST_OBJECT, FIRST_OBJECT + N_OBJECTS)  # labels in the truth
 N_SCENES = 50
 
 
@@ -48,16 +49,6 @@ def open3d_pipeline(cloud: Cloud) -> Labels:
     labels = np.zeros(len(flat), np.int32)
     labels[index[above]] = np.where(keep, np.cumsum(keep), 0)[clusters]
     return labels.reshape(cloud.xyz.shape[:-1])
-
-
-def overlaps(labels: Labels, truth: Labels) -> list[float]:
-    """Intersection over union of each true object with the one that covers it most."""
-    result = []
-    for label in range(FIRST_OBJECT, FIRST_OBJECT + N_OBJECTS):
-        true = truth == label
-        found = labels == 1 + int(np.bincount(labels[true], minlength=2)[1:].argmax())
-        result.append(float((true & found).sum() / (true | found).sum()))
-    return result
 
 
 def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
@@ -96,7 +87,7 @@ def check_generated() -> None:
             image = random_scene(rng).render(rng, noise_m, flying)
             labels = ours(image.cloud())
             wrong += int(labels.max()) != N_OBJECTS
-            all_overlaps += overlaps(labels, image.labels)
+            all_overlaps += overlaps(labels, image.labels, OBJECTS)
         print(f"{name:<28}{wrong:>13}{min(all_overlaps):>11.3f}{np.mean(all_overlaps):>10.3f}")
 
 
@@ -111,7 +102,7 @@ def main() -> None:
     print(f"{'scene':<20}{'objects':>9}{'IoU ours':>22}{'Open3D objects':>16}{'IoU Open3D':>22}")
     for name, cloud, truth in all_scenes:
         mine, theirs = ours(cloud), open3d_pipeline(cloud)
-        texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth)) for labels in (mine, theirs)]
+        texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
         print(f"{name:<20}{mine.max():>9}{texts[0]:>22}{theirs.max():>16}{texts[1]:>22}")
     check_generated()
     print(f"\n{'CPU ms, median':<20}{'ours':>9}{'no order':>10}{'Open3D':>10}")

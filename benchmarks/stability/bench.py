@@ -67,14 +67,14 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
     scores: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     seconds: dict[str, float] = defaultdict(float)
     for seed, xyz in enumerate(clouds):
-        judge = OriginalScore.of(Cloud(xyz), TOP_VIEW)
+        scorer = OriginalScore.of(Cloud(xyz), TOP_VIEW)
         plans = {}
         for method in METHODS:
             plans[method] = plan(xyz, method)
             seconds[method] += _timed(xyz, method)
-        if judge is not None and judge.has_axis and all(one.grasps for one in plans.values()):
+        if scorer is not None and scorer.has_axis and all(one.grasps for one in plans.values()):
             for method, one in plans.items():
-                scores[method].append(judge(contacts(one)))
+                scores[method].append(scorer(contacts(one)))
         for change, other, rotation, shift in changed(xyz, seed):
             for method in METHODS:
                 moved[change, method].append(distance_mm(plans[method], plan(other, method), rotation, shift))
@@ -94,18 +94,18 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
             **{method: f"{v.max():.2f}" for method, v in values.items()},
         }
     finite = np.isfinite([[score for score, _ in scores[method]] for method in METHODS]).all(axis=0)
-    judged = {method: [one for one, ok in zip(scores[method], finite, strict=True) if ok] for method in METHODS}
+    scorerd = {method: [one for one, ok in zip(scores[method], finite, strict=True) if ok] for method in METHODS}
     yield {
         **row,
         "quantity": f"original's score, mean ({finite.sum()} clouds)",
         "unit": "",
-        **{method: f"{np.mean([score for score, _ in one]):.3f}" for method, one in judged.items()},
+        **{method: f"{np.mean([score for score, _ in one]):.3f}" for method, one in scorerd.items()},
     }
     yield {
         **row,
         "quantity": "R1 >= 1 and R2 >= 1",
         "unit": "%",
-        **{method: f"{100.0 * np.mean([ok for _, ok in one]):.1f}" for method, one in judged.items()},
+        **{method: f"{100.0 * np.mean([ok for _, ok in one]):.1f}" for method, one in scorerd.items()},
     }
     total = {method: seconds[method] / len(clouds) * 1e3 for method in METHODS}
     yield {**row, "quantity": "time of a plan", "unit": "ms", **{m: f"{value:.1f}" for m, value in total.items()}}

@@ -27,6 +27,13 @@ def test_an_array_that_would_be_misread_is_refused(xyz: np.ndarray) -> None:
         kernel(xyz, 4, 0.1, 2.0, np.zeros(2, np.int64))
 
 
+def test_a_function_that_an_older_library_lacks_is_absent() -> None:
+    kernel = kernels.Kernel("count_of_tomorrow", int)
+    assert not kernel
+    with pytest.raises(RuntimeError, match="count_of_tomorrow: the library was compiled from older sources"):
+        kernel(1)
+
+
 def test_switched_off_within_a_context() -> None:
     kernel = kernels.Kernel("count_range", np.float32, int, float, float, np.int64)
     with kernels.disabled():

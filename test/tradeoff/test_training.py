@@ -21,7 +21,7 @@ def cells(detail: str, data: Dataset = DATA) -> list[Cell]:
 
 
 def table(names: tuple[str, ...]) -> dict[str, Row]:
-    chosen = [cell for cell in cells("few") if cell.values["variant"] in names]
+    chosen = [cell for cell in cells("few") if cell.values["variant"] in names and cell.values["column"] == "known"]
     rows = [{**cell.values, **row} for cell in chosen for row in measures.run(cell, SETTINGS, DATA)]
     return {row["variant"]: row for row in measures.tabulate(SETTINGS, rows)}
 

@@ -44,11 +44,7 @@ class OriginalScore:
         axis = find_axis(self._xyz, plane, config)
         self.has_axis = axis.ratio < _ROUND
         self._plane = find_grasp_plane(
-            self._xyz,
-            axis.centroid,
-            axis.direction,
-            side_coordinate(axis.direction, plane),
-            config.slab_half_width_m,
+            self._xyz, axis.centroid, axis.direction, side_coordinate(axis.direction, plane), config.slab_half_width_m
         )
         radius = contact_radius(self._plane.width_m, config)
         self._sides = [

@@ -66,12 +66,13 @@ class Kernel:
         self._types = tuple(_SCALARS.get(one) or np.dtype(one) for one in types)
         self._call: Any = None
         if _library is not None:
-            self._call = getattr(_library, name)
+            self._call = getattr(_library, name, None)  # a library that was compiled from older sources may lack it
+        if self._call is not None:
             self._call.restype = None
             self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in self._types]
 
     def __bool__(self) -> bool:
-        return _enabled
+        return _enabled and self._call is not None
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
@@ -88,5 +89,5 @@ class Kernel:
             else:
                 raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
         if self._call is None:
-            raise RuntimeError(f"{self._name}: {why_absent}")
+            raise RuntimeError(f"{self._name}: {why_absent or 'the library was compiled from older sources'}")
         self._call(*passed)

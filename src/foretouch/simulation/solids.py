@@ -199,7 +199,7 @@ class Sphere(Primitive):
         return _first(*_ball(origin, directions, self.radius))
 
     def _beyond(self, points: Float64) -> Float64:
-        return np.linalg.norm(points, axis=1, keepdims=True) - self.radius
+        return np.asarray(np.linalg.norm(points, axis=1, keepdims=True) - self.radius, np.float64)
 
 
 def _slab(origin: Float64, directions: Float64, half: Float64) -> tuple[Float64, Float64]:

@@ -3,7 +3,7 @@
 
 Each object of a scene is taken through the whole pipeline with the changed setting and with the shipped ones. Best
 grasps of both are scored by the same function, the original's score at full resolution on the object as the shipped
-segmentation sees it, so that a grasp that moved can be told from a grasp that is worse. Variants that add noise to the
+segmentation sees it, so that a grasp that moved can be distinguished from a grasp that is worse. Variants that add noise to the
 points of the objects, with the shipped settings, show what a camera's next image would do as well.
 """
 
@@ -118,9 +118,9 @@ def _shipped(data: PerceptionData) -> tuple[list[list[GraspedObject]], list[Gras
 
 
 @lru_cache(maxsize=4096)
-def _judge(found: FoundObject) -> OriginalScore | None:
-    judge = OriginalScore.of(found.cloud, found.plane)
-    return judge if judge is not None and judge.has_axis else None
+def _scorer(found: FoundObject) -> OriginalScore | None:
+    scorer = OriginalScore.of(found.cloud, found.plane)
+    return scorer if scorer is not None and scorer.has_axis else None
 
 
 def cells(settings: PerceptionSettings, data: PerceptionData) -> list[Cell]:
@@ -158,9 +158,9 @@ def _compared(one: GraspedObject, shipped: GraspedObject, settings: PerceptionSe
     if one.contacts is None or shipped.contacts is None or shipped.found is None:
         return row
     row["moved"] = bool(1e3 * np.linalg.norm(one.contacts - shipped.contacts, axis=1).max() > settings.moved_mm)
-    judge = _judge(shipped.found)
-    if judge is not None:
-        score, before = judge(one.contacts)[0], judge(shipped.contacts)[0]
+    scorer = _scorer(shipped.found)
+    if scorer is not None:
+        score, before = scorer(one.contacts)[0], scorer(shipped.contacts)[0]
         if np.isfinite([score, before]).all():
             row |= {"score": score, "score_change": score - before}
     if one.touch is not None and shipped.touch is not None and shipped.half is not None:
@@ -183,7 +183,10 @@ def tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
         row |= {"objects": len(own), "no_grasp": sum(not one["grasped"] for one in own)}
         row["contact_mm"] = _mean(own, "error_mm")
         row |= _moves(own)
-        row |= {key: _mean(own, key) for key in ("score_change", "touch_counts", "touch_half")}
+        row |= _interval("score_change", own)
+        real = [one for one in own if one["iou"] is None]
+        for key in ("touch_counts", "touch_half"):
+            row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
         result.append({key: round(value, 5) if isinstance(value, float) else value for key, value in row.items()})
     return result
 

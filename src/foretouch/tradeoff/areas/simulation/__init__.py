@@ -21,9 +21,9 @@ def _notes(rows: Sequence[Row]) -> Iterator[str]:
         if row["pattern_error"]:
             yield (
                 f"{row['variant']}: pattern error {100.0 * row['pattern_error']:.2g} % (largest "
-                f"{100.0 * row['pattern_error_largest']:.2g} %), force error {100.0 * row['force_error']:.2g} %; {trained}."
+                f"{100.0 * row['pattern_error_largest']:.2g} %), force error {100.0 * round(row['force_error'], 6):.2g} %; {trained}."
             )
-        elif row["counts"]:
+        elif row["effect_ms"] is not None or row["counts"]:
             cost = "" if row["effect_ms"] is None else f", costs {row['effect_ms']:.2g} ms a sample"
             yield (
                 f"{row['variant']}: readings change by {row['counts']:.3g} counts (largest {row['counts_largest']:.0f}){cost}; "
@@ -59,13 +59,8 @@ EXPERIMENT = Area(
     shipped=variants.shipped(variants.RIGID),
     reference=variants.finest(variants.RIGID),
     skills={
-        **{
-            f"digits_{name}": f"correct digits of the electrodes' pattern, {name}"
-            for name in (variants.RIGID, variants.SOFT)
-        },
-        **{
-            f"trained_{name}": f"skill on the finest level of a model trained on it, {name}" for name in variants.SCENES
-        },
+        **{f"digits_{name}": "correct decimal digits" for name in (variants.RIGID, variants.SOFT)},
+        **{f"trained_{name}": "mean skill, 95 % interval" for name in variants.SCENES},
     },
     panels=(
         Panel("digits_rigid", 1, "Rigid objects: correct digits of the electrodes' pattern"),

@@ -74,7 +74,9 @@ def cells(settings: TrainingSettings, data: Dataset) -> list[Cell]:
             continue
         columns = ("new",) if "objects" in values else settings.splits  # fewer objects: a question about new ones
         made += [
-            Cell(f"{number:03}_{column}", {**values, "column": column}) for column in columns if column in settings.splits
+            Cell(f"{number:03}_{column}", {**values, "column": column})
+            for column in columns
+            if column in settings.splits
         ]
     return made
 
@@ -91,8 +93,8 @@ def run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
         chosen = chosen_samples(cell.values, train)
         predicted = _predict(cell.values, settings, _described(data), chosen, test)
         mean = labels_of(train).mean(axis=0)
-        for row in error_rows(test, predicted, labels_of(test), mean):
-            rows.append({"part": fold.name, "train": len(chosen), "robot_h": len(chosen) * grasp_s / 3600.0, **row})
+        head = {"part": fold.name, "train": len(chosen), "robot_h": len(chosen) * grasp_s / 3600.0}
+        rows += [{**head, **row} for row in error_rows(test, predicted, labels_of(test), mean)]
     return rows
 
 
@@ -111,7 +113,9 @@ def _described(data: Dataset) -> Described:
     return Described(labelled(data))
 
 
-def fit(values: Any, settings: TrainingSettings, described: Described, train: Sequence[GraspSample]) -> ContactEstimator:
+def fit(
+    values: Any, settings: TrainingSettings, described: Described, train: Sequence[GraspSample]
+) -> ContactEstimator:
     """A contact model as the variant has it, from features that are computed once for all variants."""
     config = ContactConfig(trees=settings.trees).updated(values.get("changes", {}))
     index = described.index(train)

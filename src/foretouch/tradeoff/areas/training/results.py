@@ -17,7 +17,10 @@ from foretouch.tradeoff.frontier import of_request
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_ROBOT: Final = {"labels": ("known", "known objects, more grasps of each"), "objects": ("new", "new objects, more objects")}
+_ROBOT: Final = {
+    "labels": ("known", "known objects, more grasps of each"),
+    "objects": ("new", "new objects, more objects"),
+}
 """Factors that cost time of the robot, with the column of the skill and what is said about it."""
 
 _COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (ONE_BLOCK, NETWORK), "cloud size": (ONE_BLOCK, NETWORK)}
@@ -82,7 +85,9 @@ def _draw_series(axes: Axes, column: str, text: str, series: Sequence[Row]) -> N
     for x, row in zip(across, series, strict=True):
         if row[f"{column}_low"] is not None:
             axes.plot([x, x], [row[f"{column}_low"], row[f"{column}_high"]], color="C0", linewidth=1)
-        axes.annotate(f"{row[f'grasps_{column}']}", (x, row[column]), xytext=(5, -11), textcoords="offset points", fontsize=8)
+        axes.annotate(
+            f"{row[f'grasps_{column}']}", (x, row[column]), xytext=(5, -11), textcoords="offset points", fontsize=8
+        )
     axes.axhline(0.0, color="grey", linewidth=0.8)
     axes.set_xlabel("hours of the robot; beside the points: training grasps" if hours else "training grasps")
     axes.set_ylabel("mean skill, 95 % interval")

@@ -51,8 +51,8 @@ def _contact(detail: str) -> Iterator[Variant]:
     for count in _TREES if detail == "all" else _TREES[1:2]:
         changes = {"trees": count}
         yield Variant(f"{count} trees", "trees", {"kind": "contact", "changes": changes}, reference=CONTACT)
-    changes = {"thinned": 1.0}
-    yield Variant("no thinned copies", "copies", {"kind": "contact", "changes": changes}, reference=CONTACT)
+    values = {"kind": "contact", "changes": {"thinned": 1.0}}
+    yield Variant("no thinned copies", "copies", values, reference=CONTACT)
 
 
 def _networks() -> Iterator[Variant]:
