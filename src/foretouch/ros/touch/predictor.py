@@ -83,8 +83,8 @@ class Predictor:
         around = self._around(levels[-1].model, config, profile_scene(max(_COUNTS)))
         self.budget = LatencyBudget(budget_ms / 1e3, levels, profile, around)
         for count in around:
-            level = self.budget.affordable(count)
-            name = f"none; the fastest is used, {levels[-1].name}" if level is None else level.name
+            best = self.budget.affordable(count)
+            name = f"none; the fastest is used, {levels[-1].name}" if best is None else best.name
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
 
     def _around(

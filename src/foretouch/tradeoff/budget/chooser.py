@@ -4,7 +4,7 @@
 The expected time of a level is that of its profile, plus what the caller needs around the prediction, times how much
 slower than that the latest answers were. The first level that meets what is left of the budget is chosen. If that is
 less than an idle machine would choose, the machine is overloaded, and no better level is chosen until one has met the
-budget with a margin for a second. The least time between receipt and choice, among the latest requests of about as many
+budget with a margin for a second. The least time between receipt and choice so far, among requests of about as many
 grasps, is that of an idle machine: the rest was spent in a queue.
 """
 
@@ -28,7 +28,7 @@ _HOLD_S: Final = 1.0  # for which a better level must meet the budget before it 
 _WINDOW: Final = 100  # latest answers from which the slowdown is estimated
 _LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
 _QUANTILE: Final = 0.95
-_WAITS: Final = 30  # latest requests of each order of magnitude, of which the least wait is that of an idle machine
+_WAITS: Final = 10  # requests, before which the least wait says nothing
 _REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
 _SLOWDOWNS: Final = (0.5, 100.0)
 
@@ -72,7 +72,7 @@ class LatencyBudget:
         self._now = now
         self._lock = threading.Lock()
         self._ratios: deque[float] = deque(maxlen=_WINDOW)
-        self._waits: dict[int, deque[float]] = {}  # by digits of the number of grasps
+        self._waits: dict[int, list[float]] = {}  # the first ones and the least, by digits of the number of grasps [s]
         self._floor = 0
         self._better_since: float | None = None
         self._counts: Counter[str] = Counter()
@@ -95,7 +95,10 @@ class LatencyBudget:
         left = self.budget_s - (began - arrived)
         last = len(self._levels) - 1
         with self._lock:
-            self._waits.setdefault(len(str(count)), deque(maxlen=_WAITS)).append(began - arrived)
+            waits = self._waits.setdefault(len(str(count)), [])
+            waits.append(began - arrived)
+            if len(waits) > _WAITS:
+                waits.remove(max(waits))
             slow = self._slowdown()
             idle = self._place(count, _MARGIN, self._left_if_idle(count))
             place = max(idle, self._place(count, _MARGIN * slow, left))
@@ -137,7 +140,8 @@ class LatencyBudget:
         }
 
     def _left_if_idle(self, count: int) -> float:
-        return self.budget_s - min(self._waits.get(len(str(count)), (0.0,)))
+        waits = self._waits.get(len(str(count)), [])
+        return self.budget_s - (min(waits) if len(waits) >= _WAITS else 0.0)
 
     def _first(self, count: int, factor: float, left: float) -> int | None:
         for place, level in enumerate(self._levels):

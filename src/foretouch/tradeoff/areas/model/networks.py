@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -96,7 +95,7 @@ def make_estimator(values: Mapping[str, Any], nets: Sequence[TouchNet], fallback
     parts: list[Estimator] = []
     for net in nets:
         config = net.config.replace(**changes)
-        executed: Any = _executed(fold(net), config, values.get("precision", "fp32"), values.get("backend", "torch"))
+        executed: Any = _executed(net, config, values.get("precision", "fp32"), values.get("backend", "torch"))
         parts.append(NetworkEstimator([Member(config, executed)], fallback))
     return parts[0] if len(parts) == 1 else _Mean(parts)
 
@@ -118,45 +117,12 @@ class _Mean:
         return Estimate(np.mean([one.counts for one in found], axis=0), found[0].in_distribution)
 
 
-def _executed(network: FoldedNetwork, config: ModelConfig, precision: str, backend: str) -> Any:
+def _executed(net: TouchNet, config: ModelConfig, precision: str, backend: str) -> Any:
+    network = fold(net, "bfloat16" if precision == "bf16" else "float32")
     if backend != "torch":
         content = onnx_bytes(network, config)
         return _Onnx(content, precision) if backend == "ONNX Runtime" else _OpenVino(content)
-    if precision == "bf16":
-        return _Bf16(network)
     return _Int8(network) if precision == "int8" else network
-
-
-class _Bf16:
-    """A folded network whose weights and values are bfloat16."""
-
-    def __init__(self, network: FoldedNetwork) -> None:
-        self._network = _cast(network)
-
-    def features(self, points: Tensor) -> Tensor:
-        features: Tensor = self._network.features(points.bfloat16())
-        return features
-
-    @torch.inference_mode()
-    def regress(self, features: Tensor, grasps: Tensor) -> Tensor:
-        net = self._network
-        x = torch.relu_(nn.functional.linear(grasps.bfloat16(), net.first_grasp) + net.first(features))
-        for layer in net.head[:-1]:
-            x = torch.relu_(layer(x))
-        last = net.head[-1]  # in float32, since bfloat16 has steps of 16 counts at 3000
-        counts: Tensor = nn.functional.linear(x.float(), last.weight.float(), last.bias.float())
-        return counts
-
-
-def _cast(value: Any) -> Any:
-    """All tensors of a folded network in bfloat16."""
-    if isinstance(value, Tensor):
-        return value.bfloat16()
-    if isinstance(value, tuple):
-        return tuple(_cast(one) for one in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{one.name: _cast(getattr(value, one.name)) for one in fields(value)})
-    return value
 
 
 class _Int8:
