@@ -476,16 +476,17 @@ class Results:
             writer.writerows([*kept, *mine])
 
 
-def draw(results: Results, path: Path, rate: float = 30.0) -> None:
-    """Stages of each run at 30 Hz as a bar, with what was lost beside it."""
+def draw(results: Results, path: Path) -> None:
+    """Stages of each run at 30 Hz, or else at the highest rate, as a bar, with what was lost beside it."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    runs = [row for row in results.read("runs") if float(row["rate_hz"]) == rate]
-    if not runs:
-        return
+    runs = results.read("runs")
+    rates = [float(row["rate_hz"]) for row in runs]
+    rate = 30.0 if 30.0 in rates else max(rates)
+    runs = [row for row in runs if float(row["rate_hz"]) == rate]
     known = results.read("stages")
     colours = (
         "tab:gray",
