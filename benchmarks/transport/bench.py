@@ -36,6 +36,7 @@ STAGES = (
     "touch",
     "answer: send, read",
 )
+CPU_COLUMNS = ("segmentation_cpu_ms", "grasps_cpu_ms", "touch_cpu_ms")  # of the core functions, a cloud
 SIZES = ((260, 192), (424, 240), (640, 360), (848, 480), (1280, 704))  # 50k to 900k points
 COUNTS = {"grasps": (1, 10, 100, 1000), "objects": (1, 2, 5, 10), "cameras": (1, 2, 3, 4)}
 _REST_S = 3.0  # without clouds
@@ -280,11 +281,11 @@ def check(bench: Bench, clouds: Sequence[Any], messages: Sequence[Any], model: s
     print(f"equal answers: {len(messages)} of {len(messages)} clouds, bit by bit", flush=True)
 
 
-def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int]) -> tuple[Any, Any, float]:
-    """Times of each answered cloud by stage and in total [ms], and its processor time in the core functions [ms].
+def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int]) -> tuple[Any, Any, Any]:
+    """Times of each answered cloud by stage and in total, and its processor time in the core functions of each node.
 
     Returns:
-        (N, 8) float64 of `STAGES`, (N,) float64 from stamp to reception, and the mean.
+        (N, 8) float64 of `STAGES`, (N,) float64 from stamp to reception, (3,) float64, median of each node [ms].
     """
     import numpy as np
 
@@ -309,8 +310,9 @@ def stages(trace: Sequence[dict[str, Any]], bench: Bench, stamps: Sequence[int])
             ]
         )
         totals.append(end - stamp)
-        cpu.append(sum(one["computed_cpu_ns"] for one in (first, second, third)))
-    return np.array(rows, np.float64) / 1e6, np.array(totals, np.float64) / 1e6, float(np.mean(cpu)) / 1e6
+        cpu.append([one["computed_cpu_ns"] for one in (first, second, third)])
+    times, ends, computed = (np.array(values, np.float64) / 1e6 for values in (rows, totals, cpu))
+    return times, ends, np.median(computed, axis=0)
 
 
 def accounts(bench: Bench) -> str:
@@ -352,7 +354,8 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
                 cpu -= rest * (time.monotonic() - began)
                 time.sleep(1.2)  # one more round of diagnostics
                 answered = sum(1 for s in stamps if s in bench.received and bench.received[s][1].predictions)
-                table, totals, own = stages(graph.end(), bench, stamps)
+                table, totals, computed = stages(graph.end(), bench, stamps)
+                own = float(computed.sum())
                 bench.close()
             middle = np.median(table, axis=0)
             p50, p95, p99 = np.percentile(totals, (50, 95, 99))
@@ -413,14 +416,20 @@ def grow(
         memory = sum(one.memory_mb() for one in graphs)
         predictions = np.mean([len(bench.received[s][1].predictions) for s in stamps if s in bench.received])
         trace = [row for one in graphs for row in one.end()]
-        table, totals, own = stages(trace, bench, stamps)
+        _, totals, computed = stages(trace, bench, stamps)
         bench.close()
     finally:
         for one in graphs:
             one.__exit__()
-    columns = dict(zip(("segmentation", "grasps", "touch"), np.median(table[:, [2, 4, 6]], axis=0), strict=True))
-    row = {"what": what, "value": value, "predictions": predictions, "total_p50_ms": np.median(totals), "cpu_ms": cpu,
-           "computation_cpu_ms": own * len(spaces), **{f"{k}_ms": v for k, v in columns.items()}, "memory_mb": memory}  # fmt: skip
+    row = {
+        "what": what,
+        "value": value,
+        "predictions": predictions,
+        "total_p50_ms": np.median(totals),
+        "cpu_ms": cpu,
+        **dict(zip(CPU_COLUMNS, computed, strict=True)),
+        "memory_mb": memory,
+    }
     out.add("growth", row)
     print(" ".join(f"{k} {v:.1f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
 
@@ -433,7 +442,7 @@ def exponents(rows: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
     for what in dict.fromkeys(row["what"] for row in rows):
         mine = [row for row in rows if row["what"] == what]
         load = np.log([float(row["value"]) for row in mine])
-        for name in ("total_p50_ms", "cpu_ms", "segmentation_ms", "grasps_ms", "touch_ms"):
+        for name in ("total_p50_ms", "cpu_ms", *CPU_COLUMNS):
             times = np.log([max(float(row[name]), 1e-3) for row in mine])
             last = (times[-1] - times[-2]) / (load[-1] - load[-2])
             found.append(
@@ -467,16 +476,17 @@ class Results:
             writer.writerows([*kept, *mine])
 
 
-def draw(results: Results, path: Path, rate: float = 30.0) -> None:
-    """Stages of each run at 30 Hz as a bar, with what was lost beside it."""
+def draw(results: Results, path: Path) -> None:
+    """Stages of each run at 30 Hz, or else at the highest rate, as a bar, with what was lost beside it."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    runs = [row for row in results.read("runs") if float(row["rate_hz"]) == rate]
-    if not runs:
-        return
+    runs = results.read("runs")
+    rates = [float(row["rate_hz"]) for row in runs]
+    rate = 30.0 if 30.0 in rates else max(rates)
+    runs = [row for row in runs if float(row["rate_hz"]) == rate]
     known = results.read("stages")
     colours = (
         "tab:gray",

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
 
-Threads: one executor thread delivers messages, and every node does its slow work in separate threads (see
-`runtime.workers`), so that a cloud in work delays neither the next one nor a service, a parameter or a lifecycle
-request. NumPy, SciPy and torch release the interpreter's lock while they compute, so the three nodes of `perception`
-work in parallel.
+Threads: two executor threads deliver messages and serve requests (see `runtime.executor`), and nodes do their slow work in
+separate threads (see `runtime.workers`), so that a cloud in work delays neither the next one nor a service, a parameter
+or a lifecycle request. The three nodes of `perception` share one such thread, which runs a cloud through all their steps:
+threads of their own would compete for the interpreter's lock. With the parameter `direct` unset, each has its own.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 """An executor that takes the messages of a node's inputs in a thread of its own.
 
 rclpy builds a list of all that it waits for at every message: about 30 services, timers and events a node. The inputs
-alone are a few entries. Their events belong to them: a new message wakes whoever waits for one of these.
+alone are a few entries. Their events belong to them: a new message also wakes a thread that waits for one of these.
 """
 
 from __future__ import annotations
