@@ -28,6 +28,7 @@ _HOLD_S: Final = 1.0  # for which a better level must meet the budget before it 
 _WINDOW: Final = 100  # latest answers from which the slowdown is estimated
 _LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
 _QUANTILE: Final = 0.95
+_GUARD, _GUARD_S = 0.02, 2e-4  # share of the budget and time before its end from which an answer counts as late
 _WAITS: Final = 10  # requests, before which the least wait says nothing
 _REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
 _SLOWDOWNS: Final = (0.5, 100.0)
@@ -113,9 +114,13 @@ class LatencyBudget:
         return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable)
 
     def end(self, answer: Answer) -> bool:
-        """Note the end of an answer, right before it is published; returns whether it is late."""
+        """Note the end of an answer, right before it is published.
+
+        Returns:
+            Whether it is late, or so close to it that it may be late when the message is handed over.
+        """
         ended = self._now()
-        late = ended - answer.arrived > self.budget_s
+        late = ended - answer.arrived > (1.0 - _GUARD) * self.budget_s - _GUARD_S
         with self._lock:
             self._ratios.append((ended - answer.began + _REGULAR_S) / (answer.expected_s + _REGULAR_S))
             self._counts[answer.level.name] += 1

@@ -18,7 +18,7 @@ _APART: Final = 0.045  # of the labels, as a share of the axes
 
 
 def draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw `ten_milliseconds.png`: the frontier for each number of grasps, and what each leaves within 10 ms."""
+    """Draw `ten_milliseconds.png`: the frontier for each number of grasps, what each leaves in 10 ms, and the default."""
     requests = sorted({row["request"] for row in rows})
     lines = {request: frontier(of_request(rows, request), _SKILL) for request in requests}
     names = {row["variant"]: row[_SKILL] for line in lines.values() for row in line}
@@ -34,6 +34,10 @@ def draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
         best = f"; in {_BUDGET_MS:g} ms {within[-1][_SKILL]:.2f}: {within[-1]['variant']}" if within else ""
         label = f"{request} grasp{'s' * (request > 1)}{best}"
         axes.step(times, skills, where="post", marker="o", markersize=4, linewidth=1.2, color=f"C{number}", label=label)
+        for row in of_request(rows, request):
+            if row["factor"] == "shipped":
+                axes.plot(row[column], row[_SKILL], marker="*", markersize=12, color=f"C{number}", zorder=3)
+                names[f"★ {row['variant']}, the default"] = row[_SKILL]
     axes.set_xscale("log")
     axes.set_xlabel(
         "time of a prediction [ms], "
