@@ -5,8 +5,8 @@ Messages of several topics that belong to one cloud are matched by their exact s
 of its cloud, so no tolerance is needed. The number of clouds that wait for a message is bounded.
 
 Threads: the executor's callbacks only sort messages by stamp and queue them. One worker thread, which the nodes of a
-process share unless `direct` is unset, computes and publishes, so that services, parameters, lifecycle and diagnostics respond meanwhile. The queue
-is bounded and drops its oldest input, counted as `superseded`.
+process share unless `direct` is unset, computes and publishes, so that services, parameters, lifecycle and
+diagnostics respond meanwhile. The queue is bounded and drops its oldest input, counted as `superseded`.
 """
 
 import threading
