@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MOST_FILES = {"tactile message type": 2, "touch model": 3, "dataset format": 2, "experiment": 1, "node": 3}
+MOST_FILES = {
+    "tactile message type": 2,
+    "touch model": 3,
+    "dataset format": 2,
+    "experiment": 1,
+    "tradeoff area": 1,
+    "node": 3,
+}
 
 
 def rows() -> dict[str, tuple[list[Path], list[Path]]]:

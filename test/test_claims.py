@@ -132,6 +132,7 @@ CLAIMS: Sequence[tuple[str, str, Callable[[], Sequence[str] | bool]]] = [
         "the electrodes of the first three grasps on an object have skills of {} and {}, and {} and {} before its first touch",
         lambda: [part for label in ("first 3", "none") for part in prequential(label, "tracker").split()[2:]],
     ),
+    ("README.md", "a clock alone has {} there", lambda: [four("unseen_object_v2", touches=0, predictor="clock")]),
     # What a robot at work sees.
     (RESULTS, "| `contact-v2` with the tracker of the sensors' state | {} |", lambda: [bins("tracker")]),
     (RESULTS, "| the same with the memory of one object alone | {} |", lambda: [bins("memory")]),
