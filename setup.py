@@ -2,6 +2,7 @@
 """Metadata and requirements stand in setup.cfg; here is what has to be listed by code."""
 
 import sys
+from hashlib import sha256
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -9,10 +10,12 @@ from setuptools import Extension, setup
 NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "perception")
 
 # Optional: without a C compiler the package installs all the same, and runs NumPy instead (`foretouch doctor` says so).
+KERNEL_FILES = sorted(Path("src/foretouch/kernels").glob("*.[ch]"))
 KERNELS = Extension(
     "foretouch.kernels._kernels",
-    sources=sorted(map(str, Path("src/foretouch/kernels").glob("*.c"))),
-    depends=sorted(map(str, Path("src/foretouch/kernels").glob("*.h"))),
+    sources=[str(path) for path in KERNEL_FILES if path.suffix == ".c"],
+    depends=[str(path) for path in KERNEL_FILES if path.suffix == ".h"],
+    define_macros=[("SOURCES", f'"{sha256(b"".join(path.read_bytes() for path in KERNEL_FILES)).hexdigest()}"')],
     # -Wno-psabi: vectors are only passed between functions that are inlined.
     extra_compile_args=[
         "-std=gnu11",

@@ -94,6 +94,7 @@ IMPORT_NAMES = {  # of distributions whose modules are named otherwise
     "scikit-learn": "sklearn",
     "python-neo-lzf": "lzf",
     "libusb-package": "libusb_package",
+    "pillow": "PIL",
 }
 NOT_IN_ROSDEP = {"torch", "safetensors", "small_gicp", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "lzf"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
@@ -133,7 +134,7 @@ def test_the_metadata_requires_what_is_imported() -> None:
         "ament_index_python",
         "action_msgs",
     }
-    optional = set(required("camera", "sweep", "tensorboard", "open3d"))
+    optional = set(required("camera", "sweep", "tensorboard", "open3d", "backends"))
     only_in_full_ros = {"sr_robot_msgs"}
     needed = imported("src") - from_ros - optional - only_in_full_ros
     assert needed == set(required(None))
@@ -141,8 +142,10 @@ def test_the_metadata_requires_what_is_imported() -> None:
 
 def test_package_xml_declares_what_is_imported() -> None:
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
-    modules = {{"python3-yaml": "yaml"}.get(name, name.removeprefix("python3-")) for name in declared}
-    optional = set(required("camera", "sweep", "tensorboard", "open3d")) | {"sr_robot_msgs"}
+    modules = {
+        {"python3-yaml": "yaml", "python3-pil": "PIL"}.get(name, name.removeprefix("python3-")) for name in declared
+    }
+    optional = set(required("camera", "sweep", "tensorboard", "open3d", "backends")) | {"sr_robot_msgs"}
     undeclared = imported("src", "launch") - modules - optional - NOT_IN_ROSDEP
     assert undeclared == set()
     assert modules - imported("src", "launch") == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle

@@ -16,6 +16,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any, Final
@@ -33,10 +34,26 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
         path = folder / f"_kernels{suffix}"
         if path.is_file():
             try:
-                return ctypes.CDLL(str(path)), ""
+                library = ctypes.CDLL(str(path))
             except OSError as err:
                 return None, f"{path}: {err}"
+            if not _is_current(library, folder):
+                return None, "compiled from other sources than those beside it: install foretouch again (make setup)"
+            return library, ""
     return None, "not compiled when the package was installed (no C compiler?)"
+
+
+def _is_current(library: ctypes.CDLL, folder: Path) -> bool:
+    """Whether the library was compiled from the sources beside it; a checkout has some, an installed package none."""
+    files = sorted(folder.glob("*.[ch]"))
+    if not files:
+        return True
+    try:
+        library.sources.restype = ctypes.c_char_p
+        compiled: bytes = library.sources()
+    except AttributeError:  # before it was stored
+        return False
+    return compiled.decode() == sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 _at = ctypes.c_size_t.from_address
@@ -86,13 +103,12 @@ class Kernel:
         self._arrays = tuple((i, one) for i, one in enumerate(kinds) if isinstance(one, np.dtype))
         self._call: Any = None
         if _library is not None:
-            self._call = getattr(_library, name, None)  # a library that was compiled from older sources may lack it
-        if self._call is not None:
+            self._call = getattr(_library, name)
             self._call.restype = None
             self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in kinds]
 
     def __bool__(self) -> bool:
-        return _enabled and self._call is not None
+        return _enabled
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
@@ -107,5 +123,5 @@ class Kernel:
                 raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
             passed[i] = _at(id(value) + _HEAD).value if _first_field else value.ctypes.data
         if self._call is None:
-            raise RuntimeError(f"{self._name}: {why_absent or 'the library was compiled from older sources'}")
+            raise RuntimeError(f"{self._name}: {why_absent}")
         self._call(*passed)

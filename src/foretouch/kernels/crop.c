@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "kernels.h"
 
+/* Hash of the files that the library was compiled from, given by setup.py. */
+const char *sources(void) { return SOURCES; }
+
 /* Number of finite depths, and of those between low and high, of n points (n, 3). counts: (2). */
 VECTORISED void count_range(const float *xyz, int64_t n, double low, double high, int64_t *counts) {
     const float near = (float)low, far = (float)high;

@@ -179,9 +179,8 @@ def ascii_records(path: Path, words: list[bytes], points: int, dtype: np.dtype[A
 
 def _unpacked_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[Any]:
     """(points,) records of compressed data, which start with their sizes before and after compression."""
-    records = np.zeros(header.points, header.dtype)
     if header.points == 0:
-        return records
+        return np.zeros(0, header.dtype)
     if len(body) < 8:
         raise FileError(path, "is truncated before the sizes of the compressed data", field="DATA")
     packed, unpacked = (int(n) for n in np.frombuffer(body[:8], "<u4"))
@@ -199,7 +198,7 @@ def _unpacked_records(path: Path, header: _Header, body: bytes) -> npt.NDArray[A
         raise FileError(path, f"is no LZF data: {err}", field="DATA") from err
     if content is None or len(content) != unpacked:
         raise FileError(path, f"does not unpack to the {unpacked} bytes that it names", field="DATA")
-    start = 0
+    records, start = np.zeros(header.points, header.dtype), 0
     for name in header.dtype.names or ():
         kind = header.dtype[name]
         column = np.frombuffer(content, kind.base, header.points * kind.itemsize // kind.base.itemsize, start)
