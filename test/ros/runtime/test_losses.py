@@ -48,7 +48,7 @@ def test_a_message_that_is_replaced_in_the_queue_is_counted(graph) -> None:
     time.sleep(0.2)
     released.set()
     graph.until(lambda: node.statistics.summary().lost == 15)
-    graph.until(lambda: _values(heard[-1]).get("lost_on_the_way.table") == "15")
+    graph.until(lambda: heard and _values(heard[-1]).get("lost_on_the_way.table") == "15")
 
 
 def _values(report: DiagnosticArray) -> dict[str, str]:
