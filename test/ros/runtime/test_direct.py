@@ -20,10 +20,14 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros.executables import PERCEPTION, make_nodes
 from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.ros.runtime.direct import SUPPORTED
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
 
-pytestmark = pytest.mark.ros
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.skipif(not SUPPORTED, reason="rclpy does not pass the publisher of a message before Kilted"),
+]
 
 OUTPUTS = {"objects": ObjectArray, "table": TablePlane, "object_cloud": PointCloud2, "grasps": GraspArray,
            "touch": TouchPredictionArray}  # fmt: skip

@@ -3,14 +3,16 @@
 
 The subscription stays, for publishers of other processes and so that tools show the graph as it is. A publisher of this
 process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers.
-The subscriptions recognise such messages by the id of their publisher and leave them.
+The subscriptions recognise such messages by the id of their publisher and leave them. rclpy passes that id since Kilted: on
+Jazzy nothing is handed over.
 """
 
 import threading
 import weakref
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Final
 
+from rclpy import subscription as rclpy_subscription
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -18,6 +20,9 @@ from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.runtime.workers import WorkerThread
+
+SUPPORTED: Final = hasattr(rclpy_subscription, "MessageInfo")
+"""Whether rclpy passes the publisher of a message."""
 
 ID_BYTES = 16  # of a publisher; some versions of ROS pad them
 

@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from foretouch.config import Settings, setting
 from foretouch.errors import ForetouchError
 from foretouch.ros.runtime.diagnostics import InputStatistics, InputSummary, NodeStatus, diagnostic_status
-from foretouch.ros.runtime.direct import ID_BYTES, DirectInput, DirectPublisher, direct_topics
+from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, DirectPublisher, direct_topics
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
@@ -146,6 +146,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
 
     # What a node uses.
 
+    @property
+    def is_direct(self) -> bool:
+        """Whether messages are handed over within the process."""
+        return self.config.direct and SUPPORTED
+
     def advertise(
         self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True
     ) -> DirectPublisher:
@@ -173,7 +178,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         assert isinstance(publisher, DirectPublisher)  # noqa: S101  rclpy declares only its own class
         self.add_managed_entity(publisher)
         self._outputs.append(publisher)
-        if direct and self.config.direct:
+        if direct and self.is_direct:
             fresh = self._ids_of_publishers(topic) - known
             publisher.id = fresh.pop() if len(fresh) == 1 else b""
             self.direct_topics.add(publisher)
@@ -212,7 +217,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             ),
         )
         self._inputs.append(subscription)
-        if self.config.direct:
+        if self.is_direct:
             direct = DirectInput(subscription, self.internal_errors.guarded(topic, receive))
             self._direct_inputs.append(direct)
             self.direct_topics.add(direct)
