@@ -316,7 +316,7 @@ INLINE int32_t owner_of(const window *v, const int32_t *labels, const uint8_t *s
     return owner;
 }
 
-/* Removes flying pixels from the labels and adds base pixels; `solid` tells which are left or added. `least` is the
+/* Removes flying pixels from the labels and adds base pixels; `solid` marks which are left or added. `least` is the
  * smallest depth, with which a cheap superset of the flying pixels is found first; jump: (w). */
 INLINE void refine(const window *v, float least, int32_t *jump, int32_t *labels, uint8_t *solid) {
     const int64_t h = v->h, w = v->w;

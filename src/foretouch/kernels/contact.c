@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
+#include "eigen.h"
 #include "kernels.h"
 
 #define RADII 4     /* of the pad and of the patches, the largest last */
@@ -58,55 +59,6 @@ void sort_into_cells(
     starts[0] = 0;
 }
 
-/* Eigenvalues of a symmetric matrix, ascending, and the unit eigenvector of the first: Jacobi's method. */
-static void principal(double a[3][3], double values[3], double first[3]) {
-    double v[3][3] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
-    for (int sweep = 0; sweep < 30; sweep++) {
-        const double off = fabs(a[0][1]) + fabs(a[0][2]) + fabs(a[1][2]);
-        if (!(off > 0.0)) {
-            break;
-        }
-        for (int p = 0; p < 2; p++) {
-            for (int q = p + 1; q < 3; q++) {
-                const double x = a[p][q];
-                if (x == 0.0 || fabs(x) <= 1e-17 * fmin(fabs(a[p][p]), fabs(a[q][q]))) {
-                    a[p][q] = a[q][p] = 0.0;
-                    continue;
-                }
-                const double theta = (a[q][q] - a[p][p]) / (2.0 * x);
-                const double t = (theta >= 0.0 ? 1.0 : -1.0) / (fabs(theta) + sqrt(theta * theta + 1.0));
-                const double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
-                const int r = 3 - p - q;
-                const double rp = a[r][p], rq = a[r][q];
-                a[p][p] -= t * x;
-                a[q][q] += t * x;
-                a[p][q] = a[q][p] = 0.0;
-                a[r][p] = a[p][r] = c * rp - s * rq;
-                a[r][q] = a[q][r] = s * rp + c * rq;
-                for (int k = 0; k < 3; k++) {
-                    const double kp = v[k][p], kq = v[k][q];
-                    v[k][p] = c * kp - s * kq;
-                    v[k][q] = s * kp + c * kq;
-                }
-            }
-        }
-    }
-    int order[3] = {0, 1, 2};
-    for (int i = 0; i < 2; i++) {
-        for (int j = 0; j < 2 - i; j++) {
-            if (a[order[j + 1]][order[j + 1]] < a[order[j]][order[j]]) {
-                const int other = order[j];
-                order[j] = order[j + 1];
-                order[j + 1] = other;
-            }
-        }
-    }
-    for (int k = 0; k < 3; k++) {
-        values[k] = a[order[k]][order[k]];
-        first[k] = v[k][order[0]];
-    }
-}
-
 typedef double Lanes __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
 
@@ -126,7 +78,7 @@ static double beside(double x, double low, double per_m, int64_t cell) {
 }
 
 /* Mean and moments of the sums of one radius. Gives the total and the number of points. */
-static double moments(const Patch *patch, int r, double n, double mean[3], double covariance[3][3], double *count) {
+static double moments(const Patch *patch, int r, double n, double mean[3], double covariance[6], double *count) {
     double scaled[SUMS], total;
     for (int k = 0; k < SUMS; k++) {
         const double *lane = (const double *)&patch->sums[r][k];
@@ -143,7 +95,7 @@ static double moments(const Patch *patch, int r, double n, double mean[3], doubl
     const double *second = scaled + 4;
     for (int i = 0; i < 3; i++) {
         for (int j = i; j < 3; j++) {
-            covariance[i][j] = covariance[j][i] = *second++ - mean[i] * mean[j];
+            *covariance++ = *second++ - mean[i] * mean[j];
         }
     }
     return total;

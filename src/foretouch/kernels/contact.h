@@ -110,9 +110,9 @@ static void NAME(describe)(
         NAME(add_near)(&patch, sorted, n, squares);
         int rounding = 0;
         for (int r = 0; r < RADII; r++) {
-            double mean[3], covariance[3][3], values[3], axis[3], found;
+            double mean[3], covariance[6], values[3], axis[3], found;
             const double total = moments(&patch, r, (double)n, mean, covariance, &found);
-            principal(covariance, values, axis);
+            eigen3(covariance, values, axis);
             const double size_of_terms = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2] + values[2];
             rounding |= (r == 0 ? total > 0.0 : found >= FEWEST) && !(values[0] > FLAT * size_of_terms);
             const double thin = sqrt(values[0] > 0.0 ? values[0] : 0.0), wide = sqrt(values[1] > 0.0 ? values[1] : 0.0);
