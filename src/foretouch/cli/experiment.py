@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from foretouch.experiments.framework.executors import CellResult
 
 
-_ENVIRONMENT = "FORETOUCH_DATA"
+ENVIRONMENT = "FORETOUCH_DATA"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--data",
         type=Path,
         metavar="PATH",
-        help=f"path of the data (default: the experiment's folder in {_ENVIRONMENT})",
+        help=f"path of the data (default: the experiment's folder in {ENVIRONMENT})",
     )
     parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR, if there is one")
     parser.add_argument(
@@ -115,11 +115,11 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             settings,
             arguments.out,
             preset=arguments.preset,
-            source=_source(experiment, arguments.data),
+            source=data_source(experiment, arguments.data),
             resume=arguments.resume,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
-            progress=_print_result if arguments.json else show,
+            progress=print_cell if arguments.json else show,
         )
     summary = {
         "status": "failed" if result.failures else "done",
@@ -141,8 +141,9 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
     return 1 if result.failures else 0
 
 
-def _source(experiment: Experiment[Any, Any], given: Path | None) -> Path | None:
-    folder = os.environ.get(_ENVIRONMENT)
+def data_source(experiment: Experiment[Any, Any], given: Path | None) -> Path | None:
+    """The given path of the data, else the folder of the experiment in the environment; None for neither."""
+    folder = os.environ.get(ENVIRONMENT)
     if given is None and folder and experiment.data_folder is not None:
         return Path(folder) / experiment.data_folder
     return given
@@ -159,6 +160,7 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
     print("".join(f", {name}" for name in summary["figures"]))
 
 
-def _print_result(result: CellResult, done: int, total: int) -> None:
+def print_cell(result: CellResult, done: int, total: int) -> None:
+    """Print a finished cell as a JSON object."""
     record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
     print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})

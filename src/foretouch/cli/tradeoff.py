@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.cli.experiment import ENVIRONMENT, data_source, print_cell
 from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.config import parse_overrides
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from foretouch.tradeoff.area import Area
     from foretouch.tradeoff.run import TradeoffResult
 
-_ENVIRONMENT = "FORETOUCH_DATA"
 _PROFILE_S = 30.0
 
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset", default="small", help="small (default): within 3 minutes, trains no network; full: all settings"
     )
     parser.add_argument(
-        "--data", type=Path, metavar="PATH", help=f"path of the data (default: the area's folder in {_ENVIRONMENT})"
+        "--data", type=Path, metavar="PATH", help=f"path of the data (default: the area's folder in {ENVIRONMENT})"
     )
     parser.add_argument(
         "--resume", action="store_true", help="keep the finished skills in DIR; times are measured again"
@@ -112,9 +112,7 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
 
     settings = area.resolve(arguments.preset, parse_overrides(arguments.overrides))
     workers = arguments.workers or len(os.sched_getaffinity(0))
-    source = arguments.data
-    if source is None and (folder := os.environ.get(_ENVIRONMENT)) and area.data_folder is not None:
-        source = Path(folder) / area.data_folder
+    source = data_source(area, arguments.data)
     if arguments.preset != "small" and not arguments.times:
         minutes = estimate_seconds(area, settings, arguments.out, source, workers) / 60.0
         print(f"about {minutes:.0f} minutes with {workers} processes", file=sys.stderr)
@@ -132,18 +130,13 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
             resume=arguments.resume,
             times_only=arguments.times,
             workers=workers,
-            progress=_print_cell if arguments.json else show,
+            progress=print_cell if arguments.json else show,
             timing_progress=lambda done, total: update(done, total, "times"),
         )
     _show(area, result, arguments)
     for key, error in result.failures.items():
         warn(f"{key}: {error}")
     return 1 if result.failures else 0
-
-
-def _print_cell(result: CellResult, done: int, total: int) -> None:
-    record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
-    print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})
 
 
 def _show(area: Area[Any, Any], result: TradeoffResult, arguments: argparse.Namespace) -> None:
