@@ -70,10 +70,11 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
         finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
     shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    _, first = np.unique(labels, return_index=True)
+    found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
     objects = []
-    for label in labels[np.sort(first)]:
-        members = np.flatnonzero(labels == label)
+    for k in np.argsort(first):
+        label, members = found[k], by_label[k]
         pixels = None
         if shape is not None and rows is not None and columns is not None:
             pixels = rows[members].astype(np.int64) * shape[1] + columns[members]
