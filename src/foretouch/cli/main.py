@@ -8,11 +8,13 @@ Heavy libraries are imported inside `run`, so that `--help` is fast.
 import argparse
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
 from foretouch import __version__
 from foretouch.errors import ForetouchError
+from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
@@ -34,15 +36,27 @@ COMMANDS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is not None:
+        return _report(list(argv))
+    raise_interrupts()
+    try:
+        return _report(sys.argv[1:])
+    finally:
+        end_at_once()
+
+
+def _report(arguments: list[str]) -> int:
+    """Run a command, and print what ended it in one line."""
     try:
         status = _run(arguments)
         sys.stdout.flush()
     except ForetouchError as err:
         print(f"foretouch: {err}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:  # also while modules are imported
-        return 130
+    except KeyboardInterrupt as err:
+        number = signal_number(err)
+        print(f"foretouch: ended by {signal.Signals(number).name}", file=sys.stderr)
+        return 128 + number
     except BrokenPipeError:
         # The reader (`| head`) has exited: exit quietly, and keep the interpreter from flushing again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import make_nodes
 from foretouch.ros.runtime.environment import prepare_environment
 
@@ -73,11 +74,13 @@ class Graph:
         from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
-        rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
+        with uninterrupted():
+            rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
-            self._executor = GraphExecutor(self.monitor.internal_errors)
-            self._executor.add_node(self.monitor)
+            with uninterrupted():
+                self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+                self._executor = GraphExecutor(self.monitor.internal_errors)
+                self._executor.add_node(self.monitor)
             self._make_nodes()
         except BaseException:
             self.close()
@@ -156,6 +159,10 @@ class Graph:
 
     def close(self) -> None:
         """Stop and destroy all nodes, the last one started first."""
+        with uninterrupted():
+            self._close()
+
+    def _close(self) -> None:
         import rclpy
 
         for node in reversed(self.nodes.values()):
@@ -182,11 +189,13 @@ class Graph:
 
     def _make_nodes(self) -> None:
         for name, parameters in self._parameters.items():
-            (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
-            self.nodes[name] = node
-            self._executor.add_node(node)
+            with uninterrupted():
+                (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
+                self.nodes[name] = node
+                self._executor.add_node(node)
         for node in self.nodes.values():
-            node.autostart()
+            with uninterrupted():
+                node.autostart()
 
 
 def _parameters(values: Mapping[str, Any]) -> Sequence[Any]:
