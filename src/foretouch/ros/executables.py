@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
-from foretouch.ros.runtime.environment import prepare_environment
+from foretouch.ros.runtime.environment import start_rclpy
 
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -71,12 +71,9 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
 
 
 def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    prepare_environment()
+    start_rclpy(arguments)
     import rclpy
-    from rclpy.signals import SignalHandlerOptions
 
-    with uninterrupted():
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         with uninterrupted():
             nodes = make_nodes(*names)

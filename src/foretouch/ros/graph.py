@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import make_nodes
-from foretouch.ros.runtime.environment import prepare_environment
+from foretouch.ros.runtime.environment import start_rclpy
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
@@ -67,15 +67,10 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        prepare_environment()
-        import rclpy
-        from rclpy.signals import SignalHandlerOptions
-
+        start_rclpy(self._arguments)
         from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
-        with uninterrupted():
-            rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
         try:
             with uninterrupted():
                 self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
