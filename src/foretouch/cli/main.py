@@ -7,6 +7,7 @@ Heavy libraries are imported inside `run`, so that `--help` is fast.
 
 import argparse
 import importlib
+import io
 import os
 import signal
 import sys
@@ -39,10 +40,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is not None:
         return _report(list(argv))
     raise_interrupts()
+    _prepare_streams()
     try:
         return _report(sys.argv[1:])
     finally:
         end_at_once()
+
+
+def _prepare_streams() -> None:
+    """Output that works without a terminal, where a stream was closed, and in every locale."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: PLW1514, PTH123, SIM115
+        elif isinstance(stream, io.TextIOWrapper) and name != "stdin":
+            stream.reconfigure(errors="replace")
 
 
 def _report(arguments: list[str]) -> int:
@@ -57,11 +69,19 @@ def _report(arguments: list[str]) -> int:
         number = signal_number(err)
         print(f"foretouch: ended by {signal.Signals(number).name}", file=sys.stderr)
         return 128 + number
-    except BrokenPipeError:
-        # The reader (`| head`) has exited: exit quietly, and keep the interpreter from flushing again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader (`| head`) has exited
+        _discard_output()
         return 0
+    except OSError as err:  # a full disk, a folder that may not be written
+        _discard_output()
+        print(f"foretouch: {err.filename or 'output'}: {os.strerror(err.errno) if err.errno else err}", file=sys.stderr)
+        return 1
     return status
+
+
+def _discard_output() -> None:
+    """Keep the interpreter from writing the rest of stdout at its end, which would fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(arguments: list[str]) -> int:

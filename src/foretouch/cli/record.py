@@ -19,7 +19,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from foretouch.cli.output import print_json, warn
+from foretouch.cli.output import print_json, terminal, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
@@ -221,11 +221,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(status_record(status))
     else:
-        from rich.console import Console
-
-        from foretouch.cli.record import record_panel
-
-        Console().print(record_panel(status, f"foretouch record: {status.path}"))
+        terminal().print(record_panel(status, f"foretouch record: {status.path}"))
     if status.reason:
         warn(status.reason)
     return 1 if status.reason else 0

@@ -6,6 +6,7 @@ Threads: the executor spins in the background, so that the caller's thread is fr
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.errors import ConfigError
 from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import make_nodes
 from foretouch.ros.runtime.environment import start_rclpy
@@ -57,7 +59,7 @@ class Graph:
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
         self._parameters = nodes
-        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": namespace}
+        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
@@ -191,6 +193,13 @@ class Graph:
         for node in self.nodes.values():
             with uninterrupted():
                 node.autostart()
+
+
+def _checked(namespace: str) -> str:
+    """A namespace that ROS accepts, or a `ConfigError`."""
+    if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
+        raise ConfigError(f"namespace: {namespace!r} is not words of letters, digits and _ with / between them")
+    return namespace
 
 
 def _parameters(values: Mapping[str, Any]) -> Sequence[Any]:
