@@ -13,13 +13,13 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import foretouch_node, shared_arguments
+from foretouch_launch_helpers import arguments_are_checked, foretouch_node, shared_arguments
 
 ARGUMENTS = shared_arguments("namespace", "params_file")
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=camera)])
+    return LaunchDescription([*ARGUMENTS, arguments_are_checked(), OpaqueFunction(function=camera)])
 
 
 def camera(context: LaunchContext) -> list[Node]:

@@ -2,9 +2,11 @@
 """What the launch files of foretouch share. It is installed beside them and found through their folder."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -29,6 +31,44 @@ def shared_arguments(*names: str) -> list[DeclareLaunchArgument]:
     ]
 
 
+def arguments_are_checked() -> OpaqueFunction:
+    """Check the values of all arguments; must come before anything that starts a process.
+
+    After an error, launch ends with exit status 1, but forgets the processes of the same launch file: they would stay.
+    """
+    return OpaqueFunction(function=_check_arguments)
+
+
+def _check_arguments(context: LaunchContext) -> None:
+    given = context.launch_configurations
+    for name in ("params_file", "path", "scene"):
+        if given.get(name) and not Path(given[name]).exists():
+            raise RuntimeError(f"{name}: {given[name]} does not exist")
+    if given.get("rviz", "false").lower() in {"true", "1"}:
+        try:
+            get_package_prefix("rviz2")
+        except PackageNotFoundError as err:
+            raise RuntimeError("rviz: the package rviz2 is not installed; install it, or leave rviz:=true out") from err
+    if given.get("model", "default") != "default":
+        _check_model(given["model"])
+
+
+def _check_model(name: str) -> None:
+    try:
+        from foretouch.models.card import read_card
+        from foretouch.models.registry import find_card
+    except ImportError:  # what the nodes need may be in an environment of their own
+        return
+    read_card(find_card(name))
+
+
+def end_with_node(event: Any, context: LaunchContext) -> Shutdown:
+    """End the launch with a process; if that failed, with exit status 1."""
+    if event.returncode and not context.is_shutdown:
+        raise RuntimeError(f"{event.process_name} ended with exit status {event.returncode}")
+    return Shutdown(reason=f"{event.process_name} has ended")
+
+
 def argument_values(context: LaunchContext, *names: str) -> dict[str, str]:
     """Return the values of launch arguments by name."""
     return {name: LaunchConfiguration(name).perform(context) for name in names}
@@ -38,6 +78,8 @@ def foretouch_node(
     context: LaunchContext, name: str, parameters: Mapping[str, str] | None = None, **options: Any
 ) -> Node:
     """Describe one node of foretouch with the namespace and the parameter file of the launch arguments.
+
+    The launch ends with it: the others are of no use alone.
 
     Args:
         context: Holds the arguments.
@@ -52,6 +94,7 @@ def foretouch_node(
         namespace=LaunchConfiguration("namespace"),
         parameters=[*filter(None, [params_file]), *([] if parameters is None else [parameters])],
         output="screen",
+        on_exit=end_with_node,
         **options,
     )
 

@@ -16,7 +16,14 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import SHARE, argument_values, foretouch_node, include, shared_arguments
+from foretouch_launch_helpers import (
+    SHARE,
+    argument_values,
+    arguments_are_checked,
+    foretouch_node,
+    include,
+    shared_arguments,
+)
 
 MODEL_USERS = ("perception", "touch_predictor")
 ARGUMENTS = [
@@ -35,7 +42,7 @@ def generate_launch_description() -> LaunchDescription:
         arguments=["-d", PathJoinSubstitution([SHARE, "config", "foretouch.rviz"])],
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
-    return LaunchDescription([*ARGUMENTS, camera, OpaqueFunction(function=perception), rviz])
+    return LaunchDescription([*ARGUMENTS, arguments_are_checked(), camera, OpaqueFunction(function=perception), rviz])
 
 
 def perception(context: LaunchContext) -> list[Node]:

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import argument_values, foretouch_node, shared_arguments
+from foretouch_launch_helpers import argument_values, arguments_are_checked, foretouch_node, shared_arguments
 
 PARAMETERS = {  # by argument
     "record": "record",
@@ -37,7 +37,7 @@ ARGUMENTS = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=recorder)])
+    return LaunchDescription([*ARGUMENTS, arguments_are_checked(), OpaqueFunction(function=recorder)])
 
 
 def recorder(context: LaunchContext) -> list[Node]:

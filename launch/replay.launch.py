@@ -7,14 +7,14 @@ ros2 launch foretouch replay.launch.py path:=recording/
 import sys
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import foretouch_node, include_perception, shared_arguments
+from foretouch_launch_helpers import arguments_are_checked, foretouch_node, include_perception, shared_arguments
 
 ARGUMENTS = [
     DeclareLaunchArgument("path", description="Recording, cloud file, or folder of clouds or samples"),
@@ -23,10 +23,11 @@ ARGUMENTS = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription([*ARGUMENTS, include_perception(), OpaqueFunction(function=replay)])
+    return LaunchDescription(
+        [*ARGUMENTS, arguments_are_checked(), include_perception(), OpaqueFunction(function=replay)]
+    )
 
 
 def replay(context: LaunchContext) -> list[Node]:
     path = ["-p", ["path:=", LaunchConfiguration("path")]]
-    end = Shutdown(reason="the source was played to its end")
-    return [foretouch_node(context, "replay", ros_arguments=path, on_exit=end)]
+    return [foretouch_node(context, "replay", ros_arguments=path)]

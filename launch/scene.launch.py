@@ -13,7 +13,13 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from foretouch_launch_helpers import argument_values, foretouch_node, include_perception, shared_arguments
+from foretouch_launch_helpers import (
+    argument_values,
+    arguments_are_checked,
+    foretouch_node,
+    include_perception,
+    shared_arguments,
+)
 
 ARGUMENTS = [
     DeclareLaunchArgument("scene", description="Scene file (YAML)"),
@@ -24,7 +30,9 @@ ARGUMENTS = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription([*ARGUMENTS, include_perception(), OpaqueFunction(function=scene)])
+    return LaunchDescription(
+        [*ARGUMENTS, arguments_are_checked(), include_perception(), OpaqueFunction(function=scene)]
+    )
 
 
 def scene(context: LaunchContext) -> list[Node]:

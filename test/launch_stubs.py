@@ -55,11 +55,24 @@ class Node:
         self.node_executable = options["executable"]
 
 
+class PackageNotFoundError(KeyError):
+    pass
+
+
+def get_package_prefix(name: str) -> str:
+    raise PackageNotFoundError(name)
+
+
 def _options(**options: Any) -> SimpleNamespace:
     return SimpleNamespace(**options)
 
 
 _MODULES = {
+    "ament_index_python": {},
+    "ament_index_python.packages": {
+        "PackageNotFoundError": PackageNotFoundError,
+        "get_package_prefix": get_package_prefix,
+    },
     "launch": {
         "LaunchContext": LaunchContext,
         "LaunchDescription": lambda entities: SimpleNamespace(entities=entities),

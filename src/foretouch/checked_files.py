@@ -60,6 +60,23 @@ def require_existing(path: str | Path) -> Path:
     return Path(path)
 
 
+def require_writable(path: str | Path) -> None:
+    """Refuse a file that cannot be written, before the work whose result it is to hold; its folder is created.
+
+    Raises:
+        FileError: If it is a folder, or neither exists nor can be created.
+    """
+    existed = Path(path).exists()
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with Path(path).open("ab"):
+            pass
+        if not existed:
+            Path(path).unlink()
+    except OSError as err:
+        raise FileError(path, f"cannot be written: {err.strerror or err}") from err
+
+
 def read_bytes(path: str | Path, limit: int | None = None) -> bytes:
     """The content of a regular file of at most `limit` bytes.
 

@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One thread of linear algebra per process: sums keep their order, and processes leave the cores to each other."""
+"""Worker processes: one thread of linear algebra each, and no part in the signals of the terminal.
+
+With one thread, sums keep their order, and processes leave the cores to each other.
+"""
 
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Final
+from multiprocessing import active_children, get_context, resource_tracker
+from typing import Any, Final
+
+from foretouch.interrupts import uninterrupted
 
 ONE_THREAD: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment variables of such a process; they are read when NumPy is imported."""
@@ -23,3 +31,39 @@ def one_thread_each() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def process_pool(
+    workers: int, initializer: Callable[..., object] | None = None, initargs: tuple[Any, ...] = ()
+) -> Iterator[ProcessPoolExecutor]:
+    """New processes that do not see Ctrl-C, which the terminal sends to them too, and that end with the context.
+
+    Args:
+        workers: How many.
+        initializer: Called first in each of them; a function of a module.
+        initargs: Its arguments.
+    """
+    before = set(active_children())
+    pool = _Pool(workers, get_context("spawn"), initializer, initargs)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(active_children()) - before:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown()
+
+
+class _Pool(ProcessPoolExecutor):
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Start processes with SIGINT blocked: from their first moment, in which an initializer does not run yet."""
+        with uninterrupted():  # or a process would miss what it is to do
+            resource_tracker.ensure_running()  # it would unblock the signal
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import launch_stubs
@@ -96,6 +98,7 @@ def test_each_node_gets_namespace_parameter_file_and_arguments(name: str, params
         return  # what a node of launch_ros was given is its own affair
     for node, own in zip(nodes, expected.values(), strict=True):
         options = dict(node.options)
+        assert options.pop("on_exit").__name__ == "end_with_node"
         assert options.pop("namespace").perform(context) == "/left"
         parameters = [*([params_file] if params_file else []), *own.get("parameters", [])]
         wanted = {"package": "foretouch", "executable": node.node_executable, "output": "screen", **own}
@@ -121,7 +124,7 @@ def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera
     module, description, context = describe(name, path="recording/", model="m.json", rviz="true")
     if library != "stubs":
         return
-    included = description.entities[len(module.ARGUMENTS)]
+    included = description.entities[len(module.ARGUMENTS) + 1]
     assert included.source.parts[1:] == ["launch", "perception.launch.py"]
     values = {
         key: value if isinstance(value, str) else value.perform(context) for key, value in included.launch_arguments
@@ -129,10 +132,43 @@ def test_a_file_with_its_own_source_of_clouds_includes_the_rest_without_a_camera
     assert values == {"camera": "false", "namespace": "/left", "params_file": "", "model": "m.json", "rviz": "true"}
 
 
-def test_a_replay_plays_the_path_and_ends_the_launch() -> None:
+def test_a_replay_plays_the_path() -> None:
     module, _, context = describe("replay", path="recording/")
     (node,) = module.replay(context)
     assert node.node_executable == "foretouch_replay"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "message"),
+    [
+        ("replay", {"path": "/nope"}, "path: /nope does not exist"),
+        ("scene", {"scene": "/nope.yaml"}, "scene: /nope.yaml does not exist"),
+        ("camera", {"params_file": "/nope.yaml"}, "params_file: /nope.yaml does not exist"),
+        ("perception", {"rviz": "true"}, "rviz: the package rviz2 is not installed"),
+        ("perception", {"model": "nope"}, "nope: is no run folder, no card"),
+        ("perception", {"model": "/nope.json"}, "/nope.json: no such model card"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_anything_is_started(
+    name: str, values: dict[str, str], message: str, library: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if library == "launch" and "rviz" in values:
+        monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)  # where there is no rviz2
+    module, description, context = describe(name, **values)
+    first = description.entities[len(module.ARGUMENTS)]
+    with pytest.raises(Exception, match=re.escape(message)):
+        first.function(context) if library == "stubs" else first.execute(context)
+
+
+def test_a_launch_ends_with_a_node_and_fails_with_it() -> None:
+    describe("replay", path="recording/")
+    end_with_node = sys.modules["foretouch_launch_helpers"].end_with_node
+    ended = SimpleNamespace(returncode=0, process_name="replay-1")
+    assert end_with_node(ended, SimpleNamespace(is_shutdown=False)) is not None
+    failed = SimpleNamespace(returncode=1, process_name="replay-1")
+    with pytest.raises(RuntimeError, match="replay-1 ended with exit status 1"):
+        end_with_node(failed, SimpleNamespace(is_shutdown=False))
+    assert end_with_node(failed, SimpleNamespace(is_shutdown=True)) is not None
 
 
 def test_the_launch_file_of_the_recorder_names_parameters_that_it_has() -> None:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import require_writable
 from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.errors import ConfigError, FileError, ForetouchError
 
@@ -123,6 +124,7 @@ def _show(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.samples import open_samples
     from foretouch.report.touch_figure import save_contact_sheet
 
+    require_writable(arguments.out)
     with open_samples(arguments.source) as samples:
         selected = list(_selected(samples, arguments))
     if not selected:

@@ -7,12 +7,15 @@ Heavy libraries are imported inside `run`, so that `--help` is fast.
 
 import argparse
 import importlib
+import io
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
 from foretouch import __version__
 from foretouch.errors import ForetouchError
+from foretouch.interrupts import end_at_once, raise_interrupts, signal_number
 
 COMMANDS = {
     "segment": "Segment the table and the objects of each cloud",
@@ -34,20 +37,51 @@ COMMANDS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is not None:
+        return _report(list(argv))
+    raise_interrupts()
+    _prepare_streams()
+    try:
+        return _report(sys.argv[1:])
+    finally:
+        end_at_once()
+
+
+def _prepare_streams() -> None:
+    """Output that works without a terminal, where a stream was closed, and in every locale."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: PLW1514, PTH123, SIM115
+        elif isinstance(stream, io.TextIOWrapper) and name != "stdin":
+            stream.reconfigure(errors="replace")
+
+
+def _report(arguments: list[str]) -> int:
+    """Run a command, and print what ended it in one line."""
     try:
         status = _run(arguments)
         sys.stdout.flush()
     except ForetouchError as err:
         print(f"foretouch: {err}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:  # also while modules are imported
-        return 130
-    except BrokenPipeError:
-        # The reader (`| head`) has exited: exit quietly, and keep the interpreter from flushing again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt as err:
+        number = signal_number(err)
+        print(f"foretouch: ended by {signal.Signals(number).name}", file=sys.stderr)
+        return 128 + number
+    except BrokenPipeError:  # the reader (`| head`) has exited
+        _discard_output()
         return 0
+    except OSError as err:  # a full disk, a folder that may not be written
+        _discard_output()
+        print(f"foretouch: {err.filename or 'output'}: {os.strerror(err.errno) if err.errno else err}", file=sys.stderr)
+        return 1
     return status
+
+
+def _discard_output() -> None:
+    """Keep the interpreter from writing the rest of stdout at its end, which would fail again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(arguments: list[str]) -> int:

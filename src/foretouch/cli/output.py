@@ -1,30 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output of the commands: JSON lines or tables on stdout, progress bars and warnings on stderr."""
 
+from __future__ import annotations
+
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foretouch.errors import ForetouchError
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 
 def print_json(record: Mapping[str, Any]) -> None:
     """Print one line on stdout and flush it. Numbers that are not finite become null."""
-    sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=False) + "\n")
+    utf8 = (sys.stdout.encoding or "").lower() in {"utf-8", "utf8"}
+    sys.stdout.write(json.dumps(_plain(record), allow_nan=False, ensure_ascii=not utf8) + "\n")
     sys.stdout.flush()
+
+
+def terminal(*, stderr: bool = False) -> Console:
+    """The terminal, or what stands in for it, as rich draws on it; a closed pipe raises as it does for `print`."""
+    from rich.console import Console
+
+    class Terminal(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # noqa: PLE0704  rich calls this from the handler
+
+    return Terminal(stderr=stderr)
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a title and, if there are rows, a table; the caller formats numbers and units."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = terminal()
     console.print(title, style="bold", highlight=False, markup=False, soft_wrap=True)
     if not rows:
         return
@@ -54,10 +70,9 @@ def progress_bar(
     Yields:
         `update(completed=None, total=None, description=None)`, which advances by one step without `completed`.
     """
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(), "{task.description}")
     with Progress(*columns, console=console, disable=hidden or not console.is_terminal) as bar:
         task = bar.add_task(description, total=total)

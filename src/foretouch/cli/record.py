@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -20,9 +19,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from foretouch.cli.output import print_json, warn
+from foretouch.cli.output import print_json, terminal, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.errors import ForetouchError
+from foretouch.interrupts import uninterrupted
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
 from foretouch.topics import TACTILE_TOPIC
 
@@ -144,7 +144,6 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.recorder import RecorderNode
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the file is closed cleanly
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
     with graph:
         node = graph.nodes["recorder"]
@@ -152,7 +151,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise ForetouchError("the recorder did not start; see its log")
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
-        node.end()
+        with uninterrupted():
+            node.end()
         report_conflicts(graph)
         return _finish(node.status(), arguments)
 
@@ -221,11 +221,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(status_record(status))
     else:
-        from rich.console import Console
-
-        from foretouch.cli.record import record_panel
-
-        Console().print(record_panel(status, f"foretouch record: {status.path}"))
+        terminal().print(record_panel(status, f"foretouch record: {status.path}"))
     if status.reason:
         warn(status.reason)
     return 1 if status.reason else 0

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import four_numbers
-from foretouch.cli.output import print_json, warn
+from foretouch.cli.output import print_json, terminal, warn
 from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
@@ -70,10 +71,12 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from foretouch.ros.graph import Graph
 
+    if arguments.picture:
+        require_writable(arguments.picture)
     nodes = _nodes(arguments)
     monitor: dict[str, Any] = {"with_clouds": arguments.picture is not None, "with_hand": "hand" in nodes}
     if arguments.json:
-        monitor["on_touch"] = _print_answer
+        monitor["on_touch"] = arguments.printer = _Printer()
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
     with graph:
         if not graph.started:
@@ -160,6 +163,8 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     replay, count = graph.replay, arguments.count
 
     def ended() -> bool:
+        if arguments.json and arguments.printer.error is not None:
+            raise arguments.printer.error
         return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
 
     title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
@@ -211,11 +216,9 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
         counts |= {"answers": dict(view.answers), "reasons": dict(view.reasons)}
         print_json(counts | ({"executed": graph.executed()} if "hand" in graph.nodes else {}))
     else:
-        from rich.console import Console
-
         from foretouch.cli.live import live_panel
 
-        Console().print(
+        terminal().print(
             live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
         )
     if arguments.picture:
@@ -255,6 +258,23 @@ def _draw(graph: Graph, path: str) -> None:
         title=title if readings is None else f"{title}; readings of the simulated hand",
     )
     warn(f"wrote {path}")
+
+
+class _Printer:
+    """Prints each answer in the executor's thread.
+
+    Attributes:
+        error: Why it could not, such as that the reader (`| head`) has exited; None if it could.
+    """
+
+    def __init__(self) -> None:
+        self.error: OSError | None = None
+
+    def __call__(self, message: Any) -> None:
+        try:
+            _print_answer(message)
+        except OSError as err:
+            self.error = err
 
 
 def _print_answer(message: Any) -> None:

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import add_input_arguments, pipeline_config, process_inputs
 from foretouch.cli.output import print_table
 from foretouch.errors import ConfigError
@@ -24,8 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud was refused or has no object."""
-    if arguments.labels_out and len(arguments.inputs) > 1:
-        raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
+    if arguments.labels_out:
+        if len(arguments.inputs) > 1:
+            raise ConfigError(f"--labels-out: requires one input, not {len(arguments.inputs)}")
+        require_writable(arguments.labels_out)
     config = pipeline_config(arguments).segmentation
 
     def process(item: SourceItem) -> Iterator[dict[str, Any]]:

@@ -65,9 +65,11 @@ class StoreWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
-            self._end_shard()
             if kind is None:
+                self._end_shard()
                 self._publish()
+        except OSError as err:
+            raise self._unwritable(err) from err
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -85,10 +87,13 @@ class StoreWriter:
         self._content.update(sample_digest(sample))
         self._rows.append(row)
         self.count += 1
-        if len(self._rows) == _BATCH_ROWS:
-            self._end_batch()
-        if self._in_shard == _SHARD_ROWS:
-            self._end_shard()
+        try:
+            if len(self._rows) == _BATCH_ROWS:
+                self._end_batch()
+            if self._in_shard == _SHARD_ROWS:
+                self._end_shard()
+        except OSError as err:  # such as a full disk
+            raise self._unwritable(err) from err
 
     def attach(self, name: str, text: str) -> None:
         """Add a text file beside the shards, such as splits; `Store.verify` checks it too.
@@ -145,6 +150,9 @@ class StoreWriter:
         self._refuse_existing()
         self._folder.chmod(0o755)  # temporary folders are private
         self._folder.rename(self.path)
+
+    def _unwritable(self, err: OSError) -> FileError:
+        return FileError(self.path, f"cannot be written: {os.strerror(err.errno) if err.errno else err}")
 
     def _refuse_existing(self) -> None:
         if self.path.exists():

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.errors import FileError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -28,9 +30,20 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG and return its path."""
-    figure.savefig(path, dpi=_DPI)
+def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
+    """Write a figure in the format of its suffix, usually PNG; its folder is created.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: If the format is unknown, or the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=dpi)
+    except (OSError, ValueError) as err:
+        raise FileError(path, f"cannot be written: {getattr(err, 'strerror', None) or err}") from err
     return path
 
 

@@ -18,6 +18,7 @@ from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPred
 FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}
 _SHEET_COLUMNS = 2  # samples side by side
+_SHEET_DPI = 100
 _SHEET_ROW_INCHES = 2.9
 _LEAST_RANGE_M = 0.4  # of depth, from white to black: otherwise a table seen from above would be black
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
@@ -60,9 +61,7 @@ def save_touch_picture(
         _draw_finger(axes, name, rows, rest, _half_width(prediction, name))
     if prediction.value is None:
         figure.suptitle("\n".join(filter(None, (title, f"not predicted: {prediction.reason}"))))
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return save(figure, path)
+    return save(figure, Path(path))
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
@@ -85,10 +84,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
     for k, sample in enumerate(samples):
         row, column = divmod(k, _SHEET_COLUMNS)
         _draw_sample(list(grid[row, 3 * column : 3 * column + 3]), sample)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
-    return path
+    return save(figure, Path(path), _SHEET_DPI)
 
 
 def _draw_sample(panels: Sequence[Axes], sample: GraspSample) -> None:

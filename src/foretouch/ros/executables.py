@@ -9,16 +9,15 @@ threads of their own would compete for the interpreter's lock. With the paramete
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from foretouch.errors import ForetouchError
-from foretouch.ros.runtime.environment import prepare_environment
+from foretouch.interrupts import end_at_once, raise_interrupts, uninterrupted
+from foretouch.ros.runtime.environment import start_rclpy
 
 if TYPE_CHECKING:
     from foretouch.ros.runtime.lifecycle_node import ForetouchNode
@@ -59,27 +58,29 @@ def run(*names: str, args: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, or 1 after a known error, which is printed in one line on stderr, or if a node has failed.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    raise_interrupts()
     try:
         return _serve(names, list(sys.argv if args is None else args))
     except ForetouchError as err:
         sys.stderr.write(f"foretouch: {err}\n")
         return 1
-    except KeyboardInterrupt:  # while modules were imported or nodes were made
+    except KeyboardInterrupt:  # before or after the nodes were served
         return 0
+    finally:
+        end_at_once()
 
 
 def _serve(names: Sequence[str], arguments: list[str]) -> int:
-    prepare_environment()
+    start_rclpy(arguments)
     import rclpy
-    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        return int(spin(make_nodes(*names)))
+        with uninterrupted():
+            nodes = make_nodes(*names)
+        return int(spin(nodes))
     finally:
-        rclpy.try_shutdown()
+        with uninterrupted():
+            rclpy.try_shutdown()
 
 
 def make_nodes(*names: str, **options: Any) -> list[ForetouchNode[Any]]:
@@ -115,24 +116,20 @@ def spin(nodes: Sequence[ForetouchNode[Any]]) -> bool:
     executor = GraphExecutor(nodes[0].internal_errors)
     try:
         for node in nodes:
-            executor.add_node(node)
-            node.autostart()
+            with uninterrupted():
+                executor.add_node(node)
+                node.autostart()
         spin_on(executor, nodes[0].internal_errors, lambda: all(node.has_ended() for node in nodes), _POLL_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        for node in nodes:
-            node.stop()
-        executor.shutdown(timeout_sec=1.0)
-        for node in nodes:
-            node.destroy_node()
+        with uninterrupted():
+            for node in nodes:
+                node.stop()
+            executor.shutdown(timeout_sec=1.0)
+            for node in nodes:
+                node.destroy_node()
     return any(node.has_failed() for node in nodes)
-
-
-def _interrupt(number: int, _: FrameType | None) -> None:
-    """End the process in order; rclpy's own handler would invalidate the context that the threads still use."""
-    signal.signal(number, signal.SIG_DFL)  # a second signal ends it at once
-    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 def _warn_of_unknown_parameters(nodes: Sequence[ForetouchNode[Any]]) -> None:

@@ -6,6 +6,7 @@ Threads: the executor spins in the background, so that the caller's thread is fr
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -13,8 +14,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from foretouch.errors import ConfigError
+from foretouch.interrupts import uninterrupted
 from foretouch.ros.executables import make_nodes
-from foretouch.ros.runtime.environment import prepare_environment
+from foretouch.ros.runtime.environment import start_rclpy
 
 if TYPE_CHECKING:
     from foretouch.ros.nodes.hand import HandNode
@@ -56,7 +59,7 @@ class Graph:
         monitor: Mapping[str, Any] | None = None,
     ) -> None:
         self._parameters = nodes
-        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": namespace}
+        self._namespace: dict[str, Any] = {} if namespace is None else {"namespace": _checked(namespace)}
         self._arguments = [] if params_file is None else ["--ros-args", "--params-file", str(params_file)]
         self._monitor_options = {} if monitor is None else monitor
         self._thread: threading.Thread | None = None
@@ -66,18 +69,15 @@ class Graph:
         self.monitor: MonitorNode
 
     def __enter__(self) -> Self:
-        prepare_environment()
-        import rclpy
-        from rclpy.signals import SignalHandlerOptions
-
+        start_rclpy(self._arguments)
         from foretouch.ros.nodes.monitor import MonitorNode
         from foretouch.ros.runtime.executor import GraphExecutor
 
-        rclpy.init(args=self._arguments, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
-            self._executor = GraphExecutor(self.monitor.internal_errors)
-            self._executor.add_node(self.monitor)
+            with uninterrupted():
+                self.monitor = MonitorNode(**self._namespace, **self._monitor_options)
+                self._executor = GraphExecutor(self.monitor.internal_errors)
+                self._executor.add_node(self.monitor)
             self._make_nodes()
         except BaseException:
             self.close()
@@ -156,6 +156,10 @@ class Graph:
 
     def close(self) -> None:
         """Stop and destroy all nodes, the last one started first."""
+        with uninterrupted():
+            self._close()
+
+    def _close(self) -> None:
         import rclpy
 
         for node in reversed(self.nodes.values()):
@@ -182,11 +186,20 @@ class Graph:
 
     def _make_nodes(self) -> None:
         for name, parameters in self._parameters.items():
-            (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
-            self.nodes[name] = node
-            self._executor.add_node(node)
+            with uninterrupted():
+                (node,) = make_nodes(name, parameter_overrides=_parameters(parameters), **self._namespace)
+                self.nodes[name] = node
+                self._executor.add_node(node)
         for node in self.nodes.values():
-            node.autostart()
+            with uninterrupted():
+                node.autostart()
+
+
+def _checked(namespace: str) -> str:
+    """A namespace that ROS accepts, or a `ConfigError`."""
+    if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?", namespace, re.ASCII):
+        raise ConfigError(f"namespace: {namespace!r} is not words of letters, digits and _ with / between them")
+    return namespace
 
 
 def _parameters(values: Mapping[str, Any]) -> Sequence[Any]:

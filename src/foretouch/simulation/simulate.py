@@ -9,15 +9,14 @@ number of workers.
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 
 import numpy as np
 
 from foretouch.errors import ConfigError, SimulationError
-from foretouch.processes import one_thread_each
+from foretouch.processes import one_thread_each, process_pool
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.effect import SampleState
 from foretouch.simulation.effects import EFFECTS
@@ -229,7 +228,7 @@ def _work(slots: range) -> _Block:
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:
     """Blocks in order from several processes, a few made ahead of the reader."""
-    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (scene,)) as pool:
+    with one_thread_each(), process_pool(workers, _start_worker, (scene,)) as pool:
         pending: deque[Future[_Block]] = deque()
         try:
             for slots in blocks:
@@ -240,5 +239,3 @@ def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterat
                 yield pending.popleft().result()
         except BrokenProcessPool as err:
             raise SimulationError("a worker process died; with --workers 1 the cause can be seen", "worker") from err
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)

@@ -71,6 +71,15 @@ def test_a_clock_that_is_off_is_noticed_from_the_time_of_reception() -> None:
         assert reason(stream(2, FaultConfig(skew_s=skew)), interval(1)) == "clock_offset"
 
 
+def test_readings_that_a_busy_computer_receives_late_are_not_blamed_on_the_clocks() -> None:
+    readings = stream(2)
+    late = [replace(r, received_ns=r.received_ns + SECOND + k % 7 * SECOND // 10) for k, r in enumerate(readings)]
+    assert reason(late, interval(1)) == "late_readings"
+    steady = [replace(r, received_ns=r.received_ns + SECOND) for r in readings]
+    with pytest.raises(PairingError, match=r"by 1\.\d* s: the clocks differ, or a computer is overloaded"):
+        cut_touch(filled(steady), interval(1), CONFIG)
+
+
 def test_a_tare_neither_reaches_into_the_grasp_before_nor_is_taken_while_something_is_touched() -> None:
     buffer, second = filled(stream(2)), interval(1)
     late = cut_touch(buffer, second, CONFIG, not_before_ns=second.start - 4 * SECOND // 10)

@@ -121,7 +121,7 @@ def cut_touch(
 
     Raises:
         PairingError: `bad_interval`, `short_hold`, `no_tactile`, `no_tare`, `restless_tare`, `pairing_error`,
-            `clock_offset`, `sensor_fault` or `frozen_sensor`.
+            `clock_offset`, `late_readings`, `sensor_fault` or `frozen_sensor`.
     """
     guard, tolerance = _ns(config.guard_s), _ns(config.tolerance_s)
     if not 0 < interval.start <= interval.contact < interval.release:
@@ -142,9 +142,7 @@ def cut_touch(
     error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
-    clock = int(np.min(window.received_ns - window.stamps_ns))
-    if abs(clock) > _ns(config.clock_s):
-        raise PairingError("clock_offset", f"stamps of the sensor differ from the time of reception by {_s(clock)}")
+    clock = _clock_offset_ns(window, config)
     touch, tare = _median(hold), _median(rest)
     _require_working(window, touch, tare)
     onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
@@ -161,6 +159,22 @@ def cut_touch(
         clock_ns=clock,
         flags=_flags(window, onsets),
     )
+
+
+def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
+    """Smallest difference of reception time and stamp [ns].
+
+    The difference is steady where the clocks of two computers differ; where one has too much to do, it varies.
+    """
+    behind = window.received_ns - window.stamps_ns
+    least, most = int(behind.min()), int(behind.max())
+    if abs(least) <= _ns(config.clock_s):
+        return least
+    if least > 0 and most - least > _ns(config.clock_s):
+        text = f"readings were received {_s(least)} to {_s(most)} after their stamps: a computer is overloaded"
+        raise PairingError("late_readings", text)
+    text = f"stamps of the sensor differ from the time of reception by {_s(least)}: the clocks differ"
+    raise PairingError("clock_offset", f"{text}, or a computer is overloaded" if least > 0 else text)
 
 
 def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:

@@ -91,7 +91,7 @@ class SensorHealth:
 
     def _state(self, finger: str) -> str:
         if self._same[finger] >= self._frozen:
-            return f"frozen: the same {self._same[finger] + 1} times"
+            return f"frozen: the same {self._same[finger] + 1} times, or simulated without noise"
         if self._same_pdc[finger] >= self._constant:
             pdc = self._last[finger][0]
             return f"dead: PDC constant at {pdc:g} over {self._same_pdc[finger] + 1} readings"

@@ -8,12 +8,11 @@ one thread, so that sums have a fixed order and cells share the cores.
 from __future__ import annotations
 
 import json
-import multiprocessing
 import socket
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +21,7 @@ from typing import Any, Final
 
 from foretouch.errors import ConfigError, DatasetError, ForetouchError, MissingDependencyError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, find_experiment
-from foretouch.processes import ONE_THREAD, one_thread_each
+from foretouch.processes import ONE_THREAD, one_thread_each, process_pool
 
 LOCAL_CLUSTER: Final = "local"
 """Address that starts a Ray node on this machine for one sweep."""
@@ -140,7 +139,7 @@ def on_ray(job: Job, cells: Sequence[Cell], address: str, workers: int) -> Itera
 def _until_broken(job: Job, queue: deque[Cell], workers: int) -> Generator[CellResult, None, list[Cell]]:
     """Run cells until the queue is empty or a process dies; returns the cells that were running then."""
     running: dict[Future[CellResult], Cell] = {}
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         try:
             while queue or running:
                 while queue and len(running) < workers:  # so that few have to be run again

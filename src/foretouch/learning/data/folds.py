@@ -12,9 +12,7 @@ object
   was recorded on different days.
 """
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -23,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import DatasetError
+from foretouch.processes import process_pool
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 SPLITS: Final = ("random", "time", "object")
@@ -65,8 +64,7 @@ def fold_workers(workers: int) -> Iterator[Mapper]:
     if workers == 1:
         yield map
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+    with process_pool(workers, _one_thread) as pool:
         yield pool.map
 
 

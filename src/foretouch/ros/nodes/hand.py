@@ -37,6 +37,7 @@ from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
 _GRASPING = ("TH", "MF")  # in the order of a course's fingers
+_BEHIND_S = 0.25  # the difference of stamps and reception that grasps are rejected for by default
 _LATE_NS = 1_000_000_000  # messages that are later than this are left out
 _DEPTH = 100
 _POLL_S = 0.01
@@ -113,6 +114,7 @@ class HandNode(ForetouchNode[HandConfig]):
         self._current: _RunningGrasp | None = None
         self._repeats = 0
         self._late = 0
+        self._behind_s = 0.0  # longest since the last report
         self._began = time.monotonic()
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
@@ -172,6 +174,13 @@ class HandNode(ForetouchNode[HandConfig]):
         """Apply new message faults."""
         if self._hand is not None:
             self._faults.config = config.faults
+
+    def warnings(self) -> tuple[str, ...]:
+        """Whether this computer keeps up: the stamps of late readings are older than the readings."""
+        behind_s, self._behind_s = self._behind_s, 0.0
+        if behind_s <= _BEHIND_S:
+            return ()
+        return (f"readings were {behind_s:.1f} s late: the computer is overloaded",)
 
     def notes(self) -> dict[str, str]:
         """Phase of the hand, and counts of grasps and messages."""
@@ -263,7 +272,9 @@ class HandNode(ForetouchNode[HandConfig]):
             due = start + number * period_ns * 1e-9
             if self._stopping.wait(max(0.0, due - time.monotonic())):
                 return
-            missed = int((time.monotonic() - due) / (period_ns * 1e-9))
+            behind_s = time.monotonic() - due
+            self._behind_s = max(self._behind_s, behind_s)
+            missed = int(behind_s / (period_ns * 1e-9))
             if missed * period_ns > _LATE_NS:  # the machine was suspended
                 self._late += missed
                 number += missed

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Environment variables and limits of memory that must be set before NumPy and rclpy are imported.
+"""Environment variables and limits of memory that must be set before NumPy and rclpy are imported, and the start of rclpy.
 
 The user's own are never changed.
 """
@@ -7,8 +7,13 @@ The user's own are never changed.
 import ctypes
 import os
 import sys
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+from foretouch.errors import ConfigError
+from foretouch.interrupts import uninterrupted
 from foretouch.processes import ONE_THREAD
 
 SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
@@ -16,6 +21,7 @@ SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # parameters of glibc's `mallopt`
 _KEPT_MB = {_M_MMAP_THRESHOLD: 32, _M_TRIM_THRESHOLD: 128}  # the former at its maximum
+_PARAMETER_FILE = "NODE: {ros__parameters: {NAME: VALUE}}"
 _PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
@@ -32,6 +38,46 @@ def prepare_environment() -> None:
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     _keep_large_blocks()
+
+
+def start_rclpy(arguments: Sequence[str]) -> None:
+    """Prepare the environment and call `rclpy.init`, without signal handlers.
+
+    Args:
+        arguments: Command line with ROS arguments.
+
+    Raises:
+        ConfigError: If an argument or a parameter file is malformed; rcl's own text names its sources instead of the rule.
+    """
+    prepare_environment()
+    for option, path in pairwise(arguments):
+        if option == "--params-file":
+            _check_parameter_file(path)
+    import rclpy
+    from rclpy._rclpy_pybind11 import RCLError
+    from rclpy.signals import SignalHandlerOptions
+
+    with uninterrupted():
+        try:
+            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        except (RCLError, ValueError) as err:
+            rclpy.try_shutdown()
+            raise ConfigError(f"ROS arguments: {' '.join(str(err).split())}") from err
+
+
+def _check_parameter_file(path: str) -> None:
+    from foretouch.config import load_yaml
+
+    for name, value in load_yaml(path).items():
+        if not isinstance(value, Mapping) or not _holds_parameters(value):
+            raise ConfigError(f"{path}: {name}: holds no ros__parameters; a parameter file is {_PARAMETER_FILE}")
+
+
+def _holds_parameters(node: Mapping[str, Any]) -> bool:
+    """Whether the parameters of a node, or of nodes in a namespace, follow."""
+    parameters = node.get("ros__parameters")
+    below = [value for value in node.values() if isinstance(value, Mapping)]
+    return isinstance(parameters, Mapping) if "ros__parameters" in node else any(map(_holds_parameters, below))
 
 
 def _keep_large_blocks() -> None:
