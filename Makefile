@@ -36,7 +36,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute)"
-	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,test,dev]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from setuptools import Extension, setup
 
-NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "perception")
+NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "bridge", "perception")
 
 # Optional: without a C compiler the package installs all the same, and runs NumPy instead (`foretouch doctor` says so).
 KERNEL_FILES = sorted(Path("src/foretouch/kernels").glob("*.[ch]"))

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from websocket_client import WebSocketClient
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
@@ -159,3 +160,30 @@ def test_without_a_camera_it_says_what_it_waits_for_and_ends_with_a_status_of_it
     assert "no RealSense device" in lines[-1], lines
     assert "no cloud came from the camera" in rest
     assert "Traceback" not in "".join(lines) + rest
+
+
+def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environment: dict[str, str]) -> None:
+    pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
+    for k in range(40):
+        image = random_scene(np.random.default_rng(k % 2), width=212, height=120, n_objects=1).render()
+        write_cloud(tmp_path / f"{k + 10}.npz", image.cloud())
+    words = ("run", "--source", tmp_path, "--rate", 5, "--serve", "127.0.0.1:0", "--json")
+    command = [sys.executable, "-m", "foretouch.cli.main", *map(str, words)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        assert process.stderr is not None
+        line = next(line for line in process.stderr if "serving at ws://127.0.0.1:" in line and "open it" in line)
+        with WebSocketClient(line.split()[3].rstrip(":")) as client:
+            client.subscribe("/foretouch/touch")
+            assert client.next_data().topic == "/foretouch/touch"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("address", ["8765", "localhost:", "127.0.0.1:99999", "127.0.0.1:x"])
+def test_an_address_to_serve_at_is_checked(address: str, environment: dict[str, str]) -> None:
+    status, _, err = _run(environment, "run", "--source", "none", "--serve", address)
+    assert status == 2
+    assert f"{address!r} is not HOST:PORT, such as 127.0.0.1:8765" in err

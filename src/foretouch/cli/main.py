@@ -30,6 +30,7 @@ COMMANDS = {
     "run": "Run the whole ROS graph in one terminal",
     "record": "Record grasps and tactile readings to a dataset",
     "replay": "Replay a recording or a folder of clouds to the ROS graph",
+    "view": "Show clouds, grasps and predicted touch in Rerun",
     "models": "List and verify touch models",
     "doctor": "Check dependencies and print the fixes",
 }

@@ -7,16 +7,18 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, terminal, warn
-from foretouch.errors import ForetouchError
+from foretouch.errors import ForetouchError, MissingDependencyError
 
 if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
+    from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.replay import ReplayNode
 
 
@@ -28,6 +30,8 @@ _LONGEST_GRASP_S = 10.0
 _TOLERANCE_M = 0.1  # between the middle of a scene's object and its visible part
 _WAITING_S = 5.0  # between two lines about a camera that sends nothing
 _NO_CLOUDS = 3  # exit status where the camera never sent a cloud
+_SERVED = ("127.0.0.1", 8765)
+_MOST_PORTS = 65535
 _TIMEOUTS = {"camera.timeouts.stall_s": 5.0, "camera.timeouts.reopen_s": 20.0}  # a busy computer renders slowly
 
 
@@ -60,8 +64,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")
     parser.add_argument(
+        "--serve",
+        type=_address,
+        nargs="?",
+        const=_SERVED,
+        metavar="HOST:PORT",
+        help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
     )
+
+
+def _address(text: str) -> tuple[str, int]:
+    """`HOST:PORT` for argparse."""
+    host, colon, port = text.rpartition(":")
+    if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
+    return host.removeprefix("[").removesuffix("]"), int(port)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -84,6 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{n}: {node.state_name}" for n, node in graph.nodes.items() if node.state_name != "active"
             )
             raise ForetouchError(f"a node did not start; see its log ({states})")
+        if arguments.serve is not None:
+            warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
         complete = _watch(graph, arguments)
         return _finish(graph, arguments, complete=complete)
 
@@ -98,6 +120,10 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if arguments.model:
         read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
         nodes["touch_predictor"]["model"] = str(arguments.model)
+    if arguments.serve is not None:
+        if find_spec("foxglove") is None:
+            raise MissingDependencyError("the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
+        nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     if arguments.source == "camera":
         nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
         return nodes

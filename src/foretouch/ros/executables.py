@@ -31,6 +31,7 @@ NODES = {
     "replay": "foretouch.ros.nodes.replay:ReplayNode",
     "hand": "foretouch.ros.nodes.hand:HandNode",
     "recorder": "foretouch.ros.nodes.recorder:RecorderNode",
+    "bridge": "foretouch.ros.nodes.bridge:BridgeNode",
 }
 """Module and class of each node by name."""
 

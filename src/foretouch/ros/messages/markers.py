@@ -13,7 +13,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.grasp.pose import PARALLEL_SINE
+from foretouch.grasp.fingertip import fingertip_rotation
 from foretouch.ros.messages.conversions import interval_text, point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp
@@ -23,7 +23,6 @@ _LIFETIME = Duration(sec=1)
 _CONTACT_M = 0.012  # diameter of a contact's sphere
 _AXIS_M = 0.06  # length of the hand's axes
 _ELECTRODE_M = 0.003
-_LEAST_M = 1e-12  # from the midpoint to a contact; shorter vectors have no certain direction
 _TARGET = ColorRGBA(r=0.2, g=0.8, b=0.3, a=0.35)
 _FLAGGED = ColorRGBA(r=1.0, g=0.8, b=0.1, a=1.0)
 _OTHER = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.25)
@@ -75,30 +74,6 @@ def touch_markers(
     markers.append(_electrodes(header, "middle_finger", grasp, finger, prediction.e_mf, ranges.of("E_MF")))
     markers.append(_text(prediction, grasp, touches))
     return MarkerArray(markers=markers)
-
-
-def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
-    """Orientation in which a fingertip is drawn: its pad faces the other contact, its tip points away from the camera.
-
-    The true orientation depends on the hand; P2's data hold contacts only.
-
-    Args:
-        grasp: The grasp.
-        contact: (3,) float64, its g1 or g2 [m].
-
-    Returns:
-        (3, 3) float64, columns x (along the finger), y, z (away from the pad) in the cloud's frame.
-    """
-    z = contact - grasp.midpoint
-    if np.linalg.norm(z) < _LEAST_M:  # a hand that is closed
-        z = grasp.rotation[:, 2] if np.array_equal(contact, grasp.g1) else -grasp.rotation[:, 2]
-    z = z / np.linalg.norm(z)
-    across = grasp.rotation - np.outer(z, z @ grasp.rotation)  # the hand's axes, each without its part along z
-    x = across[:, 0] if np.linalg.norm(across[:, 0]) > PARALLEL_SINE else across[:, 1]
-    x = x / np.linalg.norm(x)
-    if x @ grasp.midpoint < 0.0:  # the camera is at the origin
-        x = -x
-    return np.column_stack([x, np.cross(z, x), z])
 
 
 def _electrodes(

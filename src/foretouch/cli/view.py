@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch view`: show clouds, grasps, predicted touch and readings in Rerun."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch.cli import inputs
+from foretouch.cli.output import progress_bar, warn
+from foretouch.cli.predict import add_adaptation_arguments
+from foretouch.errors import ConfigError, FileError, ForetouchError
+
+if TYPE_CHECKING:
+    from foretouch.cli.predict import Adaptation
+    from foretouch.dataset.record import SampleRecord
+    from foretouch.dataset.source import SourceItem
+    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.report.rerun_view import Shown
+    from foretouch.types import Cloud, Grasp, GraspSample, Plane, TouchPrediction
+
+
+_ANSWERS = (".json", ".jsonl")
+_CANDIDATES = 10  # grasps that are planned on each cloud
+_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "path",
+        metavar="PATH",
+        help="a cloud, a folder of clouds, a dataset, a recording, or the answers of `predict --json` or `run --json` (.json, .jsonl)",
+    )
+    parser.add_argument(
+        "--data", metavar="PATH", help="clouds and readings to show with answers: what they were given for"
+    )
+    parser.add_argument("--save", type=Path, metavar="F.rrd", help="write a file for Rerun instead of opening a window")
+    parser.add_argument("--screenshot", type=Path, metavar="F.png", help="draw a picture instead of opening a window")
+    parser.add_argument(
+        "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds, samples or answers"
+    )
+    parser.add_argument("--topic", help="point cloud topic of a recording")
+    parser.add_argument("--config", metavar="YAML", help="pipeline settings")
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="override one pipeline setting")
+    inputs.add_plan_arguments(parser)
+    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
+    add_adaptation_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status 1 if a cloud could not be read."""
+    from foretouch.checked_files import require_existing
+    from foretouch.report.rerun_view import open_viewer, save_screenshot, write_view
+
+    path = require_existing(arguments.path)
+    steps = _Steps(arguments)
+    made = steps.of_answers(path) if path.suffix in _ANSWERS and path.is_file() else steps.of_source(arguments.path)
+    with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
+        file = arguments.save or Path(folder) / "view.rrd"
+        with progress_bar("reading", arguments.count) as advance:
+            write_view(file, _counted(itertools.islice(made, arguments.count), advance), f"foretouch view {path}")
+        if arguments.screenshot:
+            save_screenshot(file, arguments.screenshot)
+        if not (arguments.save or arguments.screenshot):
+            open_viewer(file)
+    for written in filter(None, (arguments.save, arguments.screenshot)):
+        warn(f"wrote {written}")
+    return int(steps.failed)
+
+
+def _counted(steps: Iterator[Shown], advance: Any) -> Iterator[Shown]:
+    for step in steps:
+        advance()
+        yield step
+
+
+class _Steps:
+    """Makes the steps of the view.
+
+    Args:
+        arguments: Of the command.
+
+    Attributes:
+        failed: Whether an input could not be read.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        from foretouch.pipeline import Pipeline
+
+        changes = {"model": arguments.model} if arguments.model else {}
+        self.failed = False
+        self._arguments = arguments
+        self._pipeline: Pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
+        self._adaptation: Adaptation | None = None
+
+    def of_source(self, path: str) -> Iterator[Shown]:
+        """A step for each cloud or sample, with the touch that the model predicts now."""
+        from foretouch.cli.predict import read_adaptation
+        from foretouch.dataset.source import open_source
+
+        source = open_source(path, topic=self._arguments.topic)
+        self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
+        if source.kind == "samples":
+            yield from self._of_samples(path)
+            return
+        for item in source:
+            try:
+                yield self._of_cloud(item, stamped=source.kind == "recording")
+            except ForetouchError as err:
+                self._refuse(item.name, err)
+
+    def _of_samples(self, path: str) -> Iterator[Shown]:
+        """The samples of a dataset that the operator has not discarded."""
+        from foretouch.dataset.record import DISCARDED
+        from foretouch.dataset.samples import open_samples
+
+        with open_samples(path, unfinished=True) as samples:
+            for k in range(len(samples)):
+                try:
+                    record = samples.record(k)
+                    if DISCARDED not in record.flags:
+                        yield self._of_sample(record)
+                except ForetouchError as err:
+                    self._refuse(samples.name(k), err)
+
+    def of_answers(self, path: Path) -> Iterator[Shown]:
+        """A step for each answer, in their order where no clouds are given, else in the order of these."""
+        records = [one for one in _read_answers(path) if "predictions" in one or "status" in one]
+        if not records:
+            raise FileError(path, "holds no answers of `predict --json` or `run --json`")
+        if self._arguments.data is None:
+            for record in records:
+                yield self._of_answer(record, self._own_cloud(record))
+            return
+        by_key: dict[str | int, list[dict[str, Any]]] = {}
+        for record in records:
+            by_key.setdefault(_key(record), []).append(record)
+        yield from self._matched(by_key)
+        if by_key:
+            warn(f"{path}: {sum(map(len, by_key.values()))} answers belong to nothing in {self._arguments.data}")
+            self.failed = True
+
+    def _matched(self, by_key: dict[str | int, list[dict[str, Any]]]) -> Iterator[Shown]:
+        """Steps of the answers to the clouds of --data; those are taken out of the mapping."""
+        from foretouch.dataset.source import open_source
+
+        for item in open_source(self._arguments.data, topic=self._arguments.topic):
+            try:
+                keys = [item.name, *([item.sample.id] if item.sample is not None else [item.cloud.stamp_ns])]
+            except ForetouchError as err:
+                self._refuse(item.name, err)
+                continue
+            for key in keys:
+                for record in by_key.pop(key, []):
+                    yield self._of_answer(record, item)
+
+    def _refuse(self, name: str, err: ForetouchError) -> None:
+        self.failed = True
+        warn(str(err) if name in str(err) else f"{name}: {err}")
+
+    def _of_cloud(self, item: SourceItem, *, stamped: bool) -> Shown:
+        from foretouch.report.rerun_view import Shown
+
+        cloud = item.cloud
+        found = self._found(cloud)
+        target = found.pop("target")
+        shown = {"name": item.name, "cloud": cloud, "stamp_ns": cloud.stamp_ns if stamped else 0, **found}
+        if target is None:
+            return Shown(**shown)
+        plan = self._pipeline.plan(target)
+        if not plan.grasps:
+            return Shown(**shown, reason=f"{plan.status}: {plan.reason}")
+        prediction = self._predict(target, plan.grasps[0], None)
+        return Shown(**shown, **self._predicted(prediction), candidates=plan.grasps[1:])
+
+    def _of_sample(self, record: SampleRecord) -> Shown:
+        from foretouch.pipeline import FoundObject
+        from foretouch.report.rerun_view import Shown
+
+        sample = record.sample
+        table = self._table()
+        prediction = self._predict(FoundObject("1", sample.cloud, table), sample.grasp, sample)
+        return Shown(
+            name=sample.id,
+            cloud=sample.cloud,
+            table=table,
+            **self._predicted(prediction),
+            candidates=record.candidates,
+            read=sample.touch,
+            tare=sample.tare,
+            stamp_ns=sample.stamp_ns,
+        )
+
+    def _predict(self, target: FoundObject, grasp: Grasp, sample: GraspSample | None) -> TouchPrediction:
+        assert self._adaptation is not None  # noqa: S101  made before the first cloud
+        (prediction,) = self._adaptation.predict(self._pipeline, target, [grasp], sample)
+        return prediction
+
+    def _predicted(self, prediction: TouchPrediction) -> dict[str, Any]:
+        return {"grasp": prediction.grasp, "prediction": prediction, "model": self._pipeline.model.name}
+
+    def _table(self) -> Plane:
+        """The table of a cloud that holds an object alone."""
+        from foretouch.types import ASSUMED_TABLE, Plane
+
+        plane = self._arguments.plane
+        return ASSUMED_TABLE if plane is None else Plane.from_coefficients(plane)
+
+    def _found(self, cloud: Cloud) -> dict[str, Any]:
+        """Table, objects and target of a cloud, as `predict` finds them; the target is first."""
+        from foretouch.pipeline import FoundObject
+
+        if self._arguments.plane is not None or not (self._arguments.scene or cloud.organised):
+            target = FoundObject("1", cloud, self._table())
+            return {"table": target.plane, "target": target}
+        scene = self._pipeline.segment(cloud)
+        objects = {one.id: one.cloud for one in scene.targets[:1]}
+        objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
+        found: dict[str, Any] = {"table": scene.segmentation.plane, "objects": objects}
+        if not scene.targets:
+            return {**found, "target": None, "reason": f"{scene.status}: {scene.reason}"}
+        return {**found, "target": scene.targets[0]}
+
+    def _own_cloud(self, record: Mapping[str, Any]) -> SourceItem | None:
+        """The cloud file that an answer names, if it is still there."""
+        from foretouch.cloud.io.files import CLOUD_SUFFIXES
+        from foretouch.dataset.source import open_source
+
+        path = Path(str(record.get("input", "")))
+        if path.suffix.lower() not in CLOUD_SUFFIXES or not path.is_file():
+            return None
+        return next(iter(open_source(path)))
+
+    def _of_answer(self, record: Mapping[str, Any], item: SourceItem | None) -> Shown:
+        from foretouch.report.rerun_view import Shown
+
+        shown: dict[str, Any] = {
+            "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
+            "stamp_ns": int(record.get("stamp_ns") or 0),
+            "model": _model_name(record),
+            "reason": str(record.get("reason", "")),
+        }
+        try:
+            if item is not None:
+                shown |= self._seen(item)
+            predictions = [_prediction(one) for one in record.get("predictions", ())]
+        except ForetouchError as err:
+            self._refuse(shown["name"], err)
+            return Shown(**shown)
+        if predictions:
+            shown |= {"grasp": predictions[0].grasp, "prediction": predictions[0]}
+            shown["candidates"] = [one.grasp for one in predictions[1:]]
+        return Shown(**shown)
+
+    def _seen(self, item: SourceItem) -> dict[str, Any]:
+        """Cloud, table and reading of an answer."""
+        sample = item.sample
+        if sample is not None:
+            seen = {"cloud": sample.cloud, "table": self._table(), "read": sample.touch, "tare": sample.tare}
+            return {**seen, "stamp_ns": sample.stamp_ns}
+        found = self._found(item.cloud)
+        return {"cloud": item.cloud, "table": found["table"], "objects": found.get("objects")}
+
+
+def _key(record: Mapping[str, Any]) -> str | int:
+    """What an answer is matched with: its sample, its input, or the stamp of its cloud [ns]."""
+    return str(record.get("sample") or record.get("input") or "") or int(record.get("stamp_ns") or 0)
+
+
+def _read_answers(path: Path) -> list[dict[str, Any]]:
+    """The JSON objects of a file, one a line."""
+    from foretouch.checked_files import TEXT_LIMIT, open_regular
+
+    with open_regular(path) as file:
+        text = file.read(TEXT_LIMIT + 1)
+    if len(text) > TEXT_LIMIT:
+        raise FileError(path, f"is larger than {TEXT_LIMIT} bytes")
+    records = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            record = json.loads(line)
+        except (ValueError, RecursionError) as err:
+            raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
+        if not isinstance(record, dict):
+            raise FileError(path, "is no JSON object", field=f"line {number}")
+        records.append(record)
+    return records
+
+
+def _model_name(record: Mapping[str, Any]) -> str:
+    model = record.get("model")
+    return str(model.get("name", "")) if isinstance(model, dict) else ""
+
+
+def _prediction(record: Any) -> TouchPrediction:
+    """A prediction from the JSON of `predict` and `run`.
+
+    Raises:
+        ConfigError: Names the field that is missing or wrong.
+    """
+    import numpy as np
+
+    from foretouch.types import Grasp, Touch, TouchPrediction
+
+    try:
+        field = "grasp"
+        score = record["grasp"].get("score")
+        grasp = Grasp(
+            np.array(record["grasp"]["g1"], np.float64),
+            np.array(record["grasp"]["g2"], np.float64),
+            np.array(record["grasp"]["rotation"], np.float64).reshape(3, 3),
+            score=float("nan") if score is None else float(score),
+        )
+        touches: dict[str, Touch | None] = {}
+        for end in ("value", "lower", "upper"):
+            parts = []
+            for field in _MODALITIES:
+                part = record[field][end]
+                parts.append(None if part is None else np.atleast_1d(np.array(part, np.float64)))
+            known = [part for part in parts if part is not None]
+            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(_MODALITIES) else None
+        field = "status"
+        return TouchPrediction(
+            grasp,
+            touches["value"],
+            touches["lower"],
+            touches["upper"],
+            reference=record["reference"],
+            flags=tuple(record["flags"]),
+            status=record["status"],
+            reason=record["reason"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        raise ConfigError(
+            f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
+        ) from err

@@ -1,0 +1,531 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write clouds, grasps, predictions and readings as a Rerun recording (`.rrd`), and show one.
+
+    /scene/cloud, table, objects, candidates        what the camera saw and what was found in it
+    /scene/hand, thumb, middle_finger               the pose of the hand, and both fingertips at their contacts
+    /electrodes/TH, MF                              the electrodes unrolled from the core, predicted beside read
+    /touch/PDC_TH, PDC_MF, E_TH/01 ... E_MF/24      value, bounds and reading over time [counts]
+    /answer                                         the same as text, with flags and reasons
+
+Rerun is started with its usage statistics turned off, in a configuration folder of its own, and listens on 127.0.0.1 alone.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.simulation.contact.pad import PadConfig
+from foretouch.tactile import electrode_normals, electrode_positions
+from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
+
+FINGERS: Final = {"TH": "thumb", "MF": "middle finger"}  # in the order of g1, g2
+
+_PAD: Final = PadConfig()
+_COLOURS: Final = {"TH": (209, 73, 91), "MF": (0, 121, 140)}
+_TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
+_CANDIDATE: Final = (120, 120, 120)
+_TABLE: Final = (120, 128, 140, 255)
+_QUAD: Final = ((0, 1, 2), (0, 2, 3))
+_CURVES: Final = {"predicted": "predicted", "lower": "90 % interval", "upper": "90 % interval", "read": "read"}
+_BOUND: Final = ((170, 140, 90), 1.5)
+_LINES: Final = {"predicted": ((230, 150, 0), 2.5), "lower": _BOUND, "upper": _BOUND, "read": ((90, 140, 255), 3.0)}
+_STEPS_A_SECOND: Final = 5.0  # when played
+_MARKDOWN: Final = "text/markdown"
+_MAX_POINTS: Final = 60_000  # of a cloud; more make a file large and the view no better
+_POINT_M: Final = 0.0008
+_AXIS_M: Final = 0.06
+_LEAST_SIZE_M: Final = 0.1  # of what is looked at
+_TABLE_MARGIN_M: Final = 0.05  # around what was seen
+_GAP_MM: Final = 28.0  # between the unrolled electrodes predicted and read
+_MM_A_DEGREE: Final = 0.15  # about the core, whose radius is 8 mm
+_STATISTICS_OFF_S: Final = 30.0
+_SCREENSHOT_S: Final = 120.0
+_SETTLED_S: Final = 1.0  # until what was loaded is drawn
+_POLL_S: Final = 0.1
+_NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shown:
+    """One step of the time line: a cloud, what was found in it, and one grasp."""
+
+    name: str  # of the input
+    cloud: Cloud | None = None  # as the camera saw it; None if it is not known
+    table: Plane | None = None  # in the cloud's frame
+    objects: Mapping[str, Cloud] | None = None  # by id; the first is the target
+    grasp: Grasp | None = None  # whose touch is predicted or was read
+    candidates: Sequence[Grasp] = ()  # the other planned grasps
+    prediction: TouchPrediction | None = None  # for `grasp`
+    model: str = ""  # that predicted
+    read: Touch | None = None  # of the executed grasp [counts]
+    tare: Touch | None = None  # reading without contact [counts]
+    stamp_ns: int = 0  # time of the cloud [ns]; 0 if it is not known
+    reason: str = ""  # why there is no prediction
+
+
+def write_view(path: Path, steps: Iterable[Shown], title: str) -> int:
+    """Write a Rerun recording with a layout; returns the number of steps.
+
+    Args:
+        path: Path of the `.rrd` file; replaced when the recording is complete.
+        steps: In order; each is written before the next one is asked for.
+        title: Name of the recording.
+
+    Raises:
+        FileError: If the file cannot be written.
+        ForetouchError: If there is no step.
+        MissingDependencyError: If Rerun is not installed.
+    """
+    rerun = _rerun()
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.open("wb").close()
+    except OSError as err:
+        raise FileError(path, err.strerror or str(err)) from err
+    try:
+        recording = rerun.RecordingStream("foretouch")
+        recording.save(part)
+        recording.send_recording_name(title)
+        written = _Writer(rerun, recording).write(steps)
+        recording.flush()
+        recording.disconnect()
+        if not written:
+            raise ForetouchError(f"{title}: there is nothing to show")
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    return written
+
+
+def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 1000)) -> None:
+    """Draw the first step of a Rerun recording to a PNG, without a window.
+
+    Raises:
+        FileError: If the file cannot be written.
+        ForetouchError: If Rerun draws nothing.
+        MissingDependencyError: If Rerun or a graphics driver (Vulkan) is not installed.
+    """
+    with _viewer_environment() as environment, tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
+        printed, drawn = Path(folder) / "printed.txt", Path(folder) / "drawn.png"
+        port = _free_port()
+        command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
+        with printed.open("wb") as output:
+            viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
+        try:
+            _draw(viewer, port, drawn)
+        finally:
+            viewer.kill()
+            viewer.wait()
+        if not drawn.is_file():
+            raise _not_drawn(printed.read_text(encoding="utf-8", errors="replace"))
+        try:
+            path.write_bytes(drawn.read_bytes())
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+
+
+def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
+    """Wait until a viewer has loaded its recording, and let it draw; without a file if it ended or took too long."""
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + _SCREENSHOT_S
+    client: ViewerClient | None = None
+    while viewer.poll() is None and time.monotonic() < end:
+        with suppress(RuntimeError, ConnectionError, ValueError):  # until it answers
+            client = client or ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            state = client.get_state()
+            if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
+                client.set_time("step", sequence=0, play_state="paused")
+                time.sleep(_SETTLED_S)
+                client.save_screenshot(str(path))
+                return
+        time.sleep(_POLL_S)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def open_viewer(recording: Path) -> None:
+    """Show a Rerun recording in a window, and wait until it is closed.
+
+    Raises:
+        ForetouchError: If the viewer ends with an error, as it does without a display.
+        MissingDependencyError: If Rerun is not installed.
+    """
+    with _viewer_environment() as environment:
+        done = subprocess.run(  # noqa: S603  Rerun's own viewer
+            [*_viewer(), recording], env=environment, stderr=subprocess.PIPE, text=True, errors="replace", check=False
+        )
+    if done.returncode:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        cause = next((line for line in lines if line.startswith("Error")), lines[0] if lines else "no message")
+        raise ForetouchError(f"Rerun cannot open a window ({cause}): write a file with --save F.rrd instead")
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as err:
+        raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'") from err
+    return rerun
+
+
+def _viewer(port: int | None = None) -> list[str | Path]:
+    """The command that starts Rerun's viewer, which else would listen on all addresses."""
+    found = find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'")
+    return [Path(found.origin).with_name("rerun"), "--bind", "127.0.0.1", "--port", str(port or "auto")]
+
+
+@contextmanager
+def _viewer_environment() -> Iterator[dict[str, str]]:
+    """Variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
+    with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
+        environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
+        done = subprocess.run(  # noqa: S603  Rerun's own viewer
+            [_viewer()[0], "analytics", "disable"],
+            env=environment,
+            capture_output=True,
+            check=False,
+            timeout=_STATISTICS_OFF_S,
+        )
+        if done.returncode:
+            raise ForetouchError("Rerun cannot turn its usage statistics off, so it is not started")
+        yield environment
+
+
+def _not_drawn(output: str) -> ForetouchError:
+    """The error for a viewer that has drawn nothing, from what it printed."""
+    if any(text in output for text in _NO_GRAPHICS):
+        return MissingDependencyError(
+            "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
+        )
+    causes = [line.strip() for line in output.splitlines() if "panicked" in line or "ERROR" in line]
+    cause = causes[0] if causes else f"nothing was loaded within {_SCREENSHOT_S:.0f} s"
+    return ForetouchError(f"--screenshot: Rerun has drawn nothing: {cause}")
+
+
+class _Writer:
+    """Writes clouds one by one, and at the end, in columns, what is small or needs all steps."""
+
+    def __init__(self, rerun: Any, recording: Any) -> None:
+        self._rr = rerun
+        self._to = recording
+        self._steps: list[Shown] = []  # without their clouds
+        self._present: set[str] = set()
+        self._eye: tuple[Float64, float] | None = None  # what to look at first, and its size [m]
+
+    def write(self, steps: Iterable[Shown]) -> int:
+        rr = self._rr
+        self._to.set_log_time_enabled(False)
+        self._to.log("/scene", rr.ViewCoordinates.RDF, static=True)
+        for number, step in enumerate(steps):
+            self._to.set_time("step", sequence=number)
+            if step.stamp_ns > 0:
+                self._to.set_time("time", timestamp=np.datetime64(step.stamp_ns, "ns"))
+            else:
+                self._to.disable_timeline("time")
+            self._scene(step)
+            self._steps.append(replace(step, cloud=None, objects=None))
+        if self._steps:
+            texts = rr.TextDocument.columns(
+                text=list(map(_text, self._steps)), media_type=[_MARKDOWN] * len(self._steps)
+            )
+            self._send("/answer", texts)
+            self._hands()
+            self._electrodes()
+            shown = {name: self._curves(name) for name in FINGERS}
+            self._to.send_blueprint(_layout(shown, self._eye), make_active=True, make_default=True)
+        return len(self._steps)
+
+    def _send(self, path: str, columns: Any, steps: Sequence[int] | None = None) -> None:
+        """Write one row for each of the steps (all, if None are named)."""
+        rr = self._rr
+        numbers = range(len(self._steps)) if steps is None else steps
+        times = [rr.TimeColumn("step", sequence=numbers)]
+        stamps = [self._steps[k].stamp_ns for k in numbers]
+        if min(stamps) > 0:
+            times.append(rr.TimeColumn("time", timestamp=np.array(stamps, "datetime64[ns]")))
+        self._to.send_columns(path, times, columns)
+
+    def _log(self, path: str, content: Any) -> None:
+        """Write what is at a path from this step on; None clears it."""
+        if content is not None:
+            self._present.add(path)
+            self._to.log(path, content)
+        elif path in self._present:
+            self._present.remove(path)
+            self._to.log(path, self._rr.Clear(recursive=True))
+
+    def _scene(self, step: Shown) -> None:
+        rr = self._rr
+        points, colours = _points(step.cloud)
+        if self._eye is None and len(points):
+            self._eye = _point_of_interest(step, points)
+        cloud = rr.Points3D(points, colors=colours, radii=_POINT_M) if len(points) else None
+        self._log("/scene/cloud", cloud)
+        self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
+        table = None
+        if step.table is not None and len(points):
+            corners = table_corners(step.table, points)
+            table = rr.Mesh3D(vertex_positions=corners, triangle_indices=_QUAD, albedo_factor=_TABLE)
+        self._log("/scene/table", table)
+        lines = [[one.g1, one.g2] for one in step.candidates]
+        self._log("/scene/candidates", rr.LineStrips3D(lines, colors=_CANDIDATE, radii=0.0004) if lines else None)
+
+    def _boxes(self, objects: Mapping[str, Cloud]) -> Any:
+        bounds = [(one.xyz.min(axis=0), one.xyz.max(axis=0)) for one in objects.values()]
+        return self._rr.Boxes3D(
+            centers=[(low + high) / 2.0 for low, high in bounds],
+            half_sizes=[(high - low) / 2.0 for low, high in bounds],
+            colors=[_OTHER if k else _TARGET for k in range(len(bounds))],
+            labels=[f"object {name}" for name in objects],
+            show_labels=len(bounds) > 1,
+        )
+
+    def _hands(self) -> None:
+        """The pose of the hand, and both fingertips with their skin at the contacts."""
+        rr = self._rr
+        found = [k for k, step in enumerate(self._steps) if step.grasp is not None]
+        grasps = [grasp for step in self._steps if (grasp := step.grasp) is not None]
+        if not grasps:
+            return
+        there = [int(step.grasp is not None) for step in self._steps]  # one hand in a step, or none
+        poses = [(grasp.midpoint, grasp.rotation) for grasp in grasps]
+        self._poses("/scene/hand", found, poses)
+        self._send("/scene/hand", rr.TransformAxes3D.columns(axis_length=[_AXIS_M * one for one in there]))
+        ends = [(np.stack([one.g1, one.g2]) - one.midpoint) @ one.rotation for one in grasps]
+        self._send("/scene/hand/line", rr.LineStrips3D.columns(strips=ends).partition(there))
+        self._to.log("/scene/hand/line", rr.LineStrips3D.from_fields(radii=0.0006), static=True)
+        for name, finger in FINGERS.items():
+            path = _path(finger)
+            self._poses(path, found, [fingertip_pose(one, one.g1 if name == "TH" else one.g2) for one in grasps])
+            skin = rr.Ellipsoids3D.columns(half_sizes=[_PAD.skin_axes] * len(grasps)).partition(there)
+            self._send(f"{path}/skin", skin)
+            style = rr.Ellipsoids3D.from_fields(colors=_COLOURS[name], line_radii=0.0001)
+            self._to.log(f"{path}/skin", style, static=True)
+            contact = rr.Points3D.columns(positions=[[0.0, 0.0, -_PAD.skin_axes[2]]] * len(grasps)).partition(there)
+            self._send(f"{path}/contact", contact)
+            style = rr.Points3D.from_fields(colors=_COLOURS[name], radii=0.002, labels=[finger])
+            self._to.log(f"{path}/contact", style, static=True)
+
+    def _poses(self, path: str, steps: Sequence[int], poses: Sequence[tuple[Float64, Float64]]) -> None:
+        origins, rotations = zip(*poses, strict=True)
+        columns = self._rr.Transform3D.columns(translation=origins, mat3x3=rotations)
+        self._send(path, columns, steps)
+
+    def _electrodes(self) -> None:
+        """Electrodes of all steps, coloured by one scale for each finger, predicted as read."""
+        from matplotlib import colormaps
+
+        rr = self._rr
+        predicted = [None if one.prediction is None else one.prediction.value for one in self._steps]
+        rows = {"predicted": predicted, "read": [one.read for one in self._steps]}
+        tared = all(one.tare is not None for one in self._steps if one.read is not None or one.prediction is not None)
+        colours = colormaps["magma_r" if tared else "viridis"]
+        on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
+        along, across, depth = 1e3 * electrode_positions().T
+        flat = np.column_stack([np.degrees(np.arctan2(across, -depth)) * _MM_A_DEGREE, -along])
+        for name, finger in FINGERS.items():
+            levels = {
+                what: [
+                    None if touch is None else _levels(touch, step.tare if tared else None, name)
+                    for touch, step in zip(touches, self._steps, strict=True)
+                ]
+                for what, touches in rows.items()
+            }
+            known = [one for column in levels.values() for one in column if one is not None]
+            if not known:
+                continue
+            low, high = np.percentile(known, [1.0, 99.0])
+            for k, (what, column) in enumerate(levels.items()):
+                path = f"/electrodes/{name}/{what}"
+                seen = [one for one in column if one is not None]
+                if not seen:
+                    continue
+                heading = rr.Points2D([[k * _GAP_MM, -15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
+                self._to.log(f"{path}_title", heading, static=True)
+                sizes = [0 if one is None else ELECTRODES for one in column]
+                shades = colours(np.clip((np.concatenate(seen) - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
+                places = np.tile(flat + np.array([k * _GAP_MM, 0.0]), (len(seen), 1))
+                labels = [f"{value:.0f}" for one in seen for value in one]
+                points = rr.Points2D.columns(positions=places, colors=shades, labels=labels).partition(sizes)
+                self._send(path, points)
+                self._to.log(path, rr.Points2D.from_fields(radii=1.0, show_labels=False), static=True)
+                if what == "predicted":
+                    spheres = rr.Points3D.columns(positions=np.tile(on_skin, (len(seen), 1)), colors=shades)
+                    self._send(f"{_path(finger)}/electrodes", spheres.partition(sizes))
+                    self._to.log(f"{_path(finger)}/electrodes", rr.Points3D.from_fields(radii=0.0012), static=True)
+
+    def _curves(self, name: str) -> int:
+        """Pressure and all electrodes of a finger over time; returns the electrode that varies most."""
+        rows = np.full((len(self._steps), len(_CURVES), 1 + ELECTRODES), np.nan)
+        for number, step in enumerate(self._steps):
+            one = step.prediction
+            touches = (None, None, None) if one is None else (one.value, one.lower, one.upper)
+            for k, touch in enumerate((*touches, step.read)):
+                if touch is not None:
+                    rows[number, k] = finger_values(touch, name)
+        for k, (what, label) in enumerate(_CURVES.items()):
+            known = np.flatnonzero(np.isfinite(rows[:, k, 0])).tolist()
+            if not known:
+                continue
+            for column in range(1 + ELECTRODES):
+                path = f"/touch/E_{name}/{column:02d}/{what}" if column else f"/touch/PDC_{name}/{what}"
+                self._to.log(path, self._style(what, label), static=True)
+                self._send(path, self._rr.Scalars.columns(scalars=rows[known, k, column]), known)
+        for k in (3, 0):  # what was read, else what was predicted
+            seen = rows[np.isfinite(rows[:, k, 0]), k, 1:]
+            if len(seen) > 1:
+                return int(np.argmax(seen.std(axis=0))) + 1
+        return 1
+
+    def _style(self, what: str, label: str) -> Any:
+        colour, width = _LINES[what]
+        if what == "read" or len(self._steps) == 1:  # a line of one point is not drawn
+            return self._rr.SeriesPoints(colors=colour, names=label, markers="circle", marker_sizes=width)
+        return self._rr.SeriesLines(colors=colour, widths=width, names=label)
+
+
+def fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
+    """Origin (3,) [m] and rotation (3, 3) of a fingertip whose skin meets a contact in the middle of its pad."""
+    rotation = fingertip_rotation(grasp, contact)
+    return contact + rotation @ [0.0, 0.0, _PAD.skin_axes[2]], rotation
+
+
+def finger_values(touch: Touch, name: str) -> Float64:
+    """(25,) float64: pressure and electrodes of `TH` or `MF` [counts]."""
+    pdc, electrodes = (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
+    return np.concatenate([[pdc], electrodes])
+
+
+def table_corners(table: Plane, points: Float32) -> Float64:
+    """(4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
+    first = np.eye(3)[np.argmin(np.abs(table.normal))]
+    u = np.cross(table.normal, first)
+    u /= np.linalg.norm(u)
+    v = np.cross(table.normal, u)
+    base = -table.offset * table.normal
+    places = (points - base) @ np.column_stack([u, v])
+    (u0, v0), (u1, v1) = places.min(axis=0) - _TABLE_MARGIN_M, places.max(axis=0) + _TABLE_MARGIN_M
+    return np.array([base + a * u + b * v for a, b in ((u0, v0), (u1, v0), (u1, v1), (u0, v1))])
+
+
+def _path(finger: str) -> str:
+    return f"/scene/{finger.replace(' ', '_')}"
+
+
+def _point_of_interest(step: Shown, points: Float32) -> tuple[Float64, float]:
+    """What to look at, the grasp or else the middle of the cloud, and its size [m]."""
+    if step.grasp is not None:
+        return step.grasp.midpoint, max(step.grasp.width_m, _LEAST_SIZE_M)
+    low, high = np.percentile(points, [5.0, 95.0], axis=0)
+    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)), _LEAST_SIZE_M)
+
+
+def _levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
+    """(24,) float64: what an electrode is coloured by, its drop from rest or its count."""
+    electrodes = finger_values(touch, name)[1:]
+    return electrodes if rest is None else finger_values(rest, name)[1:] - electrodes
+
+
+def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
+    """(N, 3) float32 points [m] with depth, thinned evenly, and their colours: the camera's, else by depth."""
+    if cloud is None:
+        return np.empty((0, 3), np.float32), None
+    points = cloud.xyz.reshape(-1, 3)
+    kept = np.flatnonzero(np.isfinite(points).all(axis=1))
+    kept = kept[:: max(1, -(-len(kept) // _MAX_POINTS))]
+    points = points[kept].astype(np.float32, copy=False)
+    if cloud.rgb is not None:
+        return points, cloud.rgb.reshape(-1, 3)[kept]
+    if not len(points):
+        return points, None
+    from matplotlib import colormaps
+
+    near, far = np.percentile(points[:, 2], [1.0, 99.0])
+    return points, colormaps["cividis_r"](np.clip((points[:, 2] - near) / max(far - near, 1e-3), 0.0, 1.0), bytes=True)
+
+
+def _text(step: Shown) -> str:
+    """The answer in Markdown."""
+    lines = [f"**{step.name}**", ""]
+    one = step.prediction
+    if step.grasp is not None:
+        lines += [f"grasp {1e3 * step.grasp.width_m:.0f} mm wide, {len(step.candidates)} other candidates", ""]
+    value = None if one is None else one.value
+    if one is None or value is None:
+        reason = step.reason or (one.reason if one is not None else "")
+        lines += [f"not predicted{f': {reason}' if reason else ''}", ""]
+    else:
+        flags = f", **{', '.join(one.flags)}**" if one.flags else ""
+        lines += [f"predicted by {step.model or 'an unnamed model'}, adapted to: {one.reference}{flags}", ""]
+    if value is None and step.read is None:
+        return "\n".join(lines)
+    lines += ["| counts | predicted | read |", "|---|---|---|"]
+    for name, finger in FINGERS.items():
+        cells = ["–" if touch is None else f"{finger_values(touch, name)[0]:.0f}" for touch in (value, step.read)]
+        if one is not None and one.lower is not None and one.upper is not None:
+            low, high = (finger_values(touch, name)[0] for touch in (one.lower, one.upper))
+            cells[0] += f" ({low:.0f} to {high:.0f})"
+        lines.append(f"| PDC of the {finger} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _layout(electrodes: Mapping[str, int], eye: tuple[Float64, float] | None) -> Any:
+    """The scene with the answer, beside curves and electrodes of both fingers."""
+    import rerun.blueprint as rrb
+
+    columns = []
+    for name, finger in FINGERS.items():
+        k, legend = electrodes[name], name == "TH"
+        columns.append(
+            rrb.Vertical(
+                rrb.TimeSeriesView(
+                    origin=f"/touch/PDC_{name}",
+                    name=f"{finger}: pressure PDC [counts]",
+                    plot_legend=rrb.PlotLegend(visible=legend),
+                ),
+                rrb.TimeSeriesView(
+                    origin=f"/touch/E_{name}/{k:02d}",
+                    name=f"{finger}: electrode {k} [counts]",
+                    plot_legend=rrb.PlotLegend(visible=False),
+                ),
+                rrb.Spatial2DView(origin=f"/electrodes/{name}", name=f"{finger}: electrodes"),
+            )
+        )
+    controls = None
+    if eye is not None:
+        target, size = eye
+        position = target + size * np.array([-1.2, -1.6, -2.4])  # from the camera's side, from above and the left
+        controls = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))
+    scene = rrb.Vertical(
+        rrb.Spatial3DView(origin="/scene", name="scene", eye_controls=controls, line_grid=False),
+        rrb.TextDocumentView(origin="/answer", name="answer"),
+        row_shares=[3, 1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, *columns, column_shares=[2, 1, 1]),
+        rrb.TimePanel(state="collapsed", timeline="step", fps=_STEPS_A_SECOND, play_state="paused"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+    )

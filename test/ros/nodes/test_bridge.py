@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge over a real WebSocket: what a client reads is what the graph published."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+from websocket_client import WebSocketClient
+
+from foretouch.ros.messages.clouds import cloud_to_msg
+from foretouch.tactile.messages.table import stamp_ns
+from foretouch_msgs.msg import TouchPredictionArray
+
+pytestmark = pytest.mark.ros
+
+TOUCH, POINTS = "/foretouch/touch", "/foretouch/points"
+
+
+def decoded(client, data):
+    """A message decoded by rosbags, with nothing but the definition that the server sent."""
+    channel = client.channels[data.topic]
+    assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(channel["schema"], channel["schemaName"]))
+    return store.deserialize_cdr(data.content, channel["schemaName"])
+
+
+def subscribed(graph, node, client, *topics):
+    client.subscribe(*topics)
+    graph.until(lambda: set(topics) <= set(node.notes()["topics"].split()))
+    for topic in topics:
+        graph.until(lambda topic=topic: graph.probe.count_subscribers(topic) > 0)
+
+
+def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
+    heard = graph.listen(TouchPredictionArray, "touch")
+    graph.add("segmentation", "grasp")
+    graph.add("touch_predictor", model=str(model_card))
+    (bridge,) = graph.add("bridge", port=0)
+    publisher = graph.talk(PointCloud2, "points")
+    with WebSocketClient(bridge.url) as client:
+        subscribed(graph, bridge, client, TOUCH, POINTS, "/foretouch/markers")
+        graph.matched("points", 1, 2)
+        for topic, subscribers in (("table", 2), ("object_cloud", 2), ("grasps", 1), ("touch", 2)):
+            graph.matched(topic, 1, subscribers)
+        stamps = [1_700_000_000_000_000_000 + k for k in range(3)]
+        clouds = [scene_cloud(k, stamp_ns=stamp) for k, stamp in enumerate(stamps)]
+        for k, cloud in enumerate(clouds):
+            publisher.publish(cloud_to_msg(cloud))
+            graph.until(lambda wanted=k + 1: len(heard) >= wanted)
+        received = {TOUCH: [], POINTS: [], "/foretouch/markers": []}
+        while len(received[TOUCH]) < 3 or len(received[POINTS]) < 3 or not received["/foretouch/markers"]:
+            data = client.next_data()
+            received[data.topic].append(decoded(client, data))
+    assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in received[TOUCH]] == stamps
+    for mine, theirs in zip(heard, received[TOUCH], strict=True):
+        (expected,), (found,) = mine.predictions, theirs.predictions
+        assert found.pdc_th.value == expected.pdc_th.value
+        assert [one.value for one in found.e_mf] == [one.value for one in expected.e_mf]
+        assert (found.grasp.g1.x, found.model) == (expected.grasp.g1.x, expected.model)
+    for cloud, message in zip(clouds, received[POINTS], strict=True):
+        assert (message.height, message.width) == cloud.xyz.shape[:2]
+        xyz = np.frombuffer(message.data, np.uint8).reshape(-1, message.point_step)[:, :12].copy().view(np.float32)
+        np.testing.assert_array_equal(xyz, cloud.xyz.reshape(-1, 3))
+    assert all(marker.header.frame_id for one in received["/foretouch/markers"] for marker in one.markers)
+
+
+def test_it_subscribes_only_to_what_a_client_asks_for(graph):
+    (bridge,) = graph.add("bridge", port=0)
+    assert graph.probe.count_subscribers(POINTS) == 0
+    with WebSocketClient(bridge.url) as client:
+        client.learn(TOUCH, POINTS, "/diagnostics", "/rh/tactile")
+        subscribed(graph, bridge, client, TOUCH)
+        assert bridge.notes()["topics"] == TOUCH
+        client.unsubscribe_all()
+        graph.until(lambda: graph.probe.count_subscribers(TOUCH) == 0)
+        client.subscribe(POINTS)
+        graph.until(lambda: graph.probe.count_subscribers(POINTS) == 1)
+    graph.until(lambda: graph.probe.count_subscribers(POINTS) == 0)
+    assert bridge.statistics.summary().waiting == 0
+
+
+def test_it_listens_on_this_machine_alone_unless_asked(graph):
+    (bridge,) = graph.add("bridge", port=0)
+    port = int(bridge.url.rpartition(":")[2])
+    assert bridge.url == f"ws://127.0.0.1:{port}"
+    listening = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    addresses = {
+        line[1].split(":")[0] for line in listening if line[3] == "0A" and int(line[1].split(":")[1], 16) == port
+    }
+    assert addresses == {"0100007F"}
+
+
+def test_a_port_that_is_taken_is_one_line_and_the_node_does_not_start(graph, capfd):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        (bridge,) = graph.add("bridge", port=port)
+        assert bridge.state_name == "inactive"
+    graph.until(lambda: f"127.0.0.1:{port}: " in (text := capfd.readouterr().err) or text)
+
+
+def test_it_serves_again_after_it_was_stopped(graph):
+    (bridge,) = graph.add("bridge", port=0)
+    first = bridge.url
+    bridge.trigger_deactivate()
+    assert bridge.url == ""
+    with pytest.raises(ConnectionError):
+        WebSocketClient(first)
+    bridge.trigger_activate()
+    with WebSocketClient(bridge.url) as client:
+        client.learn(TOUCH)
+
+
+def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
+    (bridge,) = graph.add("bridge", port=0, backlog=4, diagnostics_period_s=0.2)
+    reports = graph.listen(DiagnosticArray, "/diagnostics")
+    publisher = graph.talk(MarkerArray, "markers")
+    from visualization_msgs.msg import Marker
+
+    big = MarkerArray(markers=[Marker(text="x" * 200_000)])
+    with WebSocketClient(bridge.url, receive_buffer=4096) as slow:
+        subscribed(graph, bridge, slow, "/foretouch/markers")
+        graph.matched("markers", 1, 1)
+
+        def is_reported() -> bool:
+            publisher.publish(big)
+            time.sleep(0.01)
+            values = [
+                {pair.key: pair.value for pair in status.values}
+                for message in list(reports)
+                for status in message.status
+                if status.name.endswith("bridge") and status.level
+            ]
+            return any(one.get("slow_clients") == "1" for one in values)
+
+        graph.until(is_reported)
+    assert stamp_ns(reports[-1].header.stamp) > 0
+
+
+def test_the_layout_in_the_repository_is_the_one_that_is_made():
+    from foretouch.ros.foxglove_layout import foxglove_layout
+
+    path = Path(__file__).parents[3] / "config" / "foxglove.json"
+    committed = json.loads(path.read_text(encoding="utf-8"))
+    assert committed == json.loads(
+        foxglove_layout()
+    )  # to renew: python -m foretouch.ros.foxglove_layout > config/foxglove.json
+    assert TOUCH in path.read_text(encoding="utf-8")
