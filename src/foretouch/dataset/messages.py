@@ -153,13 +153,14 @@ def rotation_from_quaternion(xyzw: Float64) -> Float64:
 
 def _rotations(xyzw: Float64) -> Float64:
     """(..., 3, 3) rotations of unit quaternions (..., 4)."""
-    x, y, z, w = np.moveaxis(xyzw, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    x, y, z, w = (xyzw[..., k] for k in range(4))
+    matrices = np.empty((*xyzw.shape[:-1], 3, 3))
+    matrices[..., 0, 0], matrices[..., 0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)
+    matrices[..., 0, 2], matrices[..., 1, 0] = 2 * (x * z + y * w), 2 * (x * y + z * w)
+    matrices[..., 1, 1], matrices[..., 1, 2] = 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    matrices[..., 2, 0], matrices[..., 2, 1] = 2 * (x * z - y * w), 2 * (y * z + x * w)
+    matrices[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrices
 
 
 def _rotation_of(message: Any) -> Float64:
