@@ -11,6 +11,7 @@ two seconds of each four.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import itertools
 import multiprocessing
@@ -90,7 +91,11 @@ def requests(number: int) -> tuple[PointCloud2, list[Any], list[int]]:
     """The object, 100 grasps on it, and how many of them each request has."""
     cloud, made = profile_scene(max(COUNTS))
     message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", 1)
-    return message, [grasp_to_msg(one) for one in made], np.random.default_rng(0).choice(COUNTS, number, p=SHARES).tolist()
+    return (
+        message,
+        [grasp_to_msg(one) for one in made],
+        np.random.default_rng(0).choice(COUNTS, number, p=SHARES).tolist(),
+    )
 
 
 def publish(domain: int, number: int, rate_hz: float, begin: multiprocessing.synchronize.Event) -> None:
@@ -266,10 +271,8 @@ def measure(budget_ms: float, number: int, rate_hz: float, *, loaded: bool) -> t
 
 def serve(node: Any) -> None:
     """As the node's executable does."""
-    try:
+    with contextlib.suppress(ExternalShutdownException):
         spin([node])
-    except ExternalShutdownException:
-        pass
 
 
 def summarise(budget_ms: float, seen: list[Seen], echoed: list[float], sent: int, *, loaded: bool) -> dict[str, Any]:
@@ -358,7 +361,9 @@ def table(rows: Iterable[dict[str, Any]]) -> str:
         lines.append(f"| {' | '.join(str(last[name]) or '–' for name in SHOWN)} |")
     machine = f"{last['number']} requests a row at {last['rate_hz']} Hz; {last['cpu']}, {last['cores']} cores"
     others = ", ".join(str(row["other_cores"]) for row in rows)
-    return "\n".join(["", *lines, "", f"{machine}. Cores that other processes used meanwhile, by row: {others}.", "", ""])
+    return "\n".join(
+        ["", *lines, "", f"{machine}. Cores that other processes used meanwhile, by row: {others}.", "", ""]
+    )
 
 
 def children_s() -> float:

@@ -507,16 +507,19 @@ def _plain(row: dict[str, Any]) -> dict[str, str]:
 
 def write_table(results: Results) -> None:
     """All runs as a table of the README."""
-    lines = ["", "| | rate [Hz] | lost | p50, p95 [ms] | CPU a cloud, of which computation [ms] | cores used by others |"]
+    lines = [
+        "",
+        "| | rate [Hz] | lost | p50, p95 [ms] | CPU a cloud, of which computation [ms] | cores used by others |",
+    ]
     lines.append("|---|---|---|---|---|---|")
     for row in results.read("runs"):
         number = {name: float(row[name] or "nan") for name in row if name.endswith(("_ms", "_hz", "_cores"))}
-        others = number.get("other_cores", float("nan"))
+        others = row.get("other_cores")
         lines.append(f"| {row['processes']} process{'es' if row['processes'] == 'three' else ''}, {row['label']} "
                      f"| {number['rate_hz']:.0f} | {row['lost']} of {row['sent']} "
                      f"| {number['p50_ms']:.1f}, {number['p95_ms']:.1f} "
                      f"| {number['cpu_ms']:.1f}, {number['computation_cpu_ms']:.1f} "
-                     f"| {'–' if others != others else f'{others:.2f}'} |")  # fmt: skip
+                     f"| {number['other_cores'] if others else '–'} |")  # fmt: skip
     readme = HERE / "README.md"
     begin, rest = readme.read_text(encoding="utf-8").split(MARKS[0])
     text = "\n".join([*lines, "", ""])

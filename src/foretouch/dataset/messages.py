@@ -131,8 +131,8 @@ def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
     fine &= (skewed < _SURELY * _AGREEMENT) & (agrees | ~xyzw.any(axis=1))
     rows = zip(messages, contacts, matrices, fine.tolist(), strict=True)
     return [
-        Grasp.checked(*pair, matrix, float(one.score), one.id, one.object_id) if good else None
-        for one, pair, matrix, good in rows
+        Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
+        for one, (g1, g2), matrix, good in rows
     ]
 
 

@@ -37,12 +37,16 @@ def answer(seed: int, count: int) -> TouchAnswer:
     grasps, outcomes = [], []
     for _ in range(count):
         g1, g2 = rng.normal(size=3), rng.normal(size=3)
-        grasp = Grasp(g1, g2, hand_rotation(g1, g2, np.array([1.0, 0.0, 0.0])), rng.choice([0.3, math.nan]), text(), text())
+        grasp = Grasp(
+            g1, g2, hand_rotation(g1, g2, np.array([1.0, 0.0, 0.0])), rng.choice([0.3, math.nan]), text(), text()
+        )
         grasps.append(grasp_to_msg(grasp, int(rng.integers(3)), text()))
         refused = rng.random() < 0.2
         outcomes.append(Refusal(Status.BAD_GRASP, text()) if refused else prediction(rng, grasp))
     flags = tuple("late" for _ in range(int(rng.integers(0, 3))))
-    return TouchAnswer(header_to_msg(text(), 5_000_000_123), grasps, outcomes, flags, Duration(sec=-1, nanosec=7), text(), text())
+    return TouchAnswer(
+        header_to_msg(text(), 5_000_000_123), grasps, outcomes, flags, Duration(sec=-1, nanosec=7), text(), text()
+    )
 
 
 def content(message: TouchPredictionArray) -> str:

@@ -3,13 +3,13 @@ import math
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from geometry_msgs.msg import Quaternion
 from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError
 from foretouch.grasp.pose import hand_rotation
@@ -177,6 +177,7 @@ def test_a_message_without_constructor_equals_the_constructed_one(monkeypatch: p
         assert serialize_message(made) == serialize_message(constructed)
         assert str(made) == str(constructed)
         assert made.get_fields_and_field_types() == constructed.get_fields_and_field_types()
+
 
 def test_many_grasps_are_decoded_as_one_by_one():
     rng = np.random.default_rng(0)

@@ -78,14 +78,13 @@ class TouchAnswer:
     def message(self) -> TouchPredictionArray:
         """The message of all."""
         predictions = [self.prediction(k) for k in range(len(self.outcomes))]
-        return TouchPredictionArray(
-            header=self.header, predictions=predictions, status=self.status, reason=self.reason
-        )
+        return TouchPredictionArray(header=self.header, predictions=predictions, status=self.status, reason=self.reason)
 
     def encoded(self) -> bytes:
         """The message of all as the middleware sends it."""
         parts: list[bytes] = [self._begin, struct.pack("<I", len(self.outcomes))]
-        at, tails = sum(map(len, parts)), {}
+        at = sum(map(len, parts))
+        tails: dict[Any, bytes] = {}
         for outcome, names, numbers in zip(self.outcomes, *self._fixed, strict=True):
             key = outcome if isinstance(outcome, Refusal) else (outcome.flags, outcome.reference, outcome.evidence)
             tail = tails.get(key)

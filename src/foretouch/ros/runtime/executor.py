@@ -197,7 +197,8 @@ class _InputSet:
                 with one.handle:
                     taken = one.handle.take_message(one.msg_type, one.raw)
                 if taken is not None:
-                    one.callback(*taken)
+                    callback: Any = one.callback  # of a message and what is known of it
+                    callback(*taken)
 
     def _find(self) -> None:
         with self._lock:
@@ -206,18 +207,20 @@ class _InputSet:
             self._subscriptions = [one for node in nodes for one in node.subscriptions if _is_input(one)]
             self._events = [one for node in nodes for one in node.waitables if _is_input(one)]
             sizes = len(self._subscriptions), 1, 0, 0, 0, len(self._events)
-            self._made = _rclpy.WaitSet(*sizes, self.context.handle)
+            context: Any = self.context.handle
+            self._made = _rclpy.WaitSet(*sizes, context)
 
     def _wait(self, timeout_s: float) -> tuple[list[Subscription[Any]], list[Any]]:
         """The inputs that have a message, and events that have happened."""
         guard, wait_set = self._guard, self._made
         if guard is None:
             return [], []
+        context: Any = self.context.handle
         with ExitStack() as used:  # until the end, nothing of it is destroyed
             inputs: dict[int, Subscription[Any]] = {}
             events = []
             wait_set.clear_entities()
-            used.enter_context(self.context.handle)
+            used.enter_context(context)
             used.enter_context(guard.handle)
             wait_set.add_guard_condition(guard.handle)
             for one in self._subscriptions:

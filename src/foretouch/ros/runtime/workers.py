@@ -37,7 +37,8 @@ def helping() -> "Iterator[list[WorkerThread]]":
 
     The current thread must then call `WorkerThread.work` or `WorkerThread.wake` of each.
     """
-    _helping.found = found = []
+    found: list[WorkerThread] = []
+    _helping.found = found
     try:
         yield found
     finally:

@@ -222,7 +222,9 @@ class _Poser:
 
     def grasps(self, messages: Sequence[GraspMsg]) -> list[Grasp | Refusal]:
         """The grasp of each message, or why there is none."""
-        return [found or self._grasp_or_refusal(one) for found, one in zip(decode_grasps(messages), messages, strict=True)]
+        return [
+            found or self._grasp_or_refusal(one) for found, one in zip(decode_grasps(messages), messages, strict=True)
+        ]
 
     def _grasp_or_refusal(self, message: GraspMsg) -> Grasp | Refusal:
         try:
