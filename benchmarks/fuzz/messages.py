@@ -307,7 +307,7 @@ def predicted() -> Kind:
         targets = read_targets(request.cloud, table or ASSUMED_TABLE)
         posing = config.grasp if table else None
         message = predictor.array(targets, request.grasps, request.cloud.header, config, posing)
-        check_predictions(predictor.finish(message, 1.0, 0.5))
+        check_predictions(predictor.finish(message, 1.0, 0.5).message)
 
     return Kind([touch_request()], read, 0.1)
 
@@ -321,7 +321,7 @@ def sampled() -> Kind:
     predictor, config = _predictor(), TouchPredictorConfig()
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
-        return predictor.array([target], grasps, header, config).predictions
+        return predictor.array([target], grasps, header, config).message.predictions
 
     settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
     sampler = GraspSampler(predict, settings, config.ranges, config.max_grasps)

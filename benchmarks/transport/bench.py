@@ -41,6 +41,7 @@ SIZES = ((260, 192), (424, 240), (640, 360), (848, 480), (1280, 704))  # 50k to 
 COUNTS = {"grasps": (1, 10, 100, 1000), "objects": (1, 2, 5, 10), "cameras": (1, 2, 3, 4)}
 _REST_S = 3.0  # without clouds
 TICKS = os.sysconf("SC_CLK_TCK")
+MARKS = "<!-- results -->\n", "<!-- end of results -->\n"
 
 
 def arguments() -> argparse.Namespace:
@@ -61,7 +62,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--growth", action="store_true", help="also vary points, grasps, objects and cameras")
     parser.add_argument("--clouds", type=int, default=15, help="clouds of each point of the growth")
     parser.add_argument("--out", type=Path, default=HERE / "results")
-    parser.add_argument("--draw", action="store_true", help="only draw the picture from the results")
+    parser.add_argument("--resume", action="store_true", help="keep the rows of this label, and measure the others")
+    parser.add_argument("--draw", action="store_true", help="only draw the picture and the table from the results")
     parser.add_argument("--default-profile", action="store_true", help="Fast DDS as it comes")
     return parser.parse_args()
 
@@ -131,6 +133,12 @@ class Processes:
         for child in self.children:
             child.wait(20.0)
         return [row for path in self.traces for row in json.loads(path.read_text(encoding="utf-8"))]
+
+
+def _children_s() -> float:
+    """Processor time of the processes that this one has ended [s]."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def _stat(pid: int) -> list[str]:
@@ -334,12 +342,16 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
     import numpy as np
 
     from foretouch.ros.messages.clouds import cloud_to_msg
+    from foretouch.tradeoff.timing import MachineLoad
 
     clouds = scenes(848, 480)
     messages = [cloud_to_msg(cloud) for cloud in clouds]
     for kind in options.processes:
         groups = [NODES] if kind == "one" else [(name,) for name in NODES]
         for rate in options.rates:
+            if out.has("runs", processes=kind, rate_hz=rate):
+                continue
+            machine, children, started = MachineLoad(), _children_s(), time.monotonic()
             with Processes(options, groups) as graph:
                 bench = Bench()
                 bench.ready()
@@ -357,11 +369,14 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
                 table, totals, computed = stages(graph.end(), bench, stamps)
                 own = float(computed.sum())
                 bench.close()
+            load = machine.row()
+            others = max(0.0, float(load["other_cores"]) - (_children_s() - children) / (time.monotonic() - started))
             middle = np.median(table, axis=0)
             p50, p95, p99 = np.percentile(totals, (50, 95, 99))
             row = {"processes": kind, "rate_hz": rate, "seconds": options.seconds, "sent": len(stamps),
                    "answered": answered, "lost": len(stamps) - answered, "p50_ms": p50, "p95_ms": p95, "p99_ms": p99,
-                   "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "rest_percent": 100.0 * rest, "memory_mb": memory}  # fmt: skip
+                   "cpu_ms": 1e3 * cpu / max(answered, 1), "computation_cpu_ms": own, "rest_percent": 100.0 * rest, "memory_mb": memory,
+                   "other_cores": others}  # fmt: skip
             out.add("runs", row)
             for name, median, mean in zip(STAGES, middle, table.mean(axis=0), strict=True):
                 out.add(
@@ -404,6 +419,9 @@ def grow(
 ) -> None:
     """Measure one load."""
     import numpy as np
+
+    if out.has("growth", what=what, value=value):
+        return
 
     graphs = [Processes(options, [NODES], parameters, space) for space in spaces]
     try:
@@ -452,12 +470,20 @@ def exponents(rows: Sequence[dict[str, str]]) -> list[dict[str, Any]]:
 
 
 class Results:
-    """CSV files, in which the rows of this label are replaced."""
+    """CSV files, in which the rows of this label are replaced, or kept if the run is resumed."""
 
-    def __init__(self, folder: Path, label: str) -> None:
+    def __init__(self, folder: Path, label: str, *, resume: bool = False) -> None:
         self._folder, self._label = folder, label
         self._rows: dict[str, list[dict[str, Any]]] = {}
         folder.mkdir(parents=True, exist_ok=True)
+        if resume:
+            for name in ("runs", "stages", "growth"):
+                self._rows[name] = [row for row in self.read(name) if row["label"] == label]
+
+    def has(self, name: str, **key: Any) -> bool:
+        """Whether a file has a row of this run with these values."""
+        wanted = _plain(key)
+        return any(wanted.items() <= row.items() for row in self._rows.get(name, ()))
 
     def read(self, name: str) -> list[dict[str, str]]:
         """Rows of a file."""
@@ -467,13 +493,37 @@ class Results:
     def add(self, name: str, row: dict[str, Any]) -> None:
         """Add a row to a file, at once."""
         mine = self._rows.setdefault(name, [])
-        plain = {key: f"{value:.3f}" if isinstance(value, float) else str(value) for key, value in row.items()}
-        mine.append({"label": self._label, **plain})
+        mine.append({"label": self._label, **_plain(row)})
         kept = [old for old in self.read(name) if old["label"] != self._label]
         with (self._folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(mine[0]), lineterminator="\n")
+            writer = csv.DictWriter(file, list(mine[-1]), lineterminator="\n")
             writer.writeheader()
             writer.writerows([*kept, *mine])
+
+
+def _plain(row: dict[str, Any]) -> dict[str, str]:
+    return {key: f"{value:.3f}" if isinstance(value, float) else str(value) for key, value in row.items()}
+
+
+def write_table(results: Results) -> None:
+    """All runs as a table of the README."""
+    lines = [
+        "",
+        "| | rate [Hz] | lost | p50, p95 [ms] | CPU a cloud, of which computation [ms] | cores used by others |",
+    ]
+    lines.append("|---|---|---|---|---|---|")
+    for row in results.read("runs"):
+        number = {name: float(row[name] or "nan") for name in row if name.endswith(("_ms", "_hz", "_cores"))}
+        others = row.get("other_cores")
+        lines.append(f"| {row['processes']} process{'es' if row['processes'] == 'three' else ''}, {row['label']} "
+                     f"| {number['rate_hz']:.0f} | {row['lost']} of {row['sent']} "
+                     f"| {number['p50_ms']:.1f}, {number['p95_ms']:.1f} "
+                     f"| {number['cpu_ms']:.1f}, {number['computation_cpu_ms']:.1f} "
+                     f"| {number['other_cores'] if others else '–'} |")  # fmt: skip
+    readme = HERE / "README.md"
+    begin, rest = readme.read_text(encoding="utf-8").split(MARKS[0])
+    text = "\n".join([*lines, "", ""])
+    readme.write_text(f"{begin}{MARKS[0]}{text}{MARKS[1]}{rest.split(MARKS[1])[1]}", encoding="utf-8")
 
 
 def draw(results: Results, path: Path) -> None:
@@ -526,7 +576,7 @@ def draw(results: Results, path: Path) -> None:
 def main() -> int:
     options = arguments()
     environment(options)
-    results = Results(options.out, options.label)
+    results = Results(options.out, options.label, resume=options.resume)
     if not options.draw:
         print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
         measure_rates(options, results)
@@ -535,8 +585,9 @@ def main() -> int:
             mine = [row for row in results.read("growth") if row["label"] == options.label]
             for row in exponents(mine):
                 results.add("exponents", row)
-    if results.read("runs"):
+    if results.read("runs") and options.out.resolve() == (HERE / "results").resolve():
         draw(results, PICTURE)
+        write_table(results)
     return 0
 
 

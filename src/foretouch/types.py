@@ -140,6 +140,13 @@ class Grasp:
         if np.array_equal(self.g1, self.g2):
             raise GraspError(f"g1, g2: both contacts are at {self.g1.tolist()}")
 
+    @classmethod
+    def checked(cls, g1: Float64, g2: Float64, rotation: Float64, score: float, id: str, object_id: str) -> Self:  # noqa: A002
+        """A grasp whose arrays the caller has checked for many at once, in a fifth of the time."""
+        grasp = cls.__new__(cls)
+        grasp.__dict__.update(g1=g1, g2=g2, rotation=rotation, score=score, id=id, object_id=object_id)
+        return grasp
+
     @property
     def midpoint(self) -> Float64:
         """(3,) float64 [m], the origin of the hand frame."""

@@ -7,6 +7,7 @@ rgb) each point carries `label` (UINT32, id of the object) and, where the cloud 
 are in `foretouch.tactile.messages`.
 """
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from foretouch.types import Cloud, Float64, Grasp
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
+_SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
 
 
 class ObjectCloud(NamedTuple):
@@ -104,6 +106,37 @@ def decode_grasp(message: Any, rotation: Float64 | None = None, score: float | N
     return Grasp(g1, g2, rotation, float(message.score if score is None else score), message.id, message.object_id)
 
 
+def grasp_numbers(messages: Sequence[Any]) -> Float64:
+    """(K, 22) float64 of K `foretouch_msgs/Grasp`: g1, g2, position and quaternion (xyzw) of the pose, rotation by rows."""
+    rows = []
+    for one in messages:
+        g1, g2, p, q = one.g1, one.g2, one.pose.position, one.pose.orientation
+        rows.append((g1.x, g1.y, g1.z, g2.x, g2.y, g2.z, p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+    numbers = np.empty((len(rows), 22))
+    if rows:
+        numbers[:, :13] = rows
+        numbers[:, 13:] = np.concatenate([one.rotation for one in messages]).reshape(-1, 9)
+    return numbers
+
+
+def decode_grasps(messages: Sequence[Any]) -> list[Grasp | None]:
+    """As `decode_grasp` of each message, in a tenth of the time for many; None where that has to decide."""
+    numbers = grasp_numbers(messages)
+    contacts, xyzw, matrices = numbers[:, :6].reshape(-1, 2, 3), numbers[:, 9:13], numbers[:, 13:].reshape(-1, 3, 3)
+    with np.errstate(all="ignore"):  # what is not finite is not fine
+        skewed = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        length = np.sqrt((xyzw**2).sum(axis=1))
+        turned = np.abs(_rotations(xyzw / length[:, None]) - matrices).max(axis=(1, 2))
+        agrees = (np.abs(length - 1.0) < _SURELY * _UNIT_TOLERANCE) & (turned < _SURELY * _AGREEMENT)
+    fine = np.isfinite(contacts).all(axis=(1, 2)) & (contacts[:, 0] != contacts[:, 1]).any(axis=1)
+    fine &= (skewed < _SURELY * _AGREEMENT) & (agrees | ~xyzw.any(axis=1))
+    rows = zip(messages, contacts, matrices, fine.tolist(), strict=True)
+    return [
+        Grasp.checked(g1, g2, matrix, float(one.score), one.id, one.object_id) if good else None
+        for one, (g1, g2), matrix, good in rows
+    ]
+
+
 def rotation_from_quaternion(xyzw: Float64) -> Float64:
     """(3, 3) float64 rotation of a quaternion.
 
@@ -116,14 +149,19 @@ def rotation_from_quaternion(xyzw: Float64) -> Float64:
     length = float(np.linalg.norm(xyzw)) if (np.abs(xyzw) <= _MAX_UNIT).all() else float(np.abs(xyzw).max())
     if not abs(length - 1.0) <= _UNIT_TOLERANCE:
         raise GraspError(f"orientation: length {length:g} of {xyzw.tolist()} is not 1")
-    x, y, z, w = xyzw / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return _rotations(xyzw / length)
+
+
+def _rotations(xyzw: Float64) -> Float64:
+    """(..., 3, 3) rotations of unit quaternions (..., 4)."""
+    x, y, z, w = (xyzw[..., k] for k in range(4))
+    matrices = np.empty((*xyzw.shape[:-1], 3, 3))
+    matrices[..., 0, 0], matrices[..., 0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)
+    matrices[..., 0, 2], matrices[..., 1, 0] = 2 * (x * z + y * w), 2 * (x * y + z * w)
+    matrices[..., 1, 1], matrices[..., 1, 2] = 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    matrices[..., 2, 0], matrices[..., 2, 1] = 2 * (x * z - y * w), 2 * (y * z + x * w)
+    matrices[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrices
 
 
 def _rotation_of(message: Any) -> Float64:

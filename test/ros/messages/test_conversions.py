@@ -3,14 +3,16 @@ import math
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
-from foretouch.dataset.messages import decode_grasp, has_orientation, rotation_from_quaternion
+from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation, rotation_from_quaternion
 from foretouch.errors import CloudError, GraspError
+from foretouch.grasp.pose import hand_rotation
 from foretouch.ros.messages import conversions
 from foretouch.ros.messages.conversions import (
     duration_to_msg,
@@ -175,3 +177,33 @@ def test_a_message_without_constructor_equals_the_constructed_one(monkeypatch: p
         assert serialize_message(made) == serialize_message(constructed)
         assert str(made) == str(constructed)
         assert made.get_fields_and_field_types() == constructed.get_fields_and_field_types()
+
+
+def test_many_grasps_are_decoded_as_one_by_one():
+    rng = np.random.default_rng(0)
+    messages = []
+    for k in range(60):
+        g1, g2 = rng.normal(size=(2, 3))
+        message = grasp_to_msg(Grasp(g1, g2, hand_rotation(g1, g2, np.array([1.0, 0.1, 0.0])), 0.25, str(k), "1"))
+        spoil = k % 6
+        if spoil == 1:
+            message.rotation = np.zeros(9)
+        elif spoil == 2:
+            message.pose.orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+        elif spoil == 3:
+            message.rotation = message.rotation * rng.choice([1.1, math.nan, 1e200])
+        elif spoil == 4:
+            message.g1.x = rng.choice([math.nan, math.inf])
+        elif spoil == 5 and k > 30:
+            message.g2 = message.g1
+        messages.append(message)
+    decoded = 0
+    for message, found in zip(messages, decode_grasps(messages), strict=True):
+        if found is not None:
+            expected = decode_grasp(message)
+            for name in ("g1", "g2", "rotation"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+            assert (found.score, found.id, found.object_id) == (expected.score, expected.id, expected.object_id)
+            decoded += 1
+    assert decoded == 25
+    assert decode_grasps([]) == []

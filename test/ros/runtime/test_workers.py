@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
+import time
 
-from foretouch.ros.runtime.workers import Worker, WorkerThread
+from foretouch.ros.runtime.workers import Worker, WorkerThread, helping
 
 
 def test_items_are_worked_on_in_order_in_another_thread():
@@ -124,3 +125,77 @@ def test_stopping_one_worker_of_a_thread_leaves_the_other_working():
     assert done.wait(5.0)
     other.stop()
     assert "shared" not in [running.name for running in threading.enumerate()]
+
+
+def names_of(thread):
+    """Two workers of a thread, of which one puts its items into the other, and who did what."""
+    done = []
+
+    def first(item):
+        done.append(("first", item, threading.current_thread().name))
+        last.put(item)
+
+    one = Worker("first", 10, first, lambda *_: None, thread)
+    last = Worker("last", 10, lambda item: done.append(("last", item, threading.current_thread().name)), print, thread)
+    for worker in (one, last):
+        worker.start()
+    return one, last, done
+
+
+def test_a_helper_works_on_an_item_and_on_all_that_follows_from_it():
+    thread, own = WorkerThread("shared"), threading.current_thread().name
+    one, last, done = names_of(thread)
+    with helping() as found:
+        one.put(1)
+        one.put(2)
+    assert found == [thread]
+    assert not done
+    assert thread.work()  # there is more
+    assert done == [("first", 1, own), ("last", 1, own)]
+    assert not thread.work()
+    assert done[2:] == [("first", 2, own), ("last", 2, own)]
+    assert not thread.work()
+    for worker in (one, last):
+        worker.stop()
+
+
+def test_what_a_helper_leaves_is_done_by_the_thread():
+    thread = WorkerThread("shared")
+    one, last, done = names_of(thread)
+    with helping():
+        one.put(1)
+    thread.wake()
+    end = time.monotonic() + 5.0
+    while len(done) < 2 and time.monotonic() < end:
+        time.sleep(0.01)
+    assert done == [("first", 1, "shared"), ("last", 1, "shared")]
+    for worker in (one, last):
+        worker.stop()
+
+
+def test_a_helper_and_the_thread_never_work_at_the_same_time():
+    thread, active, most, done = WorkerThread("shared"), [], [], []
+
+    def work(item):
+        active.append(item)
+        most.append(len(active))
+        time.sleep(0.002)
+        active.remove(item)
+        done.append(item)
+
+    worker = Worker("w", 1000, work, lambda *_: None, thread)
+    worker.start()
+    others = threading.Thread(target=lambda: [worker.put(k) for k in range(50)])
+    others.start()
+    for k in range(50, 80):
+        with helping() as found:
+            worker.put(k)
+        while found and found[0].work():
+            pass
+    others.join(5.0)
+    end = time.monotonic() + 5.0
+    while len(done) < 80 and time.monotonic() < end:
+        time.sleep(0.01)
+    worker.stop()
+    assert sorted(done) == list(range(80))
+    assert max(most) == 1

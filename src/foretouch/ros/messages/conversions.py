@@ -115,11 +115,11 @@ def prediction_to_msg(prediction: TouchPrediction, grasp: GraspMsg, header: Head
         header=header,
         grasp=grasp,
         **_modalities(prediction.value, prediction.lower, prediction.upper),
-        reference=_REFERENCES[prediction.reference],
+        reference=reference_code(prediction.reference),
         status=Status.OK,
         reason="",
         flags=list(prediction.flags),
-        **_evidence(prediction.evidence),
+        **evidence_fields(prediction.evidence),
     )
 
 
@@ -180,7 +180,13 @@ def prediction_from_msg(message: TouchPredictionMsg) -> TouchPrediction:
     )
 
 
-def _evidence(evidence: Evidence) -> dict[str, Any]:
+def reference_code(reference: Reference) -> int:
+    """The number of a reference in messages."""
+    return _REFERENCES[reference]
+
+
+def evidence_fields(evidence: Evidence) -> dict[str, Any]:
+    """The fields of a prediction that hold its evidence."""
     ages = (evidence.touch_age_s, evidence.reading_age_s)
     touch_age, reading_age = (duration_to_msg(_NO_AGE_S if age is None else age) for age in ages)
     return {

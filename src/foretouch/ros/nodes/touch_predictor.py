@@ -27,6 +27,7 @@ from visualization_msgs.msg import MarkerArray
 from foretouch.cloud.segmentation.objects import AMBIGUOUS_TARGET
 from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, PipelineConfig
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.markers import touch_markers
 from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
@@ -169,13 +170,12 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
         message, answer = self._predict(targets, grasps.grasps, header, None, self.arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
-            for prediction in message.predictions:
-                prediction.flags = [*prediction.flags, AMBIGUOUS_TARGET]
+            message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
-        self._touch.publish(self._loaded().end(message, answer))
-        if self._markers.wanted and message.predictions:
-            self.internal_errors.guarded("markers", self._draw)(message.predictions[0])  # the answer is published
+        self._touch.publish(self._loaded().end(message, answer, encoded=True))
+        if self._markers.wanted:
+            self.internal_errors.guarded("markers", self._draw)(message.prediction(0))  # the answer is published
         return message.status, message.reason
 
     def _draw(self, prediction: TouchPrediction) -> None:
@@ -196,7 +196,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         header: Header,
         posing: GeoGraspConfig | None,
         arrived: float,
-    ) -> "tuple[TouchPredictionArray, Answer | None]":
+    ) -> "tuple[TouchAnswer, Answer | None]":
         """The predictions of a request that arrived at a time [s], to be published by `Predictor.end`."""
         predictor = self._loaded()
         answer = predictor.begin(len(grasps), arrived)
@@ -304,7 +304,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         posing = self.config.grasp if table else None
         message, answer = self._predict(targets, request.grasps, header, posing, arrived)
         self._add_requested(request.cloud, request.grasps)  # not before: the same grasp may have been executed already
-        return self._loaded().end(message, answer)
+        made: TouchPredictionArray = self._loaded().end(message, answer)
+        return made
 
     # The action.
 

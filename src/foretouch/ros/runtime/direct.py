@@ -16,6 +16,7 @@ from rclpy import subscription as rclpy_subscription
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from foretouch.ros.messages.clouds import TargetCloud
@@ -48,7 +49,7 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         return bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
-        """Publish a message or a `TargetCloud` while the node is active.
+        """Publish a message, a `TargetCloud` or a serialised message while the node is active.
 
         Nothing is serialised for subscriptions of this process alone.
         """
@@ -57,6 +58,8 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         receivers = self.receivers
         if not receivers or self.get_subscription_count() > len(receivers):
             super().publish(message.message if isinstance(message, TargetCloud) else message)
+        if receivers and isinstance(message, bytes):
+            message = deserialize_message(message, self.msg_type)
         for receive in receivers:
             receive(message)
 

@@ -1,25 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An executor that takes the messages of a node's inputs in a thread of its own.
+"""An executor that takes the messages of a node's inputs in a thread of its own, and works on them there.
 
-rclpy builds a list of all that it waits for at every message: about 30 services, timers and events a node. The inputs
-alone are a few entries. Their events belong to them: a new message also wakes a thread that waits for one of these.
+rclpy builds a list of all that it waits for several times a message: about 30 services, timers and events a node. The
+inputs alone are a few entries, in a wait set that is kept. Their events belong to them: a new message also wakes a thread
+that waits for one of these.
+
+What a message gives a worker to do is done right here, without waking another thread: a prediction may take less time
+than that. If it takes longer than `RELIEF_S`, a third thread takes the inputs until it is done.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+import time
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Any, Final
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on
+from foretouch.ros.runtime.internal_errors import InternalErrors
+from foretouch.ros.runtime.workers import WorkerThread, helping
 
 if TYPE_CHECKING:
+    from rclpy.context import Context
     from rclpy.node import Node
+    from rclpy.subscription import Subscription
 
-_POLL_S = 1.0  # between checks whether the executor is shut down, beside being woken
+RELIEF_S: Final = 0.05
+"""Time after which another thread takes the inputs of a thread that works [s]."""
+
+_POLL_S: Final = 1.0  # between checks whether the executor is shut down, beside being woken
+_SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms are a whole latency budget
 
 
 class InputGroup(ReentrantCallbackGroup):
@@ -34,12 +50,11 @@ class GraphExecutor(SingleThreadedExecutor):
     """
 
     def __init__(self, errors: InternalErrors) -> None:
-        self._inputs: _InputExecutor | None = None  # `wake` may be called as soon as the base class is made
+        self._inputs: _Inputs | None = None  # `wake` may be called as soon as the base class is made
         super().__init__()
-        self._inputs = _InputExecutor(self)
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._serve, args=(self._inputs, errors), name="inputs", daemon=True)
-        self._thread.start()
+        sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_S))
+        self._inputs = _Inputs(self.context, errors)
+        self._inputs.start()
 
     def can_execute(self, entity: Any) -> bool:
         """See rclpy's `Executor`."""
@@ -51,37 +66,176 @@ class GraphExecutor(SingleThreadedExecutor):
         self.wake()
         return added
 
+    def remove_node(self, node: Node) -> None:
+        """See rclpy's `Executor`."""
+        super().remove_node(node)
+        self.wake()
+
     def wake(self) -> None:
         """See rclpy's `Executor`."""
         super().wake()
         if self._inputs is not None:
-            self._inputs.wake()
+            self._inputs.look_at(self.get_nodes())
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """See rclpy's `Executor`."""
-        self._ending.set()
-        self.wake()
-        self._thread.join(timeout_sec)
         if self._inputs is not None:
-            self._inputs.shutdown(timeout_sec)
+            self._inputs.stop(timeout_sec)
         return super().shutdown(timeout_sec)
 
-    def _serve(self, inputs: _InputExecutor, errors: InternalErrors) -> None:
-        with suppress(ExternalShutdownException):
-            spin_on(inputs, errors, self._ending.is_set, _POLL_S)
+
+class _Inputs:
+    """Takes the messages of nodes' inputs, and works on them."""
+
+    def __init__(self, context: Context, errors: InternalErrors) -> None:
+        self._errors = errors
+        self._set = _InputSet(context)
+        self._taking = threading.Lock()  # of the one thread that takes
+        self._ending = threading.Event()
+        self._works_since = 0.0  # `time.monotonic` [s]; 0 while it takes
+        self._relieved = False  # whether the other thread takes
+        self._threads = [
+            threading.Thread(target=target, name=name, daemon=True)
+            for target, name in ((self._serve, "inputs"), (self._relieve, "relief"))
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def look_at(self, nodes: list[Node]) -> None:
+        """Take the inputs of these nodes, which may have changed."""
+        self._set.change(nodes)
+
+    def stop(self, timeout_s: float | None) -> None:
+        self._ending.set()
+        self._set.wake()
+        for thread in self._threads:
+            thread.join(timeout_s)
+        if not any(thread.is_alive() for thread in self._threads):
+            self._set.close()
+
+    def _serve(self) -> None:
+        waiting: dict[WorkerThread, None] = {}  # has something to do, if any
+        while self._goes_on():
+            with helping() as found:
+                self._take(0.0 if waiting else _POLL_S)
+            for thread in found:
+                if waiting and thread not in waiting:
+                    thread.wake()  # works beside this one
+                else:
+                    waiting[thread] = None
+            if not found and waiting:  # all that is here has been taken, and full queues have dropped their oldest
+                self._works_since = time.monotonic()
+                waiting = {thread: None for thread in waiting if thread.work()}
+                self._works_since = 0.0
+                if self._relieved:
+                    self._set.wake()
+        for thread in waiting:
+            thread.wake()
+
+    def _relieve(self) -> None:
+        while not self._ending.wait(RELIEF_S):
+            since = self._works_since
+            while since and self._works_since == since and time.monotonic() - since > RELIEF_S and self._goes_on():
+                self._relieved = True
+                if self._works_since == since:  # or it has ended before it could see that
+                    self._take(_POLL_S)
+                self._relieved = False
+
+    def _take(self, timeout_s: float) -> None:
+        try:
+            with self._taking:
+                self._set.take(timeout_s)
+        except Exception as err:  # noqa: BLE001  a message that cannot be decoded must not end the thread
+            if self._goes_on():
+                self._errors.report("executor", err)
+                time.sleep(0.01)
+
+    def _goes_on(self) -> bool:
+        return not self._ending.is_set() and self._set.context.ok()
 
 
-class _InputExecutor(SingleThreadedExecutor):
-    """Takes the messages of the inputs of another executor's nodes."""
+class _InputSet:
+    """The subscriptions and events of nodes' inputs in one wait set. Changed by any thread, used by one at a time."""
 
-    def __init__(self, nodes_of: GraphExecutor) -> None:
-        super().__init__()
-        self._nodes_of = nodes_of
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self._guard: GuardCondition | None = GuardCondition(None, None, context=context)
+        self._lock = threading.Lock()  # of the guard and the nodes
+        self._nodes: list[Node] | None = []  # None once they are looked at
+        self._subscriptions: list[Subscription[Any]] = []
+        self._events: list[Any] = []
 
-    def get_nodes(self) -> list[Node]:
-        """See rclpy's `Executor`."""
-        return self._nodes_of.get_nodes()
+    def change(self, nodes: list[Node]) -> None:
+        """Look at these nodes before the next message is taken."""
+        with self._lock:
+            self._nodes = nodes
+        self.wake()
 
-    def can_execute(self, entity: Any) -> bool:
-        """See rclpy's `Executor`."""
-        return isinstance(entity.callback_group, InputGroup) and super().can_execute(entity)
+    def wake(self) -> None:
+        """End a wait."""
+        with self._lock, suppress(InvalidHandle):
+            if self._guard is not None:
+                self._guard.trigger()
+
+    def close(self) -> None:
+        with self._lock:
+            if self._guard is not None:
+                self._guard.destroy()
+            self._guard = None
+
+    def take(self, timeout_s: float) -> None:
+        """Wait for messages and call back with one of each input that has any."""
+        self._find()
+        subscriptions, events = self._wait(timeout_s)
+        for event in events:
+            with suppress(StopIteration):
+                event.execute(event.take_data()).send(None)  # its callback waits for nothing
+        for one in subscriptions:
+            with suppress(InvalidHandle):
+                with one.handle:
+                    taken = one.handle.take_message(one.msg_type, one.raw)
+                if taken is not None:
+                    callback: Any = one.callback  # of a message and what is known of it
+                    callback(*taken)
+
+    def _find(self) -> None:
+        with self._lock:
+            nodes, self._nodes = self._nodes, None
+        if nodes is not None:
+            self._subscriptions = [one for node in nodes for one in node.subscriptions if _is_input(one)]
+            self._events = [one for node in nodes for one in node.waitables if _is_input(one)]
+            sizes = len(self._subscriptions), 1, 0, 0, 0, len(self._events)
+            context: Any = self.context.handle
+            self._made = _rclpy.WaitSet(*sizes, context)
+
+    def _wait(self, timeout_s: float) -> tuple[list[Subscription[Any]], list[Any]]:
+        """The inputs that have a message, and events that have happened."""
+        guard, wait_set = self._guard, self._made
+        if guard is None:
+            return [], []
+        context: Any = self.context.handle
+        with ExitStack() as used:  # until the end, nothing of it is destroyed
+            inputs: dict[int, Subscription[Any]] = {}
+            events = []
+            wait_set.clear_entities()
+            used.enter_context(context)
+            used.enter_context(guard.handle)
+            wait_set.add_guard_condition(guard.handle)
+            for one in self._subscriptions:
+                with suppress(InvalidHandle):  # it was destroyed, and the nodes will be looked at again
+                    used.enter_context(one.handle)
+                    inputs[wait_set.add_subscription(one.handle)] = one
+            for event in self._events:
+                with suppress(InvalidHandle):
+                    used.enter_context(event)
+                    event.add_to_wait_set(wait_set)
+                    events.append(event)
+            wait_set.wait(round(timeout_s * 1e9))
+            found = [one for index, one in inputs.items() if wait_set.is_ready("subscription", index)]
+            return found, [event for event in events if event.is_ready(wait_set)]
+
+
+def _is_input(entity: Any) -> bool:
+    return isinstance(entity.callback_group, InputGroup)

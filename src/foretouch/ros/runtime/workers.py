@@ -10,8 +10,9 @@ another thread published to a subscription of the same process.
 
 import threading
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from rclpy.node import Node
@@ -21,11 +22,35 @@ from foretouch.bounded_queue import BoundedQueue
 _T = TypeVar("_T")
 
 
+class _Helping(threading.local):
+    """What the calls of the current thread have found to do; None where it does not help."""
+
+    found: "list[WorkerThread] | None" = None
+
+
+_helping = _Helping()
+
+
+@contextmanager
+def helping() -> "Iterator[list[WorkerThread]]":
+    """Within, what is put by the current thread wakes no other: the threads that got something to do are listed.
+
+    The current thread must then call `WorkerThread.work` or `WorkerThread.wake` of each.
+    """
+    found: list[WorkerThread] = []
+    _helping.found = found
+    try:
+        yield found
+    finally:
+        _helping.found = None
+
+
 class WorkerThread:
     """A thread that several workers may share; it ends when the last of them is stopped.
 
     What its own work puts into the queue of another worker comes next, before all that waits: with the nodes of one
-    process, a cloud goes through all steps before the next one is begun.
+    process, a cloud goes through all steps before the next one is begun. Another thread may do some of the work (see
+    `helping`), but never two at the same time.
 
     Args:
         name: Of the thread.
@@ -36,7 +61,10 @@ class WorkerThread:
         self._changed = threading.Condition()
         self._started: set[Worker[Any]] = set()
         self._calls: deque[Worker[Any]] = deque()  # one for each item that was put
+        self._next: deque[Worker[Any]] = deque()  # the same, by the current work itself
         self._current: Worker[Any] | None = None
+        self._works: threading.Thread | None = None  # the thread that works now
+        self._stopping = 0  # threads that wait for the end of the current work
         self._thread: threading.Thread | None = None
 
     def start(self, worker: "Worker[Any]") -> None:
@@ -50,17 +78,49 @@ class WorkerThread:
     def call(self, worker: "Worker[Any]") -> None:
         """An item was put into the queue of a worker."""
         with self._changed:
-            if threading.current_thread() is self._thread:
-                self._calls.appendleft(worker)
-            else:
-                self._calls.append(worker)
+            if threading.current_thread() is self._works:
+                self._next.append(worker)
+                return
+            self._calls.append(worker)
+            if _helping.found is None:
+                self._changed.notify_all()
+            elif self not in _helping.found:
+                _helping.found.append(self)
+
+    def wake(self) -> None:
+        """Let the thread work, where another has found something to do."""
+        with self._changed:
             self._changed.notify_all()
+
+    def work(self) -> bool:
+        """Work in the calling thread on what waits longest, with all that follows from it, unless another thread works.
+
+        Returns:
+            Whether there is more for the calling thread to do.
+        """
+        with self._changed:
+            if self._works is not None or not self._calls:
+                return False
+            self._works = threading.current_thread()
+            self._current = self._calls.popleft()
+        while self._current is not None:
+            self._current.work_on_next()
+            with self._changed:
+                self._current = self._next.popleft() if self._next else None
+                if self._current is None:
+                    self._works = None
+                if self._stopping:
+                    self._changed.notify_all()
+        with self._changed:
+            return bool(self._calls) and self._works is None
 
     def stop(self, worker: "Worker[Any]") -> None:
         """Wait for the current item of a worker and serve it no more."""
         with self._changed:
             self._started.discard(worker)
+            self._stopping += 1
             self._changed.wait_for(lambda: self._current is not worker)
+            self._stopping -= 1
             ended = None if self._started else self._thread
             if ended is not None:
                 self._thread = None
@@ -72,14 +132,10 @@ class WorkerThread:
         own = threading.current_thread()
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._calls or self._thread is not own)
+                self._changed.wait_for(lambda: (self._calls and self._works is None) or self._thread is not own)
                 if self._thread is not own:
                     return
-                self._current = worker = self._calls.popleft()
-            worker.work_on_next()
-            with self._changed:
-                self._current = None
-                self._changed.notify_all()
+            self.work()
 
 
 class Worker(Generic[_T]):

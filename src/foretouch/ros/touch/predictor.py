@@ -5,19 +5,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from std_msgs.msg import Header
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
-from foretouch.dataset.messages import decode_grasp, has_orientation
+from foretouch.dataset.messages import decode_grasp, decode_grasps, has_orientation
 from foretouch.errors import CloudError, ForetouchError, GraspError, LimitError, ModelError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, object_axis
 from foretouch.grasp.reach import ReachConfig
 from foretouch.models import TouchModel, load_model
 from foretouch.pipeline import FoundObject, Pipeline
-from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.messages.answers import Refusal, TouchAnswer, middleware_reads_cdr
+from foretouch.ros.messages.conversions import duration_to_msg, grasp_to_msg
 from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
@@ -25,7 +26,7 @@ from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.types import ASSUMED_TABLE, LATE, REDUCED, Cloud, Float64, Grasp
 from foretouch.types import TouchPrediction as Prediction
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import Status
 
 if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.tradeoff.budget import Answer, LatencyBudget
@@ -99,7 +100,7 @@ class Predictor:
                 start = time.thread_time()
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
                 middle = time.thread_time()
-                self.array([target], messages[:count], Header(), config, model=model)
+                _made(self.array([target], messages[:count], Header(), config, model=model), encoded=True)
                 whole.append(time.thread_time() - middle)
                 inner.append(middle - start)
             around[count] = max(0.0, min(whole) - min(inner))
@@ -109,13 +110,22 @@ class Predictor:
         """Choose the level of a request of so many grasps that arrived at a `time.monotonic` [s]; None without a budget."""
         return self.budget.begin(count, arrived) if self.budget is not None else None
 
-    def end(self, message: TouchPredictionArray, answer: Answer | None) -> TouchPredictionArray:
-        """Flag predictions that missed their budget; called right before the message is published."""
-        if self.budget is not None and answer is not None and self.budget.end(answer):
-            for prediction in message.predictions:
-                if LATE not in prediction.flags:
-                    prediction.flags = [*prediction.flags, LATE]
-        return message
+    def end(self, message: TouchAnswer, answer: Answer | None, *, encoded: bool = False) -> Any:
+        """The message to be published right after this call, whose predictions are flagged if they miss their budget.
+
+        Args:
+            message: The predictions; their flags are changed.
+            answer: What `begin` returned.
+            encoded: Whether it may be given as bytes.
+
+        Returns:
+            A `TouchPredictionArray`, or its bytes.
+        """
+        made = _made(message, encoded=encoded)
+        if self.budget is not None and answer is not None and self.budget.end(answer) and LATE not in message.flags:
+            message.flags += (LATE,)
+            made = _made(message, encoded=encoded)
+        return made
 
     def _fall_back(self, name: str) -> None:
         try:
@@ -132,7 +142,7 @@ class Predictor:
         config: TouchPredictorConfig,
         posing: GeoGraspConfig | None = None,
         model: TouchModel | None = None,
-    ) -> TouchPredictionArray:
+    ) -> TouchAnswer:
         """Predict or refuse every grasp, in order.
 
         Args:
@@ -142,30 +152,22 @@ class Predictor:
             config: The limits of objects and the hand's reach.
             posing: Settings to compute missing orientations with, on the target's table; None refuses such grasps.
             model: The model in a reduced form; by default the model itself.
-
-        Returns:
-            Status OK if any prediction is OK, else the status of the first.
         """
-        answers: list[TouchPrediction | None] = [None] * len(grasps)
+        outcomes: list[Prediction | Refusal] = [Refusal(Status.BAD_GRASP, "")] * len(grasps)
         by_target: dict[int, list[int]] = {}
         for i, grasp in enumerate(grasps):
             try:
                 by_target.setdefault(_target_of(grasp, targets), []).append(i)
             except GraspError as err:
-                answers[i] = refusal_to_msg(grasp, header, Status.BAD_GRASP, str(err))
+                outcomes[i] = Refusal(Status.BAD_GRASP, str(err))
         for k, members in by_target.items():
             poser = _Poser(targets[k], config.limits, posing)
-            predicted = self._on_target(poser, [grasps[i] for i in members], header, config, model)
-            for i, answer in zip(members, predicted, strict=True):
-                answers[i] = answer
-        predictions = [answer for answer in answers if answer is not None]
-        ok = any(p.status == Status.OK for p in predictions)
-        status, reason = (Status.OK, "") if ok or not predictions else (predictions[0].status, predictions[0].reason)
-        return TouchPredictionArray(header=header, predictions=predictions, status=status, reason=reason)
+            predicted = self._on_target(poser, [grasps[i] for i in members], config, model)
+            for i, outcome in zip(members, predicted, strict=True):
+                outcomes[i] = outcome
+        return TouchAnswer(header, grasps, outcomes)
 
-    def finish(
-        self, message: TouchPredictionArray, age_s: float, late_after_s: float, *, reduced: bool = False
-    ) -> TouchPredictionArray:
+    def finish(self, message: TouchAnswer, age_s: float, late_after_s: float, *, reduced: bool = False) -> TouchAnswer:
         """Add the model, the age of its input and the resulting flags to each prediction.
 
         Args:
@@ -176,40 +178,27 @@ class Predictor:
         """
         cheaper = (REDUCED,) * reduced
         late = (LATE,) if 0.0 < late_after_s < age_s else ()
-        age = duration_to_msg(age_s)
-        for prediction in message.predictions:
-            prediction.flags = [*prediction.flags, *self.flags, *cheaper, *late]
-            prediction.input_age = age
-            if self.model is not None:
-                prediction.model, prediction.model_sha256 = self.model.name, self.model.sha256
+        message.flags = (*message.flags, *self.flags, *cheaper, *late)
+        message.age = duration_to_msg(age_s)
+        if self.model is not None:
+            message.model, message.model_sha256 = self.model.name, self.model.sha256
         return message
 
     def _on_target(
-        self,
-        poser: _Poser,
-        grasps: Sequence[GraspMsg],
-        header: Header,
-        config: TouchPredictorConfig,
-        model: TouchModel | None,
-    ) -> list[TouchPrediction]:
+        self, poser: _Poser, grasps: Sequence[GraspMsg], config: TouchPredictorConfig, model: TouchModel | None
+    ) -> Sequence[Prediction | Refusal]:
         model = model or self.model
         if model is None:
-            return [refusal_to_msg(grasp, header, Status.NO_MODEL, self.fault) for grasp in grasps]
-        answers: list[TouchPrediction | None] = []
-        posed: list[Grasp] = []
-        for grasp in grasps:
-            try:
-                posed.append(poser.grasp(grasp))
-                answers.append(None)
-            except (GraspError, CloudError, RefusalError) as err:
-                answers.append(refusal_to_msg(grasp, header, _status_of(err), str(err)))
+            return [Refusal(Status.NO_MODEL, self.fault)] * len(grasps)
+        posed = poser.grasps(grasps)
+        usable = [one for one in posed if isinstance(one, Grasp)]
         cloud, limits = poser.target.cloud, config.limits
         try:
-            predicted = iter(self._predicted(model, cloud, posed, limits, config) if posed else [])
+            predicted = iter(self._predicted(model, cloud, usable, limits, config) if usable else [])
         except (CloudError, ModelError) as err:
-            status, reason = _status_of(err), str(err)
-            return [old or refusal_to_msg(g, header, status, reason) for g, old in zip(grasps, answers, strict=True)]
-        return [old or prediction_to_msg(next(predicted), g, header) for g, old in zip(grasps, answers, strict=True)]
+            refusal = _refusal_of(err)
+            return [one if isinstance(one, Refusal) else refusal for one in posed]
+        return [one if isinstance(one, Refusal) else _outcome(next(predicted)) for one in posed]
 
     def _predicted(
         self, model: TouchModel, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits, reach: ReachConfig
@@ -231,6 +220,18 @@ class _Poser:
         self._config = config
         self._axis: Float64 | None = None
 
+    def grasps(self, messages: Sequence[GraspMsg]) -> list[Grasp | Refusal]:
+        """The grasp of each message, or why there is none."""
+        return [
+            found or self._grasp_or_refusal(one) for found, one in zip(decode_grasps(messages), messages, strict=True)
+        ]
+
+    def _grasp_or_refusal(self, message: GraspMsg) -> Grasp | Refusal:
+        try:
+            return self.grasp(message)
+        except (GraspError, CloudError, RefusalError) as err:
+            return _refusal_of(err)
+
     def grasp(self, message: GraspMsg) -> Grasp:
         """The grasp of a message, with an orientation computed if the message has none."""
         if has_orientation(message):
@@ -250,6 +251,20 @@ class _Poser:
         check_object(self.target.cloud.xyz, self._limits)
         axis, _ = object_axis(self.target.cloud, self.target.plane, config)
         return axis
+
+
+def _made(message: TouchAnswer, *, encoded: bool) -> Any:
+    return message.encoded() if encoded and middleware_reads_cdr() else message.message
+
+
+def _outcome(prediction: Prediction) -> Prediction | Refusal:
+    if prediction.value is not None:
+        return prediction
+    return Refusal(Status.BAD_GRASP if prediction.status == "bad_grasp" else Status.REFUSED, prediction.reason)
+
+
+def _refusal_of(err: ForetouchError) -> Refusal:
+    return Refusal(_status_of(err), str(err))
 
 
 def _status_of(err: ForetouchError) -> int:

@@ -10,6 +10,7 @@ grasps, is that of an idle machine: the rest was spent in a queue.
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
 from collections import Counter, deque
@@ -28,10 +29,11 @@ _HOLD_S: Final = 1.0  # for which a better level must meet the budget before it 
 _WINDOW: Final = 100  # latest answers from which the slowdown is estimated
 _LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
 _QUANTILE: Final = 0.95
-_GUARD, _GUARD_S = 0.02, 2e-4  # share of the budget and time before its end from which an answer counts as late
+_GUARD_S: Final = 2e-4  # before the end of the budget, from which an answer counts as late: until it is handed over
 _WAITS: Final = 10  # requests, before which the least wait says nothing
 _REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
 _SLOWDOWNS: Final = (0.5, 100.0)
+_KNOWN: Final = 10_000  # numbers of grasps whose times are kept
 
 
 @dataclass(frozen=True)
@@ -76,13 +78,13 @@ class LatencyBudget:
         self._waits: dict[int, list[float]] = {}  # the first ones and the least, by digits of the number of grasps [s]
         self._floor = 0
         self._better_since: float | None = None
+        self._known: dict[int, tuple[float, ...]] = {}
         self._counts: Counter[str] = Counter()
         self._last = ""
 
     def expected_s(self, level: Level, count: int) -> float:
         """Time of an answer on the machine as it was profiled [s]."""
-        around = float(np.interp(count, list(self._around), list(self._around.values())))
-        return self._profile.seconds(level.name, count) + around * max(1.0, count / max(self._around))
+        return self._expected(count)[self._levels.index(level)]
 
     def affordable(self, count: int) -> Level | None:
         """The best level for so many grasps that meets the budget on the machine as it was profiled; None if none."""
@@ -101,7 +103,8 @@ class LatencyBudget:
             if len(waits) > _WAITS:
                 waits.remove(max(waits))
             slow = self._slowdown()
-            idle = self._place(count, _MARGIN, self._left_if_idle(count))
+            affordable = self._first(count, _MARGIN, self._left_if_idle(count))
+            idle = self._place(count, _MARGIN, 0.0) if affordable is None else affordable
             place = max(idle, self._place(count, _MARGIN * slow, left))
             if place > max(idle, self._floor):
                 self._floor, self._better_since = place, None
@@ -109,9 +112,8 @@ class LatencyBudget:
                 self._rise(self._place(count, _MARGIN_UP * slow, left), began)
             level = self._levels[min(max(place, self._floor), last)]
             self._last = level.name
-            affordable = self._first(count, _MARGIN, self._left_if_idle(count)) is not None
-        expected_s = self.expected_s(level, count)
-        return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable)
+            expected_s = self._expected(count)[self._levels.index(level)]
+        return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable is not None)
 
     def end(self, answer: Answer) -> bool:
         """Note the end of an answer, right before it is published.
@@ -120,7 +122,7 @@ class LatencyBudget:
             Whether it is late, or so close to it that it may be late when the message is handed over.
         """
         ended = self._now()
-        late = ended - answer.arrived > (1.0 - _GUARD) * self.budget_s - _GUARD_S
+        late = ended - answer.arrived > self.budget_s - _GUARD_S
         with self._lock:
             self._ratios.append((ended - answer.began + _REGULAR_S) / (answer.expected_s + _REGULAR_S))
             self._counts[answer.level.name] += 1
@@ -144,22 +146,31 @@ class LatencyBudget:
             "budget.profile": f"{self._profile.origin} ({self._profile.state})",
         }
 
+    def _expected(self, count: int) -> tuple[float, ...]:
+        """Time of an answer by each level [s]."""
+        found = self._known.get(count)
+        if found is None:
+            around = float(np.interp(count, list(self._around), list(self._around.values())))
+            around *= max(1.0, count / max(self._around))
+            found = tuple(self._profile.seconds(level.name, count) + around for level in self._levels)
+            if len(self._known) < _KNOWN:
+                self._known[count] = found
+        return found
+
     def _left_if_idle(self, count: int) -> float:
         waits = self._waits.get(len(str(count)), [])
         return self.budget_s - (min(waits) if len(waits) >= _WAITS else 0.0)
 
     def _first(self, count: int, factor: float, left: float) -> int | None:
-        for place, level in enumerate(self._levels):
-            if factor * self.expected_s(level, count) <= left:
-                return place
-        return None
+        return next((k for k, seconds in enumerate(self._expected(count)) if factor * seconds <= left), None)
 
     def _place(self, count: int, factor: float, left: float) -> int:
         """The first level that takes no longer than what is left; the fastest for so many grasps if none does."""
         place = self._first(count, factor, left)
         if place is not None:
             return place
-        return min(range(len(self._levels)), key=lambda k: self.expected_s(self._levels[k], count))
+        expected = self._expected(count)
+        return expected.index(min(expected))
 
     def _rise(self, better: int, now: float) -> None:
         if better >= self._floor:
@@ -172,6 +183,9 @@ class LatencyBudget:
     def _slowdown(self) -> float:
         if not self._ratios:
             return 1.0
-        ratios = np.array(self._ratios)
-        latest = float(np.median(ratios[-_LATEST:])) if len(ratios) >= _LATEST else 1.0
-        return float(np.clip(max(np.quantile(ratios, _QUANTILE), latest), *_SLOWDOWNS))
+        latest = [self._ratios[-k] for k in range(1, _LATEST + 1)] if len(self._ratios) >= _LATEST else [1.0]
+        ordered = sorted(self._ratios)
+        place, rest = divmod(_QUANTILE * (len(ordered) - 1), 1.0)  # as np.quantile, whose call costs more than all else
+        above = ordered[min(int(place) + 1, len(ordered) - 1)]
+        high = ordered[int(place)] + rest * (above - ordered[int(place)])
+        return min(max(high, statistics.median(latest), _SLOWDOWNS[0]), _SLOWDOWNS[1])

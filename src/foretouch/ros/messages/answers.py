@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The predictions of one request: as a `TouchPredictionArray`, or at once as the bytes that the middleware sends for it.
+
+For each prediction rclpy would convert 50 `Interval` objects, which takes longer than to predict. The bytes are CDR as in
+`foretouch.dataset.cdr`: numbers at multiples of their size, strings with their length and a final zero. Here each part
+ends at a multiple of four bytes.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Header
+
+from foretouch.dataset.messages import grasp_numbers
+from foretouch.ros.messages.conversions import evidence_fields, prediction_to_msg, reference_code, refusal_to_msg
+from foretouch.types import TOUCH_SIZE, Evidence, Float64, Touch, TouchPrediction
+from foretouch_msgs.msg import Grasp as GraspMsg
+from foretouch_msgs.msg import Status, TouchPredictionArray
+from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+
+_LITTLE_ENDIAN: Final = b"\0\1\0\0"
+_DOUBLES: Final = 8  # bytes of which they begin at multiples
+
+
+class Refusal(NamedTuple):
+    """Why a grasp gets no prediction: a status of `foretouch_msgs/Status`, and the reason as text."""
+
+    status: int
+    reason: str
+
+
+@dataclass(eq=False)
+class TouchAnswer:
+    """What is known of the grasps of a request, in their order."""
+
+    header: Header  # of the cloud
+    grasps: Sequence[GraspMsg]
+    outcomes: Sequence[TouchPrediction | Refusal]  # predictions have a value
+    flags: tuple[str, ...] = ()  # of all, beside those of each
+    age: Duration = field(default_factory=Duration)  # of the cloud
+    model: str = ""  # its name
+    model_sha256: str = ""
+
+    @property
+    def status(self) -> int:
+        """OK if any prediction is, else that of the first."""
+        return self._summary.status
+
+    @property
+    def reason(self) -> str:
+        """Of the status."""
+        return self._summary.reason
+
+    @cached_property
+    def _summary(self) -> Refusal:
+        refused = [one for one in self.outcomes if isinstance(one, Refusal)]
+        return refused[0] if refused and len(refused) == len(self.outcomes) else Refusal(Status.OK, "")
+
+    def prediction(self, k: int) -> TouchPredictionMsg:
+        """The message of one of them."""
+        outcome, grasp = self.outcomes[k], self.grasps[k]
+        if isinstance(outcome, Refusal):
+            message = refusal_to_msg(grasp, self.header, *outcome)
+        else:
+            message = prediction_to_msg(outcome, grasp, self.header)
+        message.flags = [*message.flags, *self.flags]
+        message.input_age = self.age
+        message.model, message.model_sha256 = self.model, self.model_sha256
+        return message
+
+    @property
+    def message(self) -> TouchPredictionArray:
+        """The message of all."""
+        predictions = [self.prediction(k) for k in range(len(self.outcomes))]
+        return TouchPredictionArray(header=self.header, predictions=predictions, status=self.status, reason=self.reason)
+
+    def encoded(self) -> bytes:
+        """The message of all as the middleware sends it."""
+        parts: list[bytes] = [self._begin, struct.pack("<I", len(self.outcomes))]
+        at = sum(map(len, parts))
+        tails: dict[Any, bytes] = {}
+        for outcome, names, numbers in zip(self.outcomes, *self._fixed, strict=True):
+            key = outcome if isinstance(outcome, Refusal) else (outcome.flags, outcome.reference, outcome.evidence)
+            tail = tails.get(key)
+            if tail is None:
+                tail = tails[key] = self._tail(outcome)
+            gap = -(at + len(names)) % _DOUBLES
+            parts += (names, bytes(gap), numbers, tail)
+            at += len(names) + gap + len(numbers) + len(tail)
+        end = _text(self.reason)
+        end = end[: 4 + len(self.reason.encode()) + 1]  # nothing follows
+        return b"".join((_LITTLE_ENDIAN, *parts, struct.pack("<B3x", self.status), end))
+
+    @cached_property
+    def _begin(self) -> bytes:
+        stamp = self.header.stamp
+        return struct.pack("<iI", stamp.sec, stamp.nanosec) + _text(self.header.frame_id)
+
+    @cached_property
+    def _fixed(self) -> tuple[list[bytes], list[bytes]]:
+        """Of each prediction what does not depend on flags and age: the part before its numbers, and these."""
+        names = [self._begin + _text(one.id) + _text(one.object_id) for one in self.grasps]
+        doubles = _rows(grasp_numbers(self.grasps).astype("<f8"))
+        scores = _rows(np.array([one.score for one in self.grasps], "<f4")[:, None])
+        values = _rows(_intervals(self.outcomes))
+        numbers = [
+            b"".join((pose, score, struct.pack("<B3x", one.status), _text(one.reason), counts))
+            for one, pose, score, counts in zip(self.grasps, doubles, scores, values, strict=True)
+        ]
+        return names, numbers
+
+    def _tail(self, outcome: TouchPrediction | Refusal) -> bytes:
+        """The fields after the intervals."""
+        if isinstance(outcome, Refusal):
+            reference, flags, status, reason = TouchPredictionMsg.NONE, self.flags, *outcome
+            evidence: dict[str, Any] = {}
+        else:
+            reference, flags = reference_code(outcome.reference), (*outcome.flags, *self.flags)
+            status, reason, evidence = Status.OK, "", evidence_fields(outcome.evidence)
+        ages = [evidence.get(name) or Duration() for name in ("touch_age", "reading_age")]
+        return b"".join((
+            struct.pack("<BB2x", reference, status),
+            _text(reason),
+            struct.pack("<I", len(flags)),
+            *map(_text, flags),
+            _text(self.model),
+            _text(self.model_sha256),
+            struct.pack("<iI", self.age.sec, self.age.nanosec),
+            struct.pack("<IiI", evidence.get("touches", 0), ages[0].sec, ages[0].nanosec),
+            struct.pack("<IiI", evidence.get("readings", 0), ages[1].sec, ages[1].nanosec),
+        ))  # fmt: skip
+
+
+@cache
+def middleware_reads_cdr() -> bool:
+    """Whether the middleware of this process reads what `TouchAnswer.encoded` writes; tried once."""
+    touch = Touch.from_vector(np.arange(float(TOUCH_SIZE)))
+    grasps = [GraspMsg(id="x" * k, score=0.5, reason="y") for k in range(3)]
+    evidence = Evidence(1, 2.5, 3, 4.5)
+    known = TouchPrediction(None, touch, touch, touch, "touches", ("a",), evidence=evidence)  # type: ignore[arg-type]
+    answer = TouchAnswer(Header(frame_id="cam"), grasps, [known] * len(grasps), ("late",), Duration(sec=5), "m", "s")
+    try:
+        return bool(deserialize_message(answer.encoded(), TouchPredictionArray) == answer.message)
+    except Exception:  # noqa: BLE001  rclpy declares no type for it
+        return False
+
+
+def _text(text: str) -> bytes:
+    """A string, filled up to a multiple of four bytes."""
+    data = text.encode().partition(b"\0")[0] + b"\0"
+    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+
+
+def _rows(array: Any) -> list[bytes]:
+    """The bytes of each row."""
+    data = array.tobytes()
+    size = len(data) // max(1, len(array))
+    return [data[k * size : (k + 1) * size] for k in range(len(array))]
+
+
+def _intervals(outcomes: Sequence[TouchPrediction | Refusal]) -> Any:
+    """(K, 50, 3) little-endian float32: value, lower and upper bound of each; NaN where there is none [counts]."""
+    table = np.full((len(outcomes), TOUCH_SIZE, 3), np.nan, "<f4")
+    known = [(k, one) for k, one in enumerate(outcomes) if not isinstance(one, Refusal)]
+    for column, name in enumerate(("value", "lower", "upper")):
+        rows = [(k, touch) for k, one in known if (touch := getattr(one, name)) is not None]
+        if rows:
+            with np.errstate(over="ignore"):  # becomes infinity, as in rclpy
+                table[[k for k, _ in rows], :, column] = _vectors([touch for _, touch in rows])
+    return table
+
+
+def _vectors(touches: Sequence[Touch]) -> Float64:
+    """(K, 50) float64, `Touch.vector` of each."""
+    pressures = np.array([(one.pdc_th, one.pdc_mf) for one in touches], np.float64)
+    electrodes = (np.concatenate([getattr(one, name) for one in touches]) for name in ("e_th", "e_mf"))
+    return np.hstack([pressures, *(one.reshape(len(touches), -1) for one in electrodes)])
