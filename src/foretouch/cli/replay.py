@@ -5,7 +5,7 @@ import argparse
 
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, warn
-from foretouch.cli.run import replay_fault, report_conflicts, source_parameters
+from foretouch.cli.run import add_wait_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.errors import ForetouchError
 
 
@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
     )
+    add_wait_arguments(parser)
     parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--json", action="store_true", help="print the counts as a JSON object at the end")

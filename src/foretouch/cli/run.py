@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import print_json, terminal, warn
-from foretouch.errors import ForetouchError, MissingDependencyError
+from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
 
 if TYPE_CHECKING:
     from foretouch.ros.graph import Graph
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dwell", type=float, metavar="S", help="time that each object of a scene stays on the table (default: 3)"
     )
+    add_wait_arguments(parser)
     parser.add_argument("--count", type=int, metavar="N", help="end after N answered clouds")
     parser.add_argument(
         "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
@@ -82,6 +83,21 @@ def _address(text: str) -> tuple[str, int]:
     if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
         raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
     return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def add_wait_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare for whom a replay waits before its first cloud."""
+    parser.add_argument(
+        "--wait-for",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="wait until this topic has a subscriber besides the nodes of the graph, such as a planner of `touch`"
+        " (repeatable)",
+    )
+    parser.add_argument(
+        "--wait-limit", type=float, metavar="S", help="longest wait for subscribers to be matched (default: 10)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -124,6 +140,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if find_spec("foxglove") is None:
             raise MissingDependencyError("the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
+    live = arguments.source == "camera" or Path(arguments.source).suffix in _SCENE_FILES
+    if live and (arguments.wait_for or arguments.wait_limit is not None):
+        raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if arguments.source == "camera":
         nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
         return nodes
@@ -162,8 +181,15 @@ def _replay_parameters(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any]:
-    """Parameters of the replay for the options `--topic`, `--rate` and `--plane`."""
-    given = {"path": path, "topic": arguments.topic or None, "rate_hz": arguments.rate, "table": arguments.plane}
+    """Parameters of the replay for the options `--topic`, `--rate`, `--plane` and those of the wait."""
+    given = {
+        "path": path,
+        "topic": arguments.topic or None,
+        "rate_hz": arguments.rate,
+        "table": arguments.plane,
+        "wait_for": arguments.wait_for or None,
+        "wait_limit_s": arguments.wait_limit,
+    }
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _QUIET_S = 0.1  # for messages in flight: rclpy's shutdown breaks running callbacks
 _POLL_S = 0.2  # between checks whether the graph is being closed
 _IDLE_S = 5.0  # longest time between two answers
-_DISCOVERY_S = 4.0  # until the nodes of another graph are known
+_DISCOVERY_S = 1.5  # until the nodes of another graph, which announce themselves every 0.2 s, are known
 _SOURCES = ("replay", "camera")
 
 

@@ -47,7 +47,7 @@ def said(text: str) -> bytes:
 
 
 def start(graph, path, **parameters) -> ReplayNode:
-    (node,) = graph.add("replay", path=str(path), **parameters)
+    (node,) = graph.add("replay", path=str(path), **{"discovery_s": 0.0, **parameters})
     return node
 
 

@@ -49,7 +49,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
-        self._grasps = self.advertise(GraspArray, GRASPS_TOPIC)
+        self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super().setup()

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ament_index_python import has_resource
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
@@ -33,6 +33,7 @@ from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
+from foretouch.ros.runtime.matching import Matching, matched_ends
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane
@@ -41,6 +42,7 @@ from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _ACKNOWLEDGED_S = 2.0
 _POLL_S = 0.02
+_TOLD_S = 1.0  # a longer wait is logged
 _TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
 _LIVE_ONLY = frozenset({"/diagnostics", "/parameter_events", "/rosout"})
 _INPUTS = frozenset({EXECUTED_TOPIC})  # in the graph's namespace, but published by the robot
@@ -137,6 +139,24 @@ class ReplayConfig(NodeConfig):
         minimum=0.0,
         maximum=60.0,
     )
+    discovery_s: float = setting(
+        3.2,
+        "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
+        " announce themselves every 3 s; 0 does not wait",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    wait_for: tuple[str, ...] = setting(
+        (), "Topics that must have a subscriber, besides the nodes of the graph, before the first cloud", read_only=True
+    )
+    wait_limit_s: float = setting(
+        10.0,
+        "Longest wait for `wait_for`, and until subscribers that are seen are matched; then it plays without them",
+        unit="s",
+        minimum=0.0,
+        maximum=3600.0,
+    )
     frame_id: str = setting("camera_depth_optical_frame", "Frame of clouds from files", read_only=True)
     other_topics: bool = setting(True, "Play the other topics of a recording too", read_only=True)
 
@@ -171,6 +191,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._stopping = threading.Event()
         self._answered = threading.Condition()
         self._last_answer_ns = -1
+        self._matching: Matching | None = None
+        self._reports: Any = None
         super().__init__(name, ReplayConfig, **options)
         latched = QoSProfile(
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -213,6 +235,8 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._advertise_others(self._source)
         if self.config.lockstep:
             self._inputs.append(self.create_subscription(TouchPredictionArray, "touch", self._on_answer, _DEPTH))
+        self._matching = Matching(self, self.config.discovery_s, self.config.wait_for)
+        self._reports = self.create_subscription(DiagnosticArray, "/diagnostics", self._matching.receive, _DEPTH)
 
     def start(self) -> None:
         """Play from the beginning."""
@@ -238,7 +262,9 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             if topic != CLOUDS:
                 self.destroy_publisher(publisher)
         self._topic_publishers.clear()
-        self._source = None
+        if self._reports is not None:
+            self.destroy_subscription(self._reports)
+        self._source = self._reports = None
 
     def has_ended(self) -> bool:
         """Whether there is nothing more to play."""
@@ -262,6 +288,11 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             **{f"played.{topic}": str(count) for topic, count in self.played.items()},
             **{f"left_out.{topic}": reason for topic, reason in self._left_out.items()},
         }
+
+    def matched_ends(self) -> dict[str, int]:
+        """Those of the other topics of a recording too."""
+        others = [one for topic, one in self._topic_publishers.items() if topic != CLOUDS]
+        return {**super().matched_ends(), **matched_ends(others, ())}
 
     def exclusive_topics(self) -> tuple[str, ...]:
         """The clouds, and the answers to them."""
@@ -294,7 +325,29 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         while not ready():
             if self._stopping.wait(_POLL_S):
                 return False
-        return not self._stopping.wait(self.config.settle_s if self.config.subscribers else 0.0)
+        if not self.config.subscribers and not self.config.wait_for:
+            return True
+        return not self._stopping.wait(self.config.settle_s) and self._wait_for_matches()
+
+    def _wait_for_matches(self) -> bool:
+        """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
+        assert self._matching is not None  # noqa: S101  setup made it
+        began, limit_s, told = time.monotonic(), self.config.wait_limit_s, False
+        while True:
+            self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
+            missing = self._matching.missing()
+            waited_s = time.monotonic() - began
+            if not missing and self._matching.is_discovered():
+                return True
+            if waited_s >= limit_s:
+                if missing:
+                    self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
+                return True
+            if missing and waited_s >= _TOLD_S and not told:
+                told = True
+                self.get_logger().info(f"waits at most {limit_s:g} s for {'; '.join(missing)}")
+            if self._stopping.wait(_POLL_S):
+                return False
 
     def _play(self) -> None:
         assert self._source is not None  # noqa: S101  setup made it

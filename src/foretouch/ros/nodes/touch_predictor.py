@@ -98,7 +98,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self.config.latency_budget_ms > 0.0:
             self._predictor.keep_to(self.config.latency_budget_ms, self.config, self._say)
         self._adapt(self._predictor)
-        self._touch = self.advertise(TouchPredictionArray, "touch")
+        self._touch = self.advertise(TouchPredictionArray, "touch", keep=True)
         self._markers = self.advertise(MarkerArray, "markers")
         self._threads = ThreadPool(self, _PARALLEL_REQUESTS)
         group = ReentrantCallbackGroup()

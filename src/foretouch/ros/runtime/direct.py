@@ -2,7 +2,8 @@
 """Messages between nodes of one process, handed over as objects: not serialised, sent through the middleware and read.
 
 The subscription stays, for publishers of other processes and so that tools show the graph as it is. A publisher of this
-process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers.
+process hands its message to the subscriptions that match it, and uses the middleware only if it has further subscribers, or keeps its
+last messages for late ones.
 The subscriptions recognise such messages by the id of their publisher and leave them. rclpy passes that id since Kilted: on
 Jazzy nothing is handed over.
 """
@@ -15,7 +16,7 @@ from typing import Any, Final
 from rclpy import subscription as rclpy_subscription
 from rclpy.context import Context
 from rclpy.lifecycle import LifecyclePublisher
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, qos_check_compatible
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
@@ -35,6 +36,7 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         receivers: Called with each message; empty without hand-over.
         id: Of the publisher, as subscribers see it; empty if the middleware has none.
         name: Of the topic, in full.
+        keeps: Whether a late subscriber gets the last messages.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -42,21 +44,22 @@ class DirectPublisher(LifecyclePublisher):  # type: ignore[type-arg]  # not gene
         self.receivers: tuple[Callable[[Any], None], ...] = ()
         self.id = b""
         self.name = self.topic_name
+        self.keeps = self.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
     @property
     def wanted(self) -> bool:
-        """Whether anything receives the messages."""
-        return bool(self.get_subscription_count())
+        """Whether anything receives the messages, now or later."""
+        return self.keeps or bool(self.get_subscription_count())
 
     def publish(self, message: Any) -> None:
         """Publish a message, a `TargetCloud` or a serialised message while the node is active.
 
-        Nothing is serialised for subscriptions of this process alone.
+        Nothing is serialised for subscriptions of this process alone, unless it is kept for late ones.
         """
         if not self.is_activated:
             return
         receivers = self.receivers
-        if not receivers or self.get_subscription_count() > len(receivers):
+        if not receivers or self.keeps or self.get_subscription_count() > len(receivers):
             super().publish(message.message if isinstance(message, TargetCloud) else message)
         if receivers and isinstance(message, bytes):
             message = deserialize_message(message, self.msg_type)

@@ -5,12 +5,13 @@ A node implements four hooks, `setup` and `teardown` (configure, clean up) and `
 deactivate). An error in `setup` or `start` refuses the transition and is logged in one line.
 
 Inputs are subscribed to with sensor-data QoS, outputs are published reliably: this pair is compatible with every
-publisher and subscriber. Both can be overridden (`qos_overrides.<topic>...` parameters). Incompatible QoS
+publisher and subscriber. Outputs that are kept for late subscribers are transient local. All can be overridden (`qos_overrides.<topic>...` parameters). Incompatible QoS
 is reported in the log and in /diagnostics.
 """
 
 import gc
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
@@ -31,11 +32,13 @@ from foretouch.ros.runtime.direct import ID_BYTES, SUPPORTED, DirectInput, Direc
 from foretouch.ros.runtime.executor import InputGroup
 from foretouch.ros.runtime.internal_errors import GuardedCallbacks
 from foretouch.ros.runtime.losses import Losses
+from foretouch.ros.runtime.matching import UPTIME, matched_ends
 from foretouch.ros.runtime.parameters import NodeSettings
 from foretouch.ros.runtime.second_graph import find_conflicts
 from foretouch.topics import NAMESPACE
 
-_OUTPUT_DEPTH = 10
+_OUTPUT_DEPTH = 10  # also what a late subscriber of answers gets
+_OUTPUT_POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
 _GRAPH_PERIOD_S = 1.0  # between two looks for a second graph
 _INPUT_DEPTH = 5  # with best effort, this is the sensor-data profile
 _C = TypeVar("_C", bound="NodeConfig")
@@ -80,6 +83,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
             raise
         self.statistics = InputStatistics()
+        self._began_s = time.monotonic()
         self.state_name = "unconfigured"
         self.direct_topics = direct_topics(self.context)
         self._outputs: list[DirectPublisher] = []
@@ -94,7 +98,9 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._last_errors: Counter[str] = Counter()
         self._input_group = InputGroup()
         own_group = MutuallyExclusiveCallbackGroup()
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_match)
+        )
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
         self.create_timer(_GRAPH_PERIOD_S, self.look_for_second_graph, callback_group=own_group)
 
@@ -156,7 +162,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return self.config.direct and SUPPORTED
 
     def advertise(
-        self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True
+        self, message: type, topic: str, *, depth: int = _OUTPUT_DEPTH, direct: bool = True, keep: bool = False
     ) -> DirectPublisher:
         """Make a reliable publisher, which publishes only while the node is active.
 
@@ -166,14 +172,17 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             depth: Messages that may wait for a subscriber.
             direct: Whether subscriptions of the same process may get the objects that are published, which must
                 then stay as they are; not for serialised messages.
+            keep: Whether a late subscriber that asks for it (transient local) gets the last `depth` messages.
         """
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if keep else DurabilityPolicy.VOLATILE
         known = self._ids_of_publishers(topic)
         publisher = self.create_publisher(
             message,
             topic,
-            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
+            qos_overriding_options=QoSOverridingOptions((*_OUTPUT_POLICIES, *[QoSPolicyKind.DURABILITY] * keep)),
             event_callbacks=PublisherEventCallbacks(
+                matched=self._report_match if keep else None,
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
                 use_default_callbacks=False,  # each further event costs time at every message
             ),
@@ -241,6 +250,14 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         if fresh:
             space = self.get_namespace()
             self.get_logger().warning(f"a second graph or source runs in {space}: {'; '.join(fresh)}")
+
+    def uptime_s(self) -> float:
+        """Time since the node was made [s]."""
+        return time.monotonic() - self._began_s
+
+    def matched_ends(self) -> dict[str, int]:
+        """Number of matched ends of each of its topics, by key of /diagnostics."""
+        return matched_ends(tuple(self._outputs), tuple(self._inputs))
 
     def unknown_parameters(self) -> set[str]:
         """Names of given parameters that this node does not have; ROS ignores them without a message."""
@@ -334,6 +351,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._mismatches[f"{topic} {other}"] = text
         self.get_logger().warning(text)
 
+    def _report_match(self, _event: Any) -> None:
+        """Report at once, since a source may wait for it."""
+        self.internal_errors.guarded("diagnostics", self._report)()
+
     def _report(self) -> None:
         now, errors = self.statistics.summary(), self.internal_errors.counts()
         recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
@@ -344,6 +365,8 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             warnings=(*self.conflicts, *self._mismatches.values(), *self.warnings(), *recent),
             notes={
                 **self.notes(),
+                UPTIME: f"{self.uptime_s():.2f}",
+                **{key: str(count) for key, count in self.matched_ends().items()},
                 **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
                 **{f"internal_errors.{name}": str(count) for name, count in errors.items()},
             },
