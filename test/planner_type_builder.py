@@ -6,6 +6,7 @@
 builds it once (a minute, with a compiler and PyPI) into the user's cache, where the tests find it.
 """
 
+import ctypes
 import hashlib
 import os
 import shutil
@@ -90,6 +91,24 @@ def build() -> Path:
         shutil.copytree(data, root.with_suffix(".part"), dirs_exist_ok=True)
     root.with_suffix(".part").rename(root)
     return root
+
+
+def load(root: Path) -> None:
+    """Load the package's libraries, which the linker then finds by their names in this process."""
+    waiting = sorted((root / "lib").glob("*.so"))
+    while waiting:
+        left = [path for path in waiting if not _loads(path)]
+        if len(left) == len(waiting):
+            raise OSError(f"{left[0]}: cannot be loaded")
+        waiting = left
+
+
+def _loads(path: Path) -> bool:
+    try:
+        ctypes.CDLL(str(path))
+    except OSError:
+        return False
+    return True
 
 
 def _source(folder: Path) -> Path:

@@ -34,11 +34,11 @@ def planner_type():
     """The action class of a package that is built once, outside of the tree."""
     try:
         root = planner_type_builder.build()
+        planner_type_builder.load(root)
     except (RuntimeError, OSError) as err:
         pytest.skip(str(err))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(root), os.environ.get("AMENT_PREFIX_PATH", "")]))
-        patch.setenv("LD_LIBRARY_PATH", os.pathsep.join([str(root / "lib"), os.environ.get("LD_LIBRARY_PATH", "")]))
         patch.syspath_prepend(planner_type_builder.python_path(root))
         yield importlib.import_module(f"{planner_type_builder.PACKAGE}.action").SampleGraspPoses
 

@@ -9,6 +9,8 @@ import importlib
 import math
 from typing import Any
 
+from rclpy.type_support import check_for_type_support
+
 from foretouch.errors import ConfigError
 from foretouch.ros.messages.requests import RefusalError, status_name
 from foretouch_msgs.msg import Status
@@ -18,7 +20,7 @@ PLANNER_ACTION = "sample_grasp_poses"
 
 
 def planner_action_class(type_name: str) -> Any:
-    """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it is not installed.
+    """The class of an action such as `moveit_task_constructor_msgs/SampleGraspPoses`; None if it cannot be loaded.
 
     Raises:
         ConfigError: If the name is not of the form package/Type, or the type has no fields of this action.
@@ -29,6 +31,10 @@ def planner_action_class(type_name: str) -> Any:
     try:
         kind = getattr(importlib.import_module(f"{package}.action"), name)
     except (ImportError, AttributeError):
+        return None
+    try:
+        check_for_type_support(kind)
+    except Exception:  # noqa: BLE001  of rosidl: a package whose libraries are not found must not end the node
         return None
     if not (hasattr(kind.Feedback(), "grasp_candidates") and hasattr(kind.Feedback(), "costs")):
         raise ConfigError(f"planner_action_type: {type_name} has no grasp_candidates and costs in its feedback")
