@@ -291,4 +291,10 @@ def _scenes() -> Iterator[tuple[str, Callable[[Float32], Float32], str, str]]:
     yield "only NaN", scaled(float("nan")), "empty_cloud", "is finite"
     yield "all x 1e20", damaged(1e20, 0, 1), "bad_cloud", "beside the rays|field of view|field_of_view"
     yield "10 km away", lambda xyz: xyz + np.float32(1e4), "empty_cloud", "no point between"
-    yield "behind the camera", lambda xyz: -xyz, "empty_cloud", "no point between"
+    yield "behind the camera", lambda xyz: -xyz, "unknown_frame", "not_optical: 100% of the points are at z <= 0"
+    yield "in the frame of the link", _to_link, "unknown_frame", "not_optical: .* in view along x"
+
+
+def _to_link(xyz: Float32) -> Float32:
+    """From x right, y down, z forward to x forward, y left, z up."""
+    return np.ascontiguousarray(np.stack([xyz[..., 2], -xyz[..., 0], -xyz[..., 1]], axis=-1))

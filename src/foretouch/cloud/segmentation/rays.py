@@ -18,6 +18,10 @@ from foretouch.types import Float32, Float64
 Index = npt.NDArray[np.intp]
 
 _FITTED = 128  # points that the rays are fitted to
+_CHECKED = 4096  # points of a cloud, to check its frame
+_FARTHEST_M = 100.0  # no camera measures farther
+_FORWARD = 0.9  # share of points in view along x in the frame of a link
+_HALF = 0.5
 _NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
 
@@ -141,6 +145,39 @@ def out_of_view(xyz: Float32, config: RayConfig) -> npt.NDArray[np.bool_]:
         reach = z * np.float32(config.limit)
         off = ~((np.abs(xyz[:, 0]) <= reach) & (np.abs(xyz[:, 1]) <= reach))
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
+
+
+def not_optical(xyz: Float32, config: RayConfig | None = None) -> str:
+    """Why a cloud is not in the optical frame of its camera, with x right, y down and z away from it; "" if it may be.
+
+    Args:
+        xyz: (..., 3) float32 [m]; points that are not finite, or all zero, are left out.
+        config: The field of view; the default if None.
+
+    Returns:
+        A reason that begins with `not_optical` if most points are at z <= 0, or if most are out of view, while nearly
+        all are in view along x, as in the frame of a camera's link.
+    """
+    limit = (config or RayConfig()).limit
+    points = xyz.reshape(-1, 3)
+    points = points[:: max(1, len(points) // _CHECKED)].astype(np.float64)
+    points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+    if not len(points):
+        return ""
+    x, y, z = points.T
+    behind = np.count_nonzero(z <= 0.0) / len(points)
+    hidden = np.count_nonzero((z <= 0.0) | (np.maximum(np.abs(x), np.abs(y)) > limit * z)) / len(points)
+    forward = np.count_nonzero((x > 0.0) & (x < _FARTHEST_M) & (np.maximum(np.abs(y), np.abs(z)) <= limit * x)) / len(
+        points
+    )
+    along_x = ", but in view along x, as in the frame of a link" if forward >= _FORWARD else ""
+    if behind > _HALF:
+        what = f"{behind:.0%} of the points are at z <= 0, behind the camera{along_x}"
+    elif hidden > _HALF and along_x:
+        what = f"{hidden:.0%} of the points are out of view along z{along_x}"
+    else:
+        return ""
+    return f"not_optical: {what}: an optical frame (x right, y down, z forward) is needed"
 
 
 def finite_rows(points: Float32) -> npt.NDArray[np.bool_]:

@@ -20,12 +20,14 @@ from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
 from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, finite_rows, out_of_view
+from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32, Plane
 
-SegmentationStatus = Literal["ok", "empty_cloud", "bad_cloud", "too_few_points", "no_plane", "no_object"]
+SegmentationStatus = Literal[
+    "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
+]
 
 _coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np.float32, np.int64, np.int64)
 
@@ -107,6 +109,9 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
     log = _StageLog()
     with log.stage("total"):
         status, reason, plane, objects, labels = _segment(cloud, config, log)
+        frame = "" if status == "ok" else not_optical(cloud.xyz, config.rays)
+        if frame:
+            status, reason = "unknown_frame", frame
     counts = {"received": cloud.size, "not_finite": 0, "out_of_range": 0, "off_ray": 0, "background": 0}
     counts |= {"rejected": 0, "n_rejected": 0, "flying": 0, "objects": 0} | log.counts
     used = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")

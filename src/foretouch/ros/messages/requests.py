@@ -9,6 +9,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
+from foretouch.cloud.segmentation.rays import not_optical
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, DatasetError, ForetouchError
 from foretouch.grasp import GraspHold, HeldGrasp
@@ -103,6 +104,18 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Foun
     if not targets:
         raise RefusalError(Status.EMPTY_CLOUD, "cloud: holds no finite point")
     return targets
+
+
+def check_optical(targets: Sequence[FoundObject]) -> None:
+    """Check that the objects of a request are in the optical frame of a camera.
+
+    Raises:
+        RefusalError: UNKNOWN_FRAME, with a reason that begins with `not_optical`.
+    """
+    for target in targets:
+        fault = not_optical(target.cloud.xyz)
+        if fault:
+            raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {target.cloud.frame_id!r}: {fault}")
 
 
 def read_plane(message: PlaneMsg) -> Plane:

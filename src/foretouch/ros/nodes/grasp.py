@@ -14,13 +14,14 @@ from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
 from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
 from foretouch.ros.runtime.direct import DirectPublisher
+from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
 from foretouch.topics import CLOUD_TOPIC, GRASPS_TOPIC
 from foretouch_msgs.msg import GraspArray, TablePlane
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspNodeConfig(ProcessingConfig):
+class GraspNodeConfig(ProcessingConfig, OutputFrameConfig):
     """Settings of the grasp node."""
 
     limits: ObjectLimits = ObjectLimits()
@@ -41,6 +42,7 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
     """Plans with GeoGrasp (`Pipeline.plan`)."""
 
     _grasps: DirectPublisher
+    _frame: OutputFrame | None = None
 
     def __init__(self, **options: Any) -> None:
         inputs = [(PointCloud2, CLOUD_TOPIC), (TablePlane, "table")]
@@ -49,10 +51,21 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def setup(self) -> None:
         """Advertise before subscribing, so that no answer is lost."""
+        self._frame = OutputFrame(self, self.config)
         self._grasps = self.advertise(GraspArray, GRASPS_TOPIC, keep=True)
         for target in self._pipeline.segment(warm_up_cloud()).targets:
             self._pipeline.plan(target)
         super().setup()
+
+    def teardown(self) -> None:
+        """End the subscriptions of tf2."""
+        if self._frame is not None:
+            self._frame.close()
+            self._frame = None
+
+    def notes(self) -> dict[str, str]:
+        """The frame of the answers, for /diagnostics."""
+        return {**super().notes(), **(self._frame.notes() if self._frame else {})}
 
     def config_changed(self, config: GraspNodeConfig) -> None:
         """Apply the new settings from the next cloud on; held grasps are forgotten."""
@@ -66,12 +79,15 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
 
     def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         """Plan grasps on the targets of one cloud."""
+        transform = self._frame.transform(header) if self._frame else None
         table = messages["table"]
         targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header))
         margin = self.config.grasp_hold
         message = plan_targets(self._pipeline, targets, header, table.reason, self._held, margin)
         for grasp in message.grasps:  # as after serialisation, for subscribers of this process
             grasp.score = float(np.float32(grasp.score))
+        if transform is not None:
+            message.header, message.grasps = transform.header(header), [transform.grasp(one) for one in message.grasps]
         self._grasps.publish(message)
         return message.status, message.reason
 

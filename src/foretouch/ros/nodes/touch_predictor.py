@@ -9,17 +9,22 @@ predictions use vision alone.
 Service and action run in threads of their own (see `ThreadPool`), beside the worker that answers the topics: the
 model is immutable and serves all of them. A model that cannot be loaded does not stop the node: every answer then
 gives the reason, and cleaning up and configuring again retries.
+
+Touch is predicted in the frame of the camera. With `output_frame`, grasps and requests in that frame are brought there,
+and everything that is published is brought back (see `output_frame` and `framed_request`).
 """
 
 import threading
 import time
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Plane
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -29,16 +34,27 @@ from foretouch.grasp import GeoGraspConfig
 from foretouch.pipeline import FoundObject, PipelineConfig
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import TargetCloud
+from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.messages.markers import touch_markers
-from foretouch.ros.messages.requests import RefusalError, check_frames, passed_on, read_plane, read_targets
+from foretouch.ros.messages.requests import (
+    RefusalError,
+    check_frames,
+    check_optical,
+    passed_on,
+    read_plane,
+    read_targets,
+)
 from foretouch.ros.messages.tactile import tactile_class
 from foretouch.ros.runtime.direct import DirectPublisher
+from foretouch.ros.runtime.output_frame import OutputFrame
 from foretouch.ros.runtime.processing_node import ProcessingNode
 from foretouch.ros.runtime.workers import ThreadPool
 from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.framed_request import FramedRequest, in_cloud_frame
 from foretouch.ros.touch.grasp_sampler import GraspSampler, Latest, failed
 from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
+from foretouch.ros.touch.planner_action import PLANNER_ACTION, planner_action_class, planner_feedback, planner_result
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
@@ -82,7 +98,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._used_tare = self.config.use_tare
         self._threads: ThreadPool | None = None
         self._answering: list[Service[Any, Any]] = []
-        self._action: ActionServer[Any, Any, Any] | None = None
+        self._actions: list[ActionServer[Any, Any, Any]] = []
+        self._planner_action: Any = None  # class of the action of MoveIt Task Constructor
+        self._frame: OutputFrame | None = None
         self._tables: dict[int, TablePlane] = {}
         self._latest: Latest | None = None
         self._latest_lock = threading.Lock()
@@ -90,7 +108,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     # Hooks of the base class.
 
     def setup(self) -> None:
-        """Load the model, then offer topics, services and the action."""
+        """Load the model, then offer topics, services and actions."""
+        self._frame = OutputFrame(self, self.config)
+        self._planner_action = planner_action_class(self.config.planner_action_type)
         self._predictor = Predictor(self.config.model, self.config.fallback_model)
         if self._predictor.fault:
             self.get_logger().error(self._predictor.fault)
@@ -107,30 +127,51 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self.create_service(Trigger, "forget_touches", self._forget_touches, callback_group=group),
             self.create_service(Trigger, "forget_history", self._forget_history, callback_group=group),
         ]
-        self._action = ActionServer(
-            self,
-            SampleGrasps,
-            "sample_grasps",
-            self.internal_errors.guarded("sample_grasps", self._sample_grasps, _aborted),
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-        )
+        self._offer(SampleGrasps, "sample_grasps", self._sample_grasps, failed)
+        if self._planner_action is not None:
+            self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
         self.subscribe(TablePlane, "table", self._remember_table)
         super().setup()
 
+    def _offer(
+        self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
+    ) -> None:
+        """Make the server of an action; a goal with an internal error is aborted."""
+
+        def aborted(arguments: tuple[Any, ...], reason: str) -> Any:
+            (goal_handle,) = arguments
+            if goal_handle.is_active:
+                goal_handle.abort()
+            return failure(RefusalError(Status.FAILED, reason))
+
+        self._actions.append(
+            ActionServer(
+                self,
+                kind,
+                name,
+                self.internal_errors.guarded(name, execute, aborted),
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=ReentrantCallbackGroup(),
+            )
+        )
+
     def teardown(self) -> None:
-        """Remove services and action, model and touches."""
+        """Remove services and actions, model and touches."""
         for service in self._answering:
             self.destroy_service(service)
         self._answering.clear()
-        if self._action is not None:
-            self._action.destroy()
+        for action in self._actions:
+            action.destroy()
+        self._actions.clear()
+        if self._frame is not None:
+            self._frame.close()
+            self._frame = None
         if self._threads is not None:
             self._threads.close()
         if self._keeper is not None:
             self._keeper.close()
             self._keeper = None
-        self._action = self._threads = self._predictor = self._adapter = self._latest = None
+        self._threads = self._predictor = self._adapter = self._latest = None
         self._tables.clear()
 
     def errors(self) -> tuple[str, ...]:
@@ -145,7 +186,10 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             known["regime"] = "none: the model's card holds no calibration"
         adapted = self._adapter.notes() if self._adapter else {}
         budget = self._predictor.budget.notes() if self._predictor and self._predictor.budget else {}
-        return {**super().notes(), **known, **budget, **adapted, **(self._keeper.notes() if self._keeper else {})}
+        offered = {PLANNER_ACTION: self.config.planner_action_type} if self._planner_action is not None else {}
+        frame = self._frame.notes() if self._frame else {}
+        kept = self._keeper.notes() if self._keeper else {}
+        return {**super().notes(), **known, **budget, **adapted, **kept, **frame, **offered}
 
     def config_changed(self, config: TouchPredictorConfig) -> None:
         """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
@@ -166,24 +210,27 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         self._remember_cloud(messages[CLOUD_TOPIC])
         if not grasps.grasps:
             raise passed_on(GRASPS_TOPIC, grasps.status or Status.NO_GRASP, grasps.reason or "grasps: is empty")
-        check_frames(GRASPS_TOPIC, grasps.header, header)
+        transform = self._output().transform(header)
+        planned = _in_frame_of(header, grasps, transform)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
-        message, answer = self._predict(targets, grasps.grasps, header, None, self.arrived)
+        message, answer = self._predict(targets, planned, header, None, self.arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
-            self._adapter.add_grasps(messages[CLOUD_TOPIC], grasps.grasps)
-        self._touch.publish(self._loaded().end(message, answer, encoded=True))
+            self._adapter.add_grasps(messages[CLOUD_TOPIC], planned)
+        published = message if transform is None else transform.answer(message)
+        self._touch.publish(self._loaded().end(published, answer, encoded=True))
         if self._markers.wanted:
-            self.internal_errors.guarded("markers", self._draw)(message.prediction(0))  # the answer is published
+            message.flags = published.flags
+            self.internal_errors.guarded("markers", self._draw)(message.prediction(0), transform)  # the answer is out
         return message.status, message.reason
 
-    def _draw(self, prediction: TouchPrediction) -> None:
+    def _draw(self, prediction: TouchPrediction, transform: FrameTransform | None) -> None:
+        """Publish the markers of a prediction in the frame of its cloud, brought to that of the answers."""
         touches = self._adapter.touches() if self._adapter else 0
         config = self.config
-        self._markers.publish(
-            touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1, touches=touches)
-        )
+        markers = touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1, touches=touches)
+        self._markers.publish(markers if transform is None else transform.markers(markers))
 
     def refuse(self, header: Header, status: int, reason: str) -> None:
         """Publish why this cloud gets no predictions."""
@@ -214,6 +261,11 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._predictor is None:
             raise RefusalError(Status.NO_MODEL, "the node is not configured")
         return self._predictor
+
+    def _output(self) -> OutputFrame:
+        if self._frame is None:
+            raise RefusalError(Status.NO_MODEL, "the node is not configured")
+        return self._frame
 
     async def _in_thread(self, work: Callable[[], _T]) -> _T:
         if self._threads is None:
@@ -285,52 +337,94 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
     def _response_or_refusal(self, request: Any, arrived: float) -> TouchPredictionArray:
         header = request.cloud.header
         try:
-            return self._answer_request(request, header, arrived)
+            return self._answer_request(request, arrived)
         except RefusalError as refusal:
             return TouchPredictionArray(header=header, status=refusal.status, reason=refusal.reason)
         except Exception as err:  # noqa: BLE001  the answer names the request's cloud
             reason = self.internal_errors.report("predict_touch", err)
             return TouchPredictionArray(header=header, status=Status.FAILED, reason=reason)
 
-    def _answer_request(self, request: Any, header: Header, arrived: float) -> TouchPredictionArray:
+    def _answer_request(self, request: Any, arrived: float) -> TouchPredictionArray:
         if len(request.grasps) > self.config.max_grasps:
             raise RefusalError(
                 Status.BAD_REQUEST, f"grasps: {len(request.grasps)} is above max_grasps, {self.config.max_grasps}"
             )
-        table = read_plane(request.table[0]) if request.table else None
-        targets = read_targets(request.cloud, table or ASSUMED_TABLE)
-        if not request.grasps:
+        asked = self._framed(request.cloud, request.table, request.grasps)
+        table = read_plane(asked.table[0]) if asked.table else None
+        targets = read_targets(asked.cloud, table or ASSUMED_TABLE)
+        check_optical(targets)
+        if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
-        message, answer = self._predict(targets, request.grasps, header, posing, arrived)
-        self._add_requested(request.cloud, request.grasps)  # not before: the same grasp may have been executed already
+        message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
+        self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
+        if asked.transform is not None:
+            message = asked.transform.answer(message)
         made: TouchPredictionArray = self._loaded().end(message, answer)
         return made
 
-    # The action.
+    def _framed(self, cloud: PointCloud2, table: Sequence[Plane], grasps: Sequence[Grasp]) -> FramedRequest:
+        with self._latest_lock:
+            latest = self._latest
+        return in_cloud_frame(self._output(), cloud, table, grasps, latest)
+
+    # The actions.
 
     async def _sample_grasps(self, goal_handle: Any) -> Any:
+        def work() -> Any:
+            return self._sample(goal_handle, goal_handle.request, goal_handle.publish_feedback)
+
+        return await self._finished(goal_handle, work, failed)
+
+    async def _sample_grasp_poses(self, goal_handle: Any) -> Any:
+        """Answer a goal of MoveIt Task Constructor on the latest object."""
+
+        def work() -> Any:
+            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name)
+            sampled = self._sample(goal_handle, goal, lambda _: None)
+            goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
+            return planner_result(self._planner_action)
+
+        return await self._finished(goal_handle, work, self._planner_failure)
+
+    def _planner_failure(self, refusal: RefusalError) -> Any:
+        return planner_result(self._planner_action, refusal)
+
+    async def _finished(self, goal_handle: Any, work: Callable[[], Any], failure: Callable[[RefusalError], Any]) -> Any:
+        """The result of work on a goal, which then has succeeded, or was aborted or cancelled."""
         try:
-            result = await self._in_thread(lambda: self._sample(goal_handle))
+            result = await self._in_thread(work)
             end = goal_handle.succeed
         except RefusalError as refusal:
-            result, end = failed(refusal), goal_handle.abort
+            result, end = failure(refusal), goal_handle.abort
         if goal_handle.is_cancel_requested:
             end = goal_handle.canceled
         end()
         return result
 
-    def _sample(self, goal_handle: Any) -> Any:
+    def _sample(self, goal_handle: Any, goal: Any, feedback: Callable[[Any], None]) -> Any:
+        """Sample grasps for a `SampleGrasps.Goal`; result and feedback are in the frame of the answers."""
         with self._latest_lock:
             latest = self._latest
+        transform = None
+        if goal.cloud.width * goal.cloud.height:
+            asked = self._framed(goal.cloud, goal.table, ())
+            goal, transform = copy(goal), asked.transform
+            goal.cloud, goal.table = asked.cloud, list(asked.table)
+        elif latest is not None:
+            transform = self._output().transform(latest.cloud.header)
         config = self.config
         settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
-        sampler = GraspSampler(self._predict_candidates, settings, config.ranges, config.max_grasps)
-        goal = goal_handle.request
-        result = sampler.sample(goal, latest, goal_handle.publish_feedback, lambda: goal_handle.is_cancel_requested)
+        sampler = GraspSampler(self._predict_candidates, settings, config.ranges, config.max_grasps, config.sample_cost)
+        result = sampler.sample(
+            goal,
+            latest,
+            feedback if transform is None else lambda message: feedback(transform.sampled(message)),
+            lambda: goal_handle.is_cancel_requested,
+        )
         own = goal.cloud.width * goal.cloud.height > 0
         self._add_requested(goal.cloud if own or latest is None else latest.cloud, result.grasps)
-        return result
+        return result if transform is None else transform.sampled(result)
 
     def _predict_candidates(
         self, target: FoundObject, grasps: Sequence[Grasp], header: Header
@@ -351,9 +445,14 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 self._latest = Latest(message, table)
 
 
-def _aborted(arguments: tuple[Any, ...], reason: str) -> Any:
-    """The result of a goal that failed with an internal error."""
-    (goal_handle,) = arguments
-    if goal_handle.is_active:
-        goal_handle.abort()
-    return failed(RefusalError(Status.FAILED, reason))
+def _in_frame_of(cloud: Header, message: GraspArray, transform: FrameTransform | None) -> Sequence[Grasp]:
+    """The grasps of a message in the frame of their cloud, or in that of the answers.
+
+    Raises:
+        RefusalError: UNKNOWN_FRAME, if they are in another.
+    """
+    if transform is not None and message.header.frame_id == transform.target:
+        back = transform.inverse()
+        return [back.grasp(grasp) for grasp in message.grasps]
+    check_frames(GRASPS_TOPIC, message.header, cloud)
+    return message.grasps

@@ -8,7 +8,9 @@ from foretouch.config import setting
 from foretouch.dataset.pairing import PairingConfig
 from foretouch.grasp import GeoGraspConfig
 from foretouch.grasp.reach import ReachConfig
+from foretouch.ros.runtime.output_frame import OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig
+from foretouch.ros.touch.costs import COSTS, PRESSURE
 from foretouch.tactile import TactileRanges
 from foretouch.tactile.contact_detector import ContactConfig
 from foretouch.tactile.messages import TactileConfig
@@ -16,8 +18,8 @@ from foretouch.topics import TACTILE_TOPIC
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchPredictorConfig(ProcessingConfig, ReachConfig):
-    """Settings of the touch predictor, with the hand's reach. Tactile settings have the names of the recorder's."""
+class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig):
+    """Settings of the touch predictor, with the frame of its answers and the hand's reach. Tactile settings have the names of the recorder's."""
 
     model: str = setting("default", "Name of a model, or path of its card, weights or run folder", read_only=True)
     fallback_model: str = setting(
@@ -63,6 +65,12 @@ class TouchPredictorConfig(ProcessingConfig, ReachConfig):
         "", "Folder of these files (default: foretouch in XDG_STATE_HOME, ~/.local/state)", read_only=True
     )
     max_grasps: int = setting(1000, "Maximum number of grasps in a request", minimum=1, maximum=10_000)
+    sample_cost: str = setting(PRESSURE, "Cost of sampled grasps for goals that name none", choices=COSTS)
+    planner_action_type: str = setting(
+        "moveit_task_constructor_msgs/SampleGraspPoses",
+        "Type of the action sample_grasp_poses, which is offered where the package of the type is installed",
+        read_only=True,
+    )
     tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -14,6 +13,7 @@ from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.messages.conversions import pose_stamped
+from foretouch.ros.touch.costs import COSTS, SCORE, cost_of
 from foretouch.tactile import TactileRanges
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPrediction
@@ -22,7 +22,6 @@ Predict: TypeAlias = Callable[[FoundObject, Sequence[Grasp], Header], Sequence[T
 
 _BATCH = 100  # grasps that are predicted between two looks for a cancel; predictions do not depend on it
 _SUCCESS = "success"
-_COSTS = (SampleGrasps.Goal.PRESSURE, SampleGrasps.Goal.SCORE)
 
 
 class Latest(NamedTuple):
@@ -45,15 +44,24 @@ class GraspSampler:
     Args:
         predict: Gives the predictions for grasps on one target, in order.
         settings: Of GeoGrasp, with the limits of objects.
-        ranges: Ranges of the tactile values, for the cost `pressure`.
+        ranges: Ranges of the tactile values, for costs of pressure.
         max_grasps: Maximum number of grasps that a goal may ask for.
+        cost: Rule of goals that name none (see `cost_of`).
     """
 
-    def __init__(self, predict: Predict, settings: PipelineConfig, ranges: TactileRanges, max_grasps: int) -> None:
+    def __init__(
+        self,
+        predict: Predict,
+        settings: PipelineConfig,
+        ranges: TactileRanges,
+        max_grasps: int,
+        cost: str = SampleGrasps.Goal.PRESSURE,
+    ) -> None:
         self._predict = predict
         self._settings = settings
         self._ranges = ranges
         self._max_grasps = max_grasps
+        self._cost = cost
 
     def sample(
         self, goal: Any, latest: Latest | None, feedback: Callable[[Any], None], cancelled: Callable[[], bool]
@@ -73,9 +81,9 @@ class GraspSampler:
         Raises:
             RefusalError: If there is nothing to grasp, nothing can be predicted, or the goal is invalid.
         """
-        cost = goal.cost or SampleGrasps.Goal.PRESSURE
-        if cost not in _COSTS:
-            raise requests.RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(_COSTS)}")
+        cost = goal.cost or self._cost
+        if cost not in COSTS:
+            raise requests.RefusalError(Status.BAD_REQUEST, f"cost: {cost!r} is none of {', '.join(COSTS)}")
         if goal.count > self._max_grasps:
             raise requests.RefusalError(
                 Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}"
@@ -96,7 +104,7 @@ class GraspSampler:
                 fresh = self._rate(target, plan.grasps[first : first + _BATCH], header, cost)
                 feedback(_feedback(fresh, header))
                 candidates += fresh
-        if cost == SampleGrasps.Goal.PRESSURE and candidates and all(math.isinf(c.cost) for c in candidates):
+        if cost != SCORE and candidates and all(math.isinf(c.cost) for c in candidates):
             raise requests.RefusalError(candidates[0].prediction.status, candidates[0].prediction.reason)
         if not candidates and cancelled():
             raise requests.RefusalError(Status.NO_GRASP, "cancelled before the first prediction")
@@ -104,26 +112,10 @@ class GraspSampler:
 
     def _rate(self, target: FoundObject, grasps: Sequence[Grasp], header: Header, cost: str) -> list[_Candidate]:
         predictions = self._predict(target, grasps, header)
-        by_score = cost == SampleGrasps.Goal.SCORE
         return [
-            _Candidate(_finite(-grasp.score) if by_score else pressure_cost(touch, self._ranges), grasp, touch)
+            _Candidate(cost_of(cost, touch, self._ranges), grasp, touch)
             for grasp, touch in zip(grasps, predictions, strict=True)
         ]
-
-
-def pressure_cost(prediction: TouchPrediction, ranges: TactileRanges) -> float:
-    """Mean of both fingers' predicted static pressure, each relative to its range: 0 lowest, 1 highest.
-
-    Returns:
-        Infinity without a prediction.
-    """
-    if prediction.status != Status.OK:
-        return math.inf
-    shares = []
-    for name, interval in (("PDC_TH", prediction.pdc_th), ("PDC_MF", prediction.pdc_mf)):
-        low, high = ranges.of(name)
-        shares.append((interval.value - low) / (high - low))
-    return _finite(float(np.mean(shares)))
 
 
 def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObject, ...]]:
@@ -131,7 +123,9 @@ def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObjec
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
             raise requests.RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
-        return goal.cloud.header, requests.read_targets(goal.cloud, requests.read_plane(goal.table[0]))
+        targets = requests.read_targets(goal.cloud, requests.read_plane(goal.table[0]))
+        requests.check_optical(targets)
+        return goal.cloud.header, targets
     if latest is None:
         raise requests.RefusalError(
             Status.EMPTY_CLOUD, "cloud: is empty, and no object_cloud with a table was received yet"
@@ -164,7 +158,3 @@ def _result(candidates: Sequence[_Candidate], header: Header, plan: GraspArray) 
 def failed(refusal: requests.RefusalError) -> Any:
     """The result of a goal that was refused."""
     return SampleGrasps.Result(grasp_state=f"{requests.status_name(refusal.status)}: {refusal}", status=refusal.status)
-
-
-def _finite(cost: float) -> float:
-    return cost if math.isfinite(cost) else math.inf

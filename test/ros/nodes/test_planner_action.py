@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action of MoveIt Task Constructor, of its own type, over DDS; and costs by the rules of the parameter."""
+
+import importlib
+import math
+import os
+import sys
+
+import numpy as np
+import planner_type_builder
+import pytest
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from sensor_msgs.msg import PointCloud2
+
+from foretouch.errors import ConfigError
+from foretouch.pipeline import Pipeline
+from foretouch.ros.messages.clouds import objects_to_msg
+from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
+from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.touch.costs import COSTS, cost_of
+from foretouch.ros.touch.planner_action import planner_action_class, planner_feedback
+from foretouch.tactile import TactileRanges
+from foretouch_msgs.action import SampleGrasps
+from foretouch_msgs.msg import GraspArray, Interval, Status, TablePlane, TouchPrediction
+
+pytestmark = [pytest.mark.ros, pytest.mark.xdist_group("planner_action")]
+
+CAMERA = "camera_depth_optical_frame"
+
+
+@pytest.fixture(scope="module")
+def planner_type():
+    """The action class of a package that is built once, outside of the tree."""
+    try:
+        root = planner_type_builder.build()
+        planner_type_builder.load(root)
+    except (RuntimeError, OSError) as err:
+        pytest.skip(str(err))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(root), os.environ.get("AMENT_PREFIX_PATH", "")]))
+        patch.syspath_prepend(planner_type_builder.python_path(root))
+        yield importlib.import_module(f"{planner_type_builder.PACKAGE}.action").SampleGraspPoses
+
+
+@pytest.fixture(scope="module")
+def target(scene_cloud):
+    return Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0]
+
+
+def send_latest(graph, node, target):
+    """Give the predictor an object and its table, on which it then answers goals."""
+    clouds, tables = graph.talk(PointCloud2, "object_cloud"), graph.talk(TablePlane, "table")
+    grasps = graph.talk(GraspArray, "grasps")
+    for topic in ("object_cloud", "table", "grasps"):
+        graph.matched(topic)
+    header = header_to_msg(CAMERA, 11)
+    tables.publish(TablePlane(header=header, plane=plane_to_msg(target.plane)))
+    clouds.publish(objects_to_msg([target], CAMERA, 11))
+    grasps.publish(GraspArray(header=header, status=Status.NO_GRASP, reason="none"))
+    graph.until(lambda: node.statistics.summary().used == 1)
+
+
+def sample(graph, kind, name, goal):
+    """The status, the result and all feedback of a goal."""
+    client = ActionClient(graph.probe, kind, name)
+    assert client.wait_for_server(10.0)
+    feedback = []
+    sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback.append(message.feedback))
+    graph.until(sent.done)
+    future = sent.result().get_result_async()
+    graph.until(future.done)
+    if future.result().status == GoalStatus.STATUS_SUCCEEDED:
+        graph.until(lambda: feedback)
+    return future.result().status, future.result().result, feedback
+
+
+def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type(
+    graph, model_card, target, planner_type, tmp_path
+):
+    path = tmp_path / "hand_eye.yaml"
+    path.write_text("translation: [0.4, 0.0, 0.9]\nrotation: [1, 0, 0, 0]\n")
+    (node,) = graph.add(
+        "touch_predictor", model=model_card, grasp__count=5, sample_cost="harder_finger", output_frame="base_link",
+        hand_eye=str(path),
+    )  # fmt: skip
+    assert node.notes()["sample_grasp_poses"] == "moveit_task_constructor_msgs/SampleGraspPoses"
+    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", planner_type.Goal(action_name="a"))
+    assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
+    assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
+    send_latest(graph, node, target)
+    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", planner_type.Goal(action_name="a"))
+    assert (status, result.grasp_state, len(feedback)) == (GoalStatus.STATUS_SUCCEEDED, "success", 1)
+    _, own, _ = sample(graph, SampleGrasps, "sample_grasps", SampleGrasps.Goal())
+    assert feedback[0].grasp_candidates == own.grasp_candidates
+    assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
+    assert len(own.costs) == 5
+    assert {(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates} == {
+        ("base_link", 11)
+    }
+    assert not node.internal_errors.counts()
+
+
+def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
+    monkeypatch.setitem(sys.modules, "moveit_task_constructor_msgs", None)
+    monkeypatch.setitem(sys.modules, "moveit_task_constructor_msgs.action", None)
+    (node,) = graph.add("touch_predictor", model=model_card)
+    assert "sample_grasp_poses" not in node.notes()
+    graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
+    assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("SampleGraspPoses", "is not package/Type"),
+        ("a/b/c", "is not package/Type"),
+        ("foretouch_msgs/SampleGrasps", ""),
+        ("nowhere_msgs/Other", ""),
+    ],
+)
+def test_the_type_is_a_parameter(name, reason):
+    if reason:
+        with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' {reason}"):
+            planner_action_class(name)
+    else:
+        assert planner_action_class(name) is {"foretouch_msgs/SampleGrasps": SampleGrasps}.get(name)
+
+
+def test_grasps_without_a_finite_cost_are_left_out_and_none_is_a_refusal():
+    result = SampleGrasps.Result(costs=[1.0, math.inf, math.inf])
+    result.grasp_candidates = [_pose(number) for number in range(3)]
+    found = planner_feedback(SampleGrasps, result)
+    assert (list(found.costs), found.grasp_candidates) == ([1.0], [_pose(0)])
+    result.costs = [math.inf] * 3
+    with pytest.raises(RefusalError, match="no grasp has a finite cost"):
+        planner_feedback(SampleGrasps, result)
+
+
+def _pose(number: int):
+    from geometry_msgs.msg import PoseStamped
+
+    pose = PoseStamped()
+    pose.pose.position.x = float(number)
+    return pose
+
+
+def test_costs_by_each_rule():
+    ranges = TactileRanges()
+    (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
+    one = TouchPrediction(
+        pdc_th=Interval(value=low_th + 0.25 * (high_th - low_th)), pdc_mf=Interval(value=low_mf + 0.75 * (high_mf - low_mf))
+    )
+    one.grasp.score = 4.0
+    costs = {rule: cost_of(rule, one, ranges) for rule in COSTS}
+    assert costs == pytest.approx({"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}, rel=1e-3)
+    one.status, one.grasp.score = Status.REFUSED, math.nan
+    assert np.isposinf([cost_of(rule, one, ranges) for rule in COSTS]).all()

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The source of the transform of answers: tf2 (a stand-in), or a calibration file."""
+
+import sys
+
+import numpy as np
+import pytest
+import tf2_stand_in
+from numpy.testing import assert_allclose
+from rclpy.node import Node
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Header
+
+from foretouch.errors import ConfigError, MissingDependencyError
+from foretouch.ros.messages.conversions import header_to_msg
+from foretouch.ros.messages.requests import RefusalError
+from foretouch.ros.runtime.hand_eye import read_hand_eye
+from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
+from foretouch_msgs.msg import Status
+
+pytestmark = pytest.mark.ros
+
+OWN = """
+translation: [0.45, -0.2, 0.8]
+rotation: [0.5, -0.5, 0.5, 0.5]
+frame_id: base
+child_frame_id: cam
+"""
+
+EASY = """
+parameters:
+  name: demo
+  calibration_type: {kind}
+  robot_base_frame: base
+  robot_effector_frame: tool0
+  tracking_base_frame: cam
+  tracking_marker_frame: marker
+  freehand_robot_movement: true
+transform:
+  translation:
+    x: 0.45
+    y: -0.2
+    z: 0.8
+  rotation:
+    x: 0.5
+    y: -0.5
+    z: 0.5
+    w: 0.5
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(text: str) -> str:
+        path = tmp_path / "hand_eye.yaml"
+        path.write_text(text)
+        return str(path)
+
+    return to_file
+
+
+@pytest.mark.parametrize(
+    ("text", "robot"),
+    [(OWN, "base"), (EASY.format(kind="eye_on_base"), "base"), (EASY.format(kind="eye_in_hand"), "tool0")],
+)
+def test_both_forms_of_file_give_the_transform_to_the_robot(write, text, robot):
+    found = read_hand_eye(write(text))
+    assert (found.target, found.source) == (robot, "cam")
+    turn = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
+    assert_allclose(found.points(np.eye(3)), turn.apply(np.eye(3)) + np.array([0.45, -0.2, 0.8]), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (OWN.replace("0.5, -0.5", "0.6, -0.5"), r"rotation: length 1.05357 of \[0.6, -0.5, 0.5, 0.5\] is not 1"),
+        (OWN.replace("0.45", ".nan"), r"translation\[0\]: nan is not finite"),
+        (OWN.replace("0.45", "450"), r"translation\[0\]: 450.0 is above 100.0 m"),
+        (OWN.replace("0.5]", "fast]"), r"rotation\[3\]: 'fast' is not a number"),
+        (OWN.replace("-0.2, ", ""), r"translation: \[0.45, 0.8\] is not 3 numbers"),
+        (OWN.replace("translation", "position"), "position: unknown setting; known: translation, rotation"),
+        (OWN.replace("frame_id: base\n", "frame_id: 3\n", 1), "frame_id: 3 is not text"),
+        ("rotation: [0, 0, 0, 1]", r"translation: \[\] is not 3 numbers"),
+        ("- 1", "holds a list, not a mapping"),
+        (EASY, "is not a calibration of easy_handeye2"),
+        (EASY.format(kind="eye_on_base").replace("    w: 0.5", "    w: 0.4"), "rotation: length 0.953"),
+        (
+            EASY.format(kind="eye_on_base").replace("    z: 0.8\n", ""),
+            "is not a calibration of easy_handeye2: there is no 'z'",
+        ),
+        ("transform: 3", "is not a calibration of easy_handeye2"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named_with_the_field_in_one_line(write, text, reason):
+    path = write(text)
+    with pytest.raises(ConfigError, match=reason) as caught:
+        read_hand_eye(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.yaml"):
+        read_hand_eye(str(tmp_path / "none.yaml"))
+
+
+def of_file(path: str, frame: str = "base") -> OutputFrame:
+    return OutputFrame(None, OutputFrameConfig(output_frame=frame, hand_eye=path))  # type: ignore[arg-type]
+
+
+def test_by_default_answers_stay_in_the_frame_of_their_cloud():
+    frame = OutputFrame(None, OutputFrameConfig())  # type: ignore[arg-type]
+    assert frame.transform(Header(frame_id="cam")) is None
+    assert frame.notes() == {}
+    frame.close()
+
+
+def test_a_calibration_is_for_the_frames_that_it_names(write):
+    path = write(OWN)
+    frame = of_file(path)
+    assert frame.transform(Header(frame_id="base")) is None
+    assert frame.transform(Header(frame_id="cam")).target == "base"
+    with pytest.raises(RefusalError, match="no_transform: hand_eye is for clouds in 'cam', not in 'other'") as caught:
+        frame.transform(Header(frame_id="other"))
+    assert caught.value.status == Status.UNKNOWN_FRAME
+    with pytest.raises(ConfigError, match="frame_id: 'base' is not output_frame, 'world'"):
+        of_file(path, "world")
+    anywhere = of_file(write(OWN.replace("frame_id: base\n", "").replace("child_frame_id: cam", "")), "world")
+    assert anywhere.transform(Header(frame_id="any")).source == "any"
+
+
+def test_a_calibration_needs_an_output_frame():
+    with pytest.raises(ConfigError, match=r"hand_eye: 'x\.yaml' is given without output_frame"):
+        OutputFrameConfig(hand_eye="x.yaml")
+
+
+def test_without_tf2_and_calibration_a_frame_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    with pytest.raises(MissingDependencyError, match="output_frame: 'base' needs tf2_ros, which is not installed"):
+        of_file("")
+
+
+@pytest.fixture
+def tf2(monkeypatch) -> type[tf2_stand_in.Buffer]:
+    monkeypatch.setitem(sys.modules, "tf2_ros", tf2_stand_in.module())
+    return tf2_stand_in.Buffer
+
+
+def test_a_transform_of_tf2_is_that_of_the_stamp_of_the_cloud(tf2):
+    turns = Rotation.from_euler("z", [[0.0], [90.0]], degrees=True).as_quat()
+    tf2.known["base", "cam"] = [(0, np.zeros(3), turns[0]), (1000, np.array([1.0, 0.0, 0.0]), turns[1])]
+    frame = OutputFrame(Node.__new__(Node), OutputFrameConfig(output_frame="base", transform_timeout_s=0.05))
+    half = frame.transform(header_to_msg("cam", 500))
+    assert_allclose(half.points(np.eye(3)[0]), [0.5 + np.sqrt(0.5), np.sqrt(0.5), 0.0], atol=1e-12)
+    with pytest.raises(RefusalError, match="no_transform: from 'cam' to 'base': Lookup would require extrapolation"):
+        frame.transform(header_to_msg("cam", 2000))
+    with pytest.raises(RefusalError, match=r"no_transform: from 'hand' to 'base': .* does not exist") as caught:
+        frame.transform(header_to_msg("hand", 500))
+    assert caught.value.status == Status.UNKNOWN_FRAME
+    assert frame.notes() == {"output_frame": "base (tf2)"}
+    frame.close()
+
+
+def test_a_transform_of_tf2_that_is_no_rotation_is_refused(tf2, monkeypatch):
+    tf2.known["base", "cam"] = [(0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))]
+    frame = OutputFrame(Node.__new__(Node), OutputFrameConfig(output_frame="base"))
+    real = tf2.lookup_transform
+
+    def spoilt(*arguments, **options):
+        found = real(*arguments, **options)
+        found.transform.rotation.w = 0.5
+        return found
+
+    monkeypatch.setattr(tf2, "lookup_transform", spoilt)
+    with pytest.raises(RefusalError, match=r"no_transform: from 'cam' to 'base': orientation: length 0\.5"):
+        frame.transform(header_to_msg("cam", 0))
