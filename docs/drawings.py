@@ -19,7 +19,7 @@ from foretouch.types import Cloud, TouchPrediction
 
 FOLDER = Path(__file__).parent
 AXES = ("tab:red", "tab:green", "tab:blue")  # x, y, z as in RViz
-POINTS = 2000  # drawn at most
+POINTS = 1800  # drawn at most
 
 
 def scene() -> tuple[Cloud, PipelineResult]:

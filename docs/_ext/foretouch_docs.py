@@ -19,7 +19,9 @@ from sphinx.application import Sphinx
 
 REPOSITORY = "https://github.com/foretouch/foretouch"
 GENERATED = re.compile(r"^```\{generated\} (\w+)\n.*?^```$", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"(?<!!)\[(?P<text>(?:[^\[\]]|!?\[[^\]]*\]\([^)]*\))*)\]\((?P<target>[^)\s#:]+)(?P<anchor>#[^)\s]*)?\)")
+LINK = re.compile(
+    r"(?<!!)\[(?P<text>(?:[^\[\]]|!?\[[^\]]*\]\([^)]*\))*)\]\((?P<target>[^)\s#:]+)(?P<anchor>#[^)\s]*)?\)"
+)
 
 
 def outward(text: str, page: Path, site: Path) -> str:

@@ -287,10 +287,15 @@ def topics() -> str:
         rows = []
         for name, (type_name, nodes) in sorted(found[kind].items()):
             users = [", ".join(f"`{node}`" for node in nodes.get(end, [])) or "–" for end in ends]
-            package, _, own = type_name.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/").partition("/")
+            package, _, own = (
+                type_name.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/").partition("/")
+            )
             link = f"[`{own}`](messages.md#{own.lower()})" if package == "foretouch_msgs" else f"`{package}/{own}`"
             rows.append((f"`{name}`", link, *users, cell(_purpose(name, own))))
-        parts += [f"## {title}", table([kind, "type", *(f"{end}s" if end != "server" else "node" for end in ends), "content"], rows)]
+        parts += [
+            f"## {title}",
+            table([kind, "type", *(f"{end}s" if end != "server" else "node" for end in ends), "content"], rows),
+        ]
     return sections(parts)
 
 
