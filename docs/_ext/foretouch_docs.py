@@ -12,10 +12,13 @@ import dataclasses
 import inspect
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from reference import GENERATORS
 from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
+
+from foretouch.config import Settings
 
 REPOSITORY = "https://github.com/foretouch/foretouch"
 GENERATED = re.compile(r"^```\{generated\} (\w+)\n.*?^```$", re.MULTILINE | re.DOTALL)
@@ -62,10 +65,33 @@ def field_comments(cls: type) -> dict[str, str]:
     return found
 
 
+def _short(annotation: str) -> str:
+    """An annotation with arrays as `NDArray[float64]`."""
+    array = r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?numpy\.(\w+)\]\]"
+    return re.sub(array, r"NDArray[\1]", annotation)
+
+
 def _describe_fields(_: Sphinx, what: str, __: str, documented: Any, ___: Any, lines: list[str]) -> None:
-    if what == "class" and dataclasses.is_dataclass(documented) and isinstance(documented, type):
-        comments = field_comments(documented)
-        lines += ["", *(f":ivar {name}: {comment}" for name, comment in comments.items()), ""]
+    """Add fields that are described beside them, and the types of all that are described (napoleon ran before)."""
+    if what != "class" or not dataclasses.is_dataclass(documented) or not isinstance(documented, type):
+        return
+    lines += ["", *(f":ivar {name}: {comment}" for name, comment in field_comments(documented).items())]
+    described = {line.split()[1].rstrip(":") for line in lines if line.startswith(":ivar ")}
+    for name, hint in get_type_hints(documented).items():
+        if name in described:
+            lines.append(f":vartype {name}: {_short(stringify_annotation(hint, 'smart'))}")
+    lines.append("")
+
+
+def _hide_signature(_: Sphinx, what: str, __: str, documented: Any, ___: Any, ____: str, _____: str) -> Any:
+    """Settings have dozens of keyword arguments, which are their fields."""
+    return ("(…)", None) if what == "class" and issubclass(documented, Settings) else None
+
+
+def _shorten_types(app: Sphinx, *_: Any) -> None:
+    """Shorten the types that autodoc is about to add to an object."""
+    for types in app.env.current_document.autodoc_annotations.values():
+        types.update({name: _short(one) for name, one in types.items()})
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -73,4 +99,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", _read)
     app.connect("env-get-outdated", _outdated)
     app.connect("autodoc-process-docstring", _describe_fields)
+    app.connect("autodoc-process-signature", _hide_signature)
+    app.connect("object-description-transform", _shorten_types, priority=100)
     return {"parallel_read_safe": True}
