@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check, make bench. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make bench, make docs. Each can be repeated and reuses what stands.
 # ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
 PYTHON ?= python3
 ROS ?= kilted
@@ -18,7 +18,7 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup runtime demo test test-ros check bench format clean
+.PHONY: setup runtime demo test test-ros check bench docs format clean
 
 # What a robot needs, for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
@@ -36,7 +36,7 @@ $(VENV)/.runtime: setup.cfg constraints.txt constraints-$(ROS).txt setup.py pypr
 
 $(VENV)/.installed: $(VENV)/.runtime
 	@echo "setup: installing what the tests need (half a minute)"
-	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,test,dev]'
+	@$(PIP) install $(CONSTRAINTS) -e '.[open3d,view,serve,docs,test,dev]'
 	-@$(BIN)/foretouch doctor
 	@touch $@
 
@@ -61,6 +61,12 @@ check: setup
 # Fails on a loss of more than 20 % of speed; make bench BENCH=--renew commits the ratios of this machine.
 bench: setup
 	$(BIN)/python benchmarks/guard/bench.py $(BENCH)
+
+# The site, in build/docs; a warning is an error.
+docs: runtime
+	@$(PIP) install $(CONSTRAINTS) -e '.[docs]'
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/docs
+	@echo "docs: open build/docs/index.html"
 
 format: setup
 	$(BIN)/ruff format .

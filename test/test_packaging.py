@@ -155,6 +155,15 @@ def test_package_xml_declares_what_is_imported() -> None:
     assert modules - imported("src", "launch") == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle
 
 
+def test_the_installation_page_installs_what_rosdep_does_not_know() -> None:
+    text = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^pip install -c src/foretouch/constraints.txt (.*)$", text, re.MULTILINE)
+    assert {IMPORT_NAMES.get(name, name) for name in line.split()} == NOT_IN_ROSDEP
+    assert {f"`{extra}`" for extra in metadata.metadata("foretouch").get_all("Provides-Extra") or []} <= set(
+        re.findall(r"`\w+`", text)
+    )
+
+
 def test_the_constraints_are_within_the_ranges_and_complete() -> None:
     files = [ROOT / f"constraints{name}.txt" for name in ("", "-kilted", "-jazzy")]
     lines = [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 OPTIONAL = {"pyrealsense2", "rclpy", "sensor_msgs", "foretouch_msgs", "std_msgs", "geometry_msgs"}  # extras
-SCRIPTS = sorted([*ROOT.glob("benchmarks/*/*.py"), *ROOT.glob("examples/*.py")])
+SCRIPTS = sorted([*ROOT.glob("benchmarks/*/*.py"), *ROOT.glob("examples/*.py"), ROOT / "docs" / "drawings.py"])
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: f"{path.parent.name}/{path.name}")

@@ -22,6 +22,13 @@ SEARCHED = (
     "docs/architecture.md",
     "docs/recording.md",
     "docs/numerical_stability.md",
+    "docs/index.md",
+    "docs/install.md",
+    "docs/concepts.md",
+    "docs/limits.md",
+    "docs/tutorials",
+    "docs/reference",
+    "docs/_ext",
 )
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""
@@ -55,7 +62,7 @@ def searched_files() -> list[Path]:
     files = []
     for name in SEARCHED:
         path = ROOT / name
-        files += sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        files += sorted([*path.rglob("*.py"), *path.rglob("*.md")]) if path.is_dir() else [path]
     return files
 
 

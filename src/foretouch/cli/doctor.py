@@ -101,7 +101,7 @@ def _requirements() -> Iterator[Finding]:
     for line in metadata.requires("foretouch") or []:
         match = _EXTRA.search(line)
         extra = match[1] if match else None
-        if extra in {"test", "dev", *other_ros}:
+        if extra in {"test", "dev", "docs", *other_ros}:
             continue
         wanted = Requirement(line)
         yield _requirement(wanted.name, wanted.specifier, extra)

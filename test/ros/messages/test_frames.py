@@ -135,7 +135,10 @@ def test_predictions_and_samples_move_with_all_their_parts(transform, rng):
     header = Header(frame_id="cam")
     header.stamp.sec = 5
     prediction = TouchPrediction(header=header, grasp=one, model="m")
-    (moved,) = transform.predictions(TouchPredictionArray(header=header, predictions=[prediction])).predictions
+    answer = TouchAnswer(header, [one], [Refusal(Status.NO_GRASP, "none")], model="m")
+    moved = transform.prediction(prediction)
+    (array,) = transform.answer(answer).message.predictions
+    assert (array.header, array.grasp, array.model, array.reason) == (moved.header, moved.grasp, "m", "none")
     assert (moved.header.frame_id, moved.header.stamp.sec, moved.model) == ("base", 5, "m")
     assert moved.grasp == transform.grasp(one)
     pose = PoseStamped(header=header, pose=one.pose)

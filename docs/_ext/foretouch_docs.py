@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sphinx extension: inserts what `reference` makes, and leads links to files outside of the site to the repository.
+
+A page asks for generated text with a fenced block, whose content is what a reader of the file itself sees::
+
+    ```{generated} messages
+    Made from foretouch_msgs when the site is built.
+    ```
+"""
+
+import dataclasses
+import inspect
+import re
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from reference import GENERATORS
+from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
+
+from foretouch.config import Settings
+
+REPOSITORY = "https://github.com/foretouch/foretouch"
+GENERATED = re.compile(r"^```\{generated\} (\w+)\n.*?^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(
+    r"(?<!!)\[(?P<text>(?:[^\[\]]|!?\[[^\]]*\]\([^)]*\))*)\]\((?P<target>[^)\s#:]+)(?P<anchor>#[^)\s]*)?\)"
+)
+
+
+def outward(text: str, page: Path, site: Path) -> str:
+    """The text of a page with links that leave the site, or name a folder, as addresses of the repository."""
+    root = site.parent
+
+    def lead(match: re.Match[str]) -> str:
+        target = (page.parent / match["target"]).resolve()
+        if target.is_relative_to(site) and target.is_file():
+            return match[0]
+        kind = "tree" if target.is_dir() else "blob"
+        return f"[{match['text']}]({REPOSITORY}/{kind}/main/{target.relative_to(root)}{match['anchor'] or ''})"
+
+    return LINK.sub(lead, text)
+
+
+def _read(app: Sphinx, docname: str, content: list[str]) -> None:
+    page = Path(app.env.doc2path(docname)).resolve()
+    if page.suffix == ".md":
+        text = outward(content[0], page, Path(app.srcdir).resolve())
+        content[0] = GENERATED.sub(lambda match: GENERATORS[match[1]](), text)
+
+
+def _outdated(app: Sphinx, *_: Any) -> list[str]:
+    """Pages with generated text are read again at each build."""
+    pages = (Path(app.env.doc2path(name)) for name in app.env.found_docs)
+    return [app.env.path2doc(page) or "" for page in pages if GENERATED.search(page.read_text(encoding="utf-8"))]
+
+
+def field_comments(cls: type) -> dict[str, str]:
+    """The description of each field that a dataclass declares itself: of `setting(...)`, or the comment beside it."""
+    source = inspect.getsource(cls)
+    found = {}
+    for field in dataclasses.fields(cls):
+        beside = re.search(rf"^    {field.name}: [^#\n]*#\s*(?!noqa|fmt)(.+)$", source, re.MULTILINE)
+        if field.name in cls.__annotations__ and ("description" in field.metadata or beside):
+            found[field.name] = field.metadata.get("description") or (beside[1] if beside else "")
+    return found
+
+
+def _short(annotation: str) -> str:
+    """An annotation with arrays as `NDArray[float64]`."""
+    array = r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?numpy\.(\w+)\]\]"
+    return re.sub(array, r"NDArray[\1]", annotation)
+
+
+def _describe_fields(_: Sphinx, what: str, __: str, documented: Any, ___: Any, lines: list[str]) -> None:
+    """Add fields that are described beside them, and the types of all that are described (napoleon ran before)."""
+    if what != "class" or not dataclasses.is_dataclass(documented) or not isinstance(documented, type):
+        return
+    lines += ["", *(f":ivar {name}: {comment}" for name, comment in field_comments(documented).items())]
+    described = {line.split()[1].rstrip(":") for line in lines if line.startswith(":ivar ")}
+    for name, hint in get_type_hints(documented).items():
+        if name in described:
+            lines.append(f":vartype {name}: {_short(stringify_annotation(hint, 'smart'))}")
+    lines.append("")
+
+
+def _hide_signature(_: Sphinx, what: str, __: str, documented: Any, ___: Any, ____: str, _____: str) -> Any:
+    """Settings have dozens of keyword arguments, which are their fields."""
+    return ("(…)", None) if what == "class" and issubclass(documented, Settings) else None
+
+
+def _shorten_types(app: Sphinx, *_: Any) -> None:
+    """Shorten the types that autodoc is about to add to an object."""
+    for types in app.env.current_document.autodoc_annotations.values():
+        types.update({name: _short(one) for name, one in types.items()})
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the extension."""
+    app.connect("source-read", _read)
+    app.connect("env-get-outdated", _outdated)
+    app.connect("autodoc-process-docstring", _describe_fields)
+    app.connect("autodoc-process-signature", _hide_signature)
+    app.connect("object-description-transform", _shorten_types, priority=100)
+    return {"parallel_read_safe": True}

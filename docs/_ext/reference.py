@@ -1,0 +1,425 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reference pages in Markdown, made from the code: messages, parameters, topics, commands and settings."""
+
+import argparse
+import dataclasses
+import importlib
+import inspect
+import os
+import re
+import tempfile
+import typing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from foretouch.config import SettingInfo, Settings, setting_infos
+
+ROOT = Path(__file__).resolve().parents[2]
+INTERFACES = ROOT / "foretouch_msgs"
+
+
+# Tables.
+
+
+def cell(text: str) -> str:
+    """A text as one cell of a table: in Markdown, `<`, `|` and new lines have meanings there."""
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of cells that are Markdown themselves; "" without rows."""
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *lines, ""]) if lines else ""
+
+
+def sections(parts: Iterable[str]) -> str:
+    """Parts with an empty line between them."""
+    return "\n\n".join(part.strip("\n") for part in parts if part.strip()) + "\n"
+
+
+# Messages, services and the action.
+
+
+@dataclasses.dataclass
+class Field:
+    """One line of an interface file, with its comment."""
+
+    type: str
+    name: str
+    value: str  # of a constant, "" for a field
+    comment: str
+
+
+@dataclasses.dataclass
+class Interface:
+    """One file of `foretouch_msgs`."""
+
+    name: str
+    comment: str  # above the first field
+    parts: list[list[Field]]  # a message has one, a service two, an action three
+
+
+_LINE = re.compile(r"(?P<type>[\w/]+(?:\[[<=\d]*\])?)\s+(?P<name>\w+)(?:\s*=\s*(?P<value>\"[^\"]*\"|\S+))?")
+
+
+def interfaces(kind: str) -> list[Interface]:
+    """The interfaces of a kind, `msg`, `srv` or `action`, in order of their names."""
+    return [read_interface(path) for path in sorted((INTERFACES / kind).glob(f"*.{kind}"))]
+
+
+def read_interface(path: Path) -> Interface:
+    """Read one file: a comment beside or below a field belongs to it, one before the first field to the file."""
+    header: list[str] = []
+    parts: list[list[Field]] = [[]]
+    last: Field | None = None
+    for line in path.read_text(encoding="utf-8").splitlines():
+        code, _, comment = (piece.strip() for piece in line.partition("#"))
+        if "SPDX" in comment:
+            continue
+        if code == "---":
+            parts.append([])
+            last = None
+        elif code:
+            match = _LINE.fullmatch(code)
+            if match is None:
+                raise ValueError(f"{path}: {line!r} is no field")
+            last = Field(match["type"], match["name"], match["value"] or "", comment)
+            parts[-1].append(last)
+        elif not comment:
+            last = None
+        elif last is not None:
+            last.comment = f"{last.comment} {comment}".strip()
+        else:
+            header.append(comment)
+    return Interface(path.stem, " ".join(header), parts)
+
+
+def _type_link(name: str) -> str:
+    bare = name.partition("[")[0]
+    own = any((INTERFACES / kind / f"{bare}.{kind}").exists() for kind in ("msg", "srv", "action"))
+    return f"[`{name}`](#{bare.lower()})" if own else f"`{name}`"
+
+
+def _fields(fields: Sequence[Field]) -> str:
+    constants = table(
+        ["constant", "value", "meaning"], [(f"`{f.name}`", f"`{f.value}`", cell(f.comment)) for f in fields if f.value]
+    )
+    rows = [(f"`{f.name}`", _type_link(f.type), cell(f.comment)) for f in fields if not f.value]
+    return sections([constants, table(["field", "type", "content"], rows)])
+
+
+def messages() -> str:
+    """All interfaces, each with its fields, their types and comments."""
+    titles = {"msg": ("Messages", [""]), "srv": ("Services", ["Request", "Response"]),
+              "action": ("Action", ["Goal", "Result", "Feedback"])}  # fmt: skip
+    parts = []
+    for kind, (title, names) in titles.items():
+        parts.append(f"## {title}")
+        for one in interfaces(kind):
+            parts += [f"### {one.name}", one.comment]
+            for name, fields in zip(names, one.parts, strict=True):
+                parts += [f"**{name}**" if name else "", _fields(fields) if fields else "No fields."]
+    return sections(parts)
+
+
+# Settings, and the parameters of the nodes, which are settings.
+
+
+def _kind(info: SettingInfo) -> str:
+    names = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+    text = names.get(info.type, info.type.__name__) + (f" [{info.unit}]" if info.unit else "")
+    if info.choices:
+        text = ", ".join(f"`{choice}`" for choice in info.choices)
+    elif info.minimum is not None or info.maximum is not None:
+        low, high = ("" if limit is None else f"{limit:g}" for limit in (info.minimum, info.maximum))
+        bounds = f"{low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
+        text = f"{text}, {bounds}"
+    return f"list: {text}" if info.is_list else text
+
+
+def _default(info: SettingInfo) -> str:
+    value = info.default
+    if value is dataclasses.MISSING:
+        return "required"
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        value = f"[{', '.join(str(one) for one in value)}]"
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"`{text}`" if text else "empty"
+
+
+def setting_rows(infos: Iterable[SettingInfo], *, live: bool) -> Iterator[tuple[str, ...]]:
+    """A row for each setting; `live` adds whether a running node accepts a change."""
+    for info in infos:
+        row = (f"`{info.name}`", cell(_default(info)), cell(_kind(info)), cell(info.description))
+        yield (*row, "no" if info.read_only else "yes") if live else row
+
+
+def settings_table(infos: Iterable[SettingInfo], *, live: bool = False) -> str:
+    """A table of settings."""
+    columns = ["parameter" if live else "setting", "default", "values", "meaning"]
+    return table([*columns, "while running"] if live else columns, setting_rows(infos, live=live))
+
+
+def all_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
+    """As `setting_infos`, with optional groups, and lists of groups as `name[]`."""
+    own = {info.name: info for info in setting_infos(cls)}
+    infos: list[SettingInfo] = []
+    for field in dataclasses.fields(cls):
+        hint = typing.get_type_hints(cls)[field.name]
+        inner = [one for one in (hint, *typing.get_args(hint)) if isinstance(one, type) and issubclass(one, Settings)]
+        if inner:
+            listed = "[]" if typing.get_origin(hint) is tuple else ""
+            infos += all_infos(inner[0], f"{prefix}{field.name}{listed}.")
+        else:
+            infos.append(dataclasses.replace(own[field.name], name=prefix + field.name))
+    return infos
+
+
+def _summary(documented: Any) -> str:
+    """The first paragraph of a docstring."""
+    return " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
+
+
+def _grouped(cls: type[Settings]) -> str:
+    """A section for the settings of a class, and one for each of its groups."""
+    groups: dict[str, list[SettingInfo]] = {}
+    for info in all_infos(cls):
+        groups.setdefault(info.name.partition(".")[0] if "." in info.name else "", []).append(info)
+    return sections(
+        text for name, infos in groups.items() for text in (f"### `{name}`" if name else "", settings_table(infos))
+    )
+
+
+def pipeline() -> str:
+    """Settings of the pipeline."""
+    from foretouch.pipeline import PipelineConfig
+
+    return _grouped(PipelineConfig)
+
+
+def scenes() -> str:
+    """Settings of a scene."""
+    from foretouch.simulation.scene import SceneConfig
+
+    return _grouped(SceneConfig)
+
+
+def recipes() -> str:
+    """Settings of a training: those of every method, then the groups of each."""
+    from foretouch.learning.training.learners import find_learner
+    from foretouch.learning.training.learners.learner import LEARNERS, RunConfig
+
+    find_learner("contact")  # imports all
+    shared = {info.name for info in all_infos(RunConfig)}
+    parts = ["### Every method", settings_table(all_infos(RunConfig))]
+    shown: dict[str, str] = {}  # method by the settings of its own
+    for name, learner in sorted(LEARNERS.items()):
+        own = settings_table(info for info in all_infos(learner.config_type) if info.name not in shared)
+        parts += [f"### `method: {name}`", f"As of `{shown[own]}`." if own in shown else own]
+        shown.setdefault(own, name)
+    return sections(parts)
+
+
+def experiments() -> str:
+    """Each experiment: its question, presets and settings."""
+    from foretouch.experiments import list_experiments
+
+    parts = []
+    for one in list_experiments():
+        presets = ", ".join(f"`{preset}`" for preset in one.presets)
+        parts += [f"### `{one.name}`", one.question, f"Presets: {presets}." if presets else ""]
+        parts.append(settings_table(all_infos(one.settings)))
+    return sections(parts)
+
+
+def node_configs() -> dict[str, type[Settings]]:
+    """The settings of each node by its name."""
+    from foretouch.ros.executables import NODES
+
+    configs = {}
+    for name, place in NODES.items():
+        module, _, class_name = place.partition(":")
+        node = getattr(importlib.import_module(module), class_name)
+        (configs[name],) = typing.get_args(node.__orig_bases__[0])
+    return configs
+
+
+def parameters() -> str:
+    """The parameters of every node; those that all nodes have come first, once."""
+    from foretouch.ros.runtime.lifecycle_node import NodeConfig
+
+    shared = {info.name for info in setting_infos(NodeConfig)}
+    parts = ["## Every node", settings_table(setting_infos(NodeConfig), live=True)]
+    for name, config in node_configs().items():
+        own = [info for info in setting_infos(config) if info.name not in shared]
+        parts += [f"## `{name}`", settings_table(own, live=True)]
+    return sections(parts)
+
+
+# Topics, as the nodes themselves report them.
+
+_INTERNAL = re.compile(r"/(rosout|parameter_events)$|/_action/|/(change_state|get_[a-z_]*|transition_event)$"
+                       r"|_parameters?(_types|_atomically)?$|type_description$")  # fmt: skip
+_PURPOSES = {  # of topics whose types are not ours
+    "points": "the point cloud of the camera",
+    "object_cloud": "the points of the target",
+    "markers": "all results, for RViz",
+    "replay_status": "state and counts of a replay, latched",
+    "/diagnostics": "rates, latencies and dropped messages of each node",
+    "execute_grasp": "execute the best of the newest grasps now",
+    "forget_touches": "forget the readings of the current object",
+    "forget_history": "forget all readings of the hand",
+}
+
+
+def topics() -> str:
+    """Topics, services and the action, from nodes that are configured for it, each alone, without discovery."""
+    found = graph()
+    parts = []
+    for title, kind, ends in (
+        ("Topics", "topic", ["publisher", "subscriber"]),
+        ("Services", "service", ["server"]),
+        ("Action", "action", ["server"]),
+    ):
+        rows = []
+        for name, (type_name, nodes) in sorted(found[kind].items()):
+            users = [", ".join(f"`{node}`" for node in nodes.get(end, [])) or "–" for end in ends]
+            package, _, own = (
+                type_name.replace("/msg/", "/").replace("/srv/", "/").replace("/action/", "/").partition("/")
+            )
+            link = f"[`{own}`](messages.md#{own.lower()})" if package == "foretouch_msgs" else f"`{package}/{own}`"
+            rows.append((f"`{name}`", link, *users, cell(_purpose(name, own))))
+        parts += [
+            f"## {title}",
+            table([kind, "type", *(f"{end}s" if end != "server" else "node" for end in ends), "content"], rows),
+        ]
+    return sections(parts)
+
+
+def _purpose(name: str, type_name: str) -> str:
+    own = next((one for kind in ("msg", "srv", "action") for one in interfaces(kind) if one.name == type_name), None)
+    return _PURPOSES.get(name, own.comment if own is not None else "")
+
+
+Ends = dict[str, tuple[str, dict[str, list[str]]]]
+
+
+def graph() -> dict[str, Ends]:
+    """By kind (topic, service, action) and name: the type, and the nodes at each end."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
+    from foretouch.ros.runtime.environment import prepare_environment
+
+    prepare_environment()
+    import numpy as np
+    import rclpy
+    from rclpy.action import get_action_server_names_and_types_by_node
+    from rclpy.context import Context
+    from rclpy.parameter import Parameter
+
+    from foretouch.ros.executables import NODES, make_nodes
+
+    found: dict[str, Ends] = {"topic": {}, "service": {}, "action": {}}
+    context = Context()
+    rclpy.init(context=context)
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(f"{folder}/cloud.npz", xyz=np.ones((4, 4, 3), np.float32))
+        scene = str(ROOT / "src/foretouch/simulation/scenes/clean.yaml")
+        needed: dict[str, dict[str, Any]] = {
+            "camera": {"source": "synthetic"},
+            "hand": {"scene.path": scene},
+            "replay": {"path": f"{folder}/cloud.npz", "lockstep": True},
+        }
+        for name in NODES:
+            values = {**needed.get(name, {}), "autostart": False}
+            overrides = [Parameter(key, value=value) for key, value in values.items()]
+            (node,) = make_nodes(name, parameter_overrides=overrides, context=context)
+            node.trigger_configure()
+            own = node.get_name(), node.get_namespace()
+            for kind, end, pairs in (
+                ("topic", "publisher", node.get_publisher_names_and_types_by_node(*own)),
+                ("topic", "subscriber", node.get_subscriber_names_and_types_by_node(*own)),
+                ("service", "server", node.get_service_names_and_types_by_node(*own)),
+                ("action", "server", get_action_server_names_and_types_by_node(node, *own)),
+            ):
+                for full, types in pairs:
+                    if not _INTERNAL.search(full):
+                        short = full.removeprefix(f"{own[1]}/")
+                        found[kind].setdefault(short, (types[0], {}))[1].setdefault(end, []).append(name)
+            node.destroy_node()
+    context.try_shutdown()
+    return found
+
+
+# The command line.
+
+
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """The parser of one command, or of an action such as `dataset build`."""
+    from foretouch.cli import main
+
+    parser = main._parser(command.partition(" ")[0])
+    for word in command.split():
+        parser = _subparsers(parser)[word]
+    return parser
+
+
+def _subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return dict(found[0].choices) if found else {}
+
+
+def command_names() -> list[str]:
+    """All commands, and the actions of those that have some."""
+    from foretouch.cli.main import COMMANDS
+
+    return [name for one in COMMANDS for name in (one, *(f"{one} {action}" for action in _subparsers(parser_of(one))))]
+
+
+def options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    """Arguments and options, without `--help` and the choice of an action."""
+    hidden = argparse._HelpAction | argparse._SubParsersAction
+    return [action for action in parser._actions if not isinstance(action, hidden)]
+
+
+def commands() -> str:
+    """Every command with its arguments, options and exit status."""
+    from foretouch.cli.main import COMMANDS, main
+
+    parts = ["## Exit status", _status(main)]
+    for name in command_names():
+        parser = parser_of(name)
+        usage = " ".join(parser.format_usage().removeprefix("usage: ").split())
+        parts += [f"{'###' if ' ' in name else '##'} `{name}`", parser.description or "", f"```text\n{usage}\n```"]
+        if name in COMMANDS:
+            parts.append(_status(importlib.import_module(f"foretouch.cli.{name}").run))
+        parts.append(table(["argument", "meaning"], [_option_row(parser, one) for one in options_of(parser)]))
+    return sections(parts)
+
+
+def _status(function: Callable[..., Any]) -> str:
+    """What the docstring of a command states on its exit status."""
+    text = inspect.getdoc(function) or ""
+    return cell(text.partition("\n\nArgs:")[0]) if "exit status" in text.lower() else ""
+
+
+def _option_row(parser: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str]:
+    formatter = parser._get_formatter()
+    shown = formatter._format_action_invocation(action)
+    help_text = formatter._expand_help(action) if action.help else ""
+    return f"`{shown}`".replace("|", "\\|"), cell(help_text)
+
+
+GENERATORS: dict[str, Callable[[], str]] = {
+    "messages": messages,
+    "parameters": parameters,
+    "topics": topics,
+    "commands": commands,
+    "pipeline": pipeline,
+    "scenes": scenes,
+    "recipes": recipes,
+    "experiments": experiments,
+}
+"""What a page can ask for, by name."""
