@@ -63,12 +63,12 @@ def cpu_s(pid: int) -> float:
 
 def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dict[str, Any]:
     """One run: graph (and bridge) in one process, the sender and a subscriber here, the client in a third."""
+    import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.node import Node
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import PointCloud2
 
-    import rclpy
     from foretouch.ros.messages.conversions import stamp_to_msg
     from foretouch.ros.runtime.executor import GraphExecutor
     from foretouch.ros.runtime.internal_errors import InternalErrors
@@ -76,7 +76,9 @@ def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dic
 
     names = ("segmentation", "grasp", "touch_predictor", *["bridge"] * serve)
     code = f"import sys; from foretouch.ros.executables import run; sys.exit(run(*{names!r}))"
-    graph = subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"port:={PORT}"], stderr=subprocess.DEVNULL)
+    graph = subprocess.Popen(
+        [sys.executable, "-c", code, "--ros-args", "-p", f"port:={PORT}"], stderr=subprocess.DEVNULL
+    )
     rclpy.init(domain_id=DOMAIN)
     node = Node("bench", namespace="/foretouch")
     answers: list[Any] = []
@@ -128,7 +130,11 @@ def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dic
         found = json.loads(reader.communicate(timeout=20)[0].strip().splitlines()[-1])
         row |= {f"client_{topic}": found["counts"].get(topic, 0) for topic in TOPICS}
         row |= {"mb_per_s": round(found["bytes"] / 1e6 / options.seconds, 1)}
-        row |= {"received": values["received"], "lost_on_the_way": values["lost_on_the_way"], "slow_clients": values["slow_clients"]}
+        row |= {
+            "received": values["received"],
+            "lost_on_the_way": values["lost_on_the_way"],
+            "slow_clients": values["slow_clients"],
+        }
     return row
 
 
@@ -169,7 +175,9 @@ def main() -> int:
         writer.writerows(rows)
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     print(f"answers that the client did not get: {lost}; share of the clouds that it got: {min(received):.3f}")
-    print(f"processor time more: {statistics.median(more):.1f} % of a core (each pair: {', '.join(f'{one:.1f}' for one in more)})")
+    print(
+        f"processor time more: {statistics.median(more):.1f} % of a core (each pair: {', '.join(f'{one:.1f}' for one in more)})"
+    )
     return 0
 
 

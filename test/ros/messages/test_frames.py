@@ -16,6 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from foretouch.dataset.messages import decode_grasp, rotation_from_quaternion
 from foretouch.errors import GraspError
 from foretouch.grasp import quaternion_xyzw
+from foretouch.ros.messages.answers import Refusal, TouchAnswer
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg
 from foretouch.ros.messages.frames import FrameTransform
@@ -23,7 +24,7 @@ from foretouch.ros.messages.requests import read_cloud
 from foretouch.types import Cloud, Grasp
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp as GraspMsg
-from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import Status, TouchPrediction
 
 pytestmark = pytest.mark.ros
 

@@ -149,7 +149,8 @@ def test_costs_by_each_rule():
     ranges = TactileRanges()
     (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
     one = TouchPrediction(
-        pdc_th=Interval(value=low_th + 0.25 * (high_th - low_th)), pdc_mf=Interval(value=low_mf + 0.75 * (high_mf - low_mf))
+        pdc_th=Interval(value=low_th + 0.25 * (high_th - low_th)),
+        pdc_mf=Interval(value=low_mf + 0.75 * (high_mf - low_mf)),
     )
     one.grasp.score = 4.0
     costs = {rule: cost_of(rule, one, ranges) for rule in COSTS}

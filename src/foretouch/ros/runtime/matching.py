@@ -24,7 +24,9 @@ _SUBSCRIBERS, _PUBLISHERS = "matched_subscribers.", "matched_publishers."
 _GRAPH: Final = frozenset({"segmentation", "grasp", "touch_predictor", "replay", "monitor"})  # see `Matching`
 
 
-def matched_ends(publishers: Iterable["Publisher[Any]"], subscriptions: Iterable["Subscription[Any]"]) -> dict[str, int]:
+def matched_ends(
+    publishers: Iterable["Publisher[Any]"], subscriptions: Iterable["Subscription[Any]"]
+) -> dict[str, int]:
     """Number of matched ends on the other side of each topic, by key of /diagnostics."""
     found = {}
     for one in (*publishers, *subscriptions):
