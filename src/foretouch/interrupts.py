@@ -30,7 +30,8 @@ def raise_interrupts() -> None:
 
 def end_at_once() -> None:
     """Let the signals end the process: there is nothing left to clean up."""
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    if signal.getsignal(signal.SIGALRM) is _on_timer:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in _SIGNALS:
         if signal.getsignal(number) is _on_signal:
             signal.signal(number, signal.SIG_DFL)

@@ -236,3 +236,17 @@ def test_the_exported_bag_names_its_types(dataset: Path, tmp_path: Path) -> None
         "/foretouch/samples": (SAMPLE_TYPE, 4),
         "/foretouch/object_cloud": ("sensor_msgs/msg/PointCloud2", 4),
     }
+
+
+def test_an_exported_bag_is_named_after_its_folder_and_read_by_others(dataset: Path, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from rosbags.highlevel import AnyReader
+
+    assert export_samples(dataset, tmp_path / "grasps", "rosbag2").written == 4
+    assert {path.name for path in (tmp_path / "grasps").iterdir()} == {"grasps.mcap", "metadata.yaml"}
+    assert ".part" not in (tmp_path / "grasps" / "metadata.yaml").read_text()
+    with AnyReader([tmp_path / "grasps"]) as bag:
+        types = [type(bag.deserialize(data, connection.msgtype)).__name__ for connection, _, data in bag.messages()]
+    assert sorted(set(types)) == ["foretouch_msgs__msg__GraspSample", "sensor_msgs__msg__PointCloud2"]
+    with (tmp_path / "grasps" / "grasps.mcap").open("rb") as file:
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == len(types) == 8

@@ -102,9 +102,13 @@ def test_bad_folders_are_named(folder: Path) -> None:
     (folder / "empty").mkdir()
     with pytest.raises(DatasetError, match="empty: holds no sample"):
         read_folder(folder / "empty")
-    (folder / "box" / "1563000000").rename(folder / "box" / "yesterday")
-    with pytest.raises(FileError, match="'yesterday' is not a unix time"):
-        read_folder(folder)
+
+
+@pytest.mark.parametrize("name", ["yesterday", "grasp 7", "99999999999", "9" * 200, "١٢"])
+def test_a_folder_of_any_name_is_a_sample_without_a_time(folder: Path, name: str) -> None:
+    (folder / "box" / "1563000000").rename(folder / "box" / name)
+    (sample,) = (one for one in read_folder(folder) if one.object == "box")
+    assert (sample.id, sample.stamp_ns) == (f"box/{name}", 0)
 
 
 @pytest.mark.real_data

@@ -38,30 +38,11 @@ COMMANDS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 success, 1 known failure, 2 wrong usage."""
-    if argv is not None:
-        return _report(list(argv))
-    raise_interrupts()
-    _prepare_streams()
     try:
-        return _report(sys.argv[1:])
-    finally:
-        end_at_once()
-
-
-def _prepare_streams() -> None:
-    """Output that works without a terminal, where a stream was closed, and in every locale."""
-    for name in ("stdin", "stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: PTH123, SIM115
-        elif isinstance(stream, io.TextIOWrapper) and name != "stdin":
-            stream.reconfigure(errors="replace")
-
-
-def _report(arguments: list[str]) -> int:
-    """Run a command, and print what ended it in one line."""
-    try:
-        status = _run(arguments)
+        if argv is None:
+            _prepare_streams()
+            raise_interrupts()
+        status = _run(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
     except ForetouchError as err:
         print(f"foretouch: {err}", file=sys.stderr)
@@ -77,12 +58,24 @@ def _report(arguments: list[str]) -> int:
         _discard_output()
         print(f"foretouch: {err.filename or 'output'}: {os.strerror(err.errno) if err.errno else err}", file=sys.stderr)
         return 1
+    finally:
+        end_at_once()
     return status
 
 
 def _discard_output() -> None:
     """Keep the interpreter from writing the rest of stdout at its end, which would fail again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _prepare_streams() -> None:
+    """Output that works without a terminal, where a stream was closed, and in every locale."""
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: PLW1514, PTH123, SIM115
+        elif isinstance(stream, io.TextIOWrapper) and name != "stdin":
+            stream.reconfigure(errors="replace")
 
 
 def _run(arguments: list[str]) -> int:

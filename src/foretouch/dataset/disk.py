@@ -28,7 +28,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         path: The final position; must not exist.
 
     Yields:
-        Where to create the folder; nothing exists there.
+        Where to create the folder; nothing exists there. It has its final name, after which formats name their files.
 
     Raises:
         FileError: If `path` exists, or the disk fails.
@@ -39,8 +39,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     shutil.rmtree(part, ignore_errors=True)
     try:
         with disk_errors(path):
-            yield part
-            part.rename(path)
+            part.mkdir(parents=True)
+            yield part / path.name
+            (part / path.name).rename(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
 

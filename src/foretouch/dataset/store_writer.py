@@ -104,7 +104,10 @@ class StoreWriter:
         if Path(name).name != name or (self._folder / name).exists() or name == MANIFEST:
             raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")
         data = text.encode()
-        (self._folder / name).write_bytes(data)
+        try:
+            (self._folder / name).write_bytes(data)
+        except OSError as err:
+            raise self._unwritable(err) from err
         self._files.append({"file": name, "sha256": hashlib.sha256(data).hexdigest()})
 
     def _end_batch(self) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The format of the public vision2tactile recordings (P1): one folder a grasp, `<object>/<unix time>/`.
 
+A folder of another name is a sample without a time.
+
 A sample folder holds `cloud-object.pcd` (the segmented object, camera optical frame), `best-grasp.txt`
 (g1 then g2 [m]) and `tactile.tac`: a leading comma, then for the middle finger and after it for the
 thumb 24 electrodes, PAC0, PAC1, PDC, TAC and TDC [counts].
@@ -41,6 +43,7 @@ _FINGER_SIZE: Final = ELECTRODES + 5
 _PDC: Final = ELECTRODES + 2
 _NS_PER_S: Final = 1_000_000_000
 _STAMP_END_NS: Final = 2**63  # where stamps of 64 bits end
+_NAME_DIGITS: Final = 20  # more than those of any stamp
 _TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
@@ -101,10 +104,10 @@ def folder_sha256(path: str | Path) -> str:
 
 
 def read_sample(folder: str | Path) -> GraspSample:
-    """Read one sample folder, `<object>/<unix time>`.
+    """Read one sample folder, `<object>/<unix time>` or `<object>/<name>`.
 
     Returns:
-        The sample; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as `TDC_MF` [counts].
+        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as `TDC_MF` [counts].
 
     Raises:
         FileError: Names the file, the field and the rule that it breaks.
@@ -112,9 +115,7 @@ def read_sample(folder: str | Path) -> GraspSample:
     folder = Path(folder).absolute()
     touch, extra = read_touch(folder / TOUCH_FILE)
     cloud = read_cloud(folder / CLOUD_FILE)
-    if not folder.name.isdecimal() or int(folder.name) * _NS_PER_S >= _STAMP_END_NS:
-        raise FileError(folder, f"the folder's name {folder.name!r} is not a unix time in seconds", field="stamp")
-    stamp_ns = int(folder.name) * _NS_PER_S
+    stamp_ns = _stamp_ns(folder.name)
     name = folder.parent.name
     return GraspSample(
         id=f"{name}/{folder.name}",
@@ -125,6 +126,12 @@ def read_sample(folder: str | Path) -> GraspSample:
         stamp_ns=stamp_ns,
         extra=extra,
     )
+
+
+def _stamp_ns(name: str) -> int:
+    """The unix time that a folder is named by [ns]; 0 if it is none."""
+    stamp_ns = int(name) * _NS_PER_S if name.isascii() and name.isdecimal() and len(name) < _NAME_DIGITS else 0
+    return stamp_ns if stamp_ns < _STAMP_END_NS else 0
 
 
 def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:

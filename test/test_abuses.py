@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands and keys at the wrong moment, as a user meets them: processes of their own, most over real DDS.
+
+Each abuse ends with the right exit status, in a line or a few that name the cause, without a traceback, and leaves no
+process behind. What holds must hold at whatever instant a signal comes, however busy the machine is. A launch without
+rviz2 is in `test/ros/test_launch_files.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+from recording_builders import write_dataset
+
+from foretouch.cloud.io.files import write_cloud
+from foretouch.simulation.depth_scene import random_scene
+from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
+
+CONFIG = Path(__file__).parents[1] / "config"
+PATIENCE_S = 100.0
+INTERRUPTED = {130, -signal.SIGINT}  # the latter while the interpreter ends
+TINY = [
+    *("model.tnet=false", "model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.n_points=64"),
+    *("train.epochs=400", "train.batch_size=4", "validation=0.0"),
+]
+
+
+@dataclass(frozen=True)
+class Abuse:
+    """A command, what is done to it, and how it must end. `@` in a word is the folder of the files, `%` a new one."""
+
+    name: str
+    words: str
+    status: set[int]
+    line: str = ""  # of stderr
+    ros: bool = False
+    stdout: str = ""  # a path instead of a pipe, or `closed`
+    limit: int | None = None  # of the size of any file that is written [bytes]
+    head: bool = False  # read one line, then close the pipe
+    env: dict[str, str] = field(default_factory=dict)
+    number: int = signal.SIGINT
+    after: float | str = ""  # when to send the signal: seconds after the start, or a word in the output
+
+
+RUN = "run --source @/recording --rate 10 --json"
+RECORD = "record -o %/set --seconds 1 --json"
+REPLAY = "replay @/recording --no-wait --rate 20 --json"
+SIMULATE = f"simulate {CONFIG}/scenes/clean.yaml -n 400 -o %/store --workers 2"
+TRAIN = f"train {CONFIG}/train/touchnet-v1.yaml data=@/set -o %/run {' '.join(TINY)}"
+EXPERIMENT = f"experiment lookalikes --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+ENDED = {0, *INTERRUPTED}
+KEYS = [
+    *(
+        Abuse(f"run, Ctrl-C after {t}", RUN, ENDED, ros=True, after=t)
+        for t in (0.0, 0.3, 0.7, 1.2, 1.8, 2.5, "stamp_ns")
+    ),
+    *(Abuse(f"record, Ctrl-C after {t}", RECORD, ENDED, ros=True, after=t) for t in (0.5, 1.5, 2.5, "recording")),
+    *(Abuse(f"replay, Ctrl-C after {t}", REPLAY, ENDED, ros=True, after=t) for t in (0.5, 1.5, 2.5)),
+    *(Abuse(f"simulate, Ctrl-C after {t}", SIMULATE, INTERRUPTED, "SIGINT", after=t) for t in (0.0, 0.7, 1.4, 2.2)),
+    *(Abuse(f"train, Ctrl-C after {t}", TRAIN, INTERRUPTED, "SIGINT", after=t) for t in (0.5, 2.0)),
+    *(Abuse(f"experiment, Ctrl-C after {t}", EXPERIMENT, ENDED, after=t) for t in (0.5, 1.5, 2.5)),
+    Abuse("run, SIGTERM", RUN, {0, 143, -15}, ros=True, number=signal.SIGTERM, after=2.0),
+    Abuse("simulate, SIGTERM", SIMULATE, {143, -15}, "SIGTERM", number=signal.SIGTERM, after=2.0),
+    Abuse("record, the terminal is closed", RECORD, {0, 129, -1}, ros=True, number=signal.SIGHUP, after="recording"),
+    Abuse("no camera, Ctrl-C", "run --source camera", {3, *INTERRUPTED}, ros=True, after=3.0),
+]
+MISTAKES = [
+    Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file", ros=True),
+    Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters", ros=True),
+    Abuse("parameter of a wrong type", f"record -o %/set --params @/many.yaml", {1}, "queue_mb", ros=True),
+    Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder", ros=True),
+    Abuse("absent recording", "replay @/none", {1}, "none: does not exist", ros=True),
+    Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not", ros=True),
+    Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such", ros=True),
+    Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written", ros=True),
+    Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "a.npy: cannot be written"),
+    Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
+    Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "Format 'xyz' is not supported"),
+    Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
+    Abuse("full disk, table", "segment @/scene.npz", {1}, "output: No space left", stdout="/dev/full"),
+    Abuse("full disk, JSON", f"{RUN} --count 2", {1}, "output: No space left", ros=True, stdout="/dev/full"),
+    Abuse("full disk, simulation", SIMULATE, {1}, "store: cannot be written: File too large", limit=20_000),
+    Abuse("full disk, store", "dataset build @/set -o %/store", {1}, "cannot be written: File too large", limit=2_000),
+    Abuse("full disk, export", "dataset export @/set -o %/out --format npz", {1}, "File too large", limit=2_000),
+    Abuse("closed pipe, table", "experiment list", {0}, head=True),
+    Abuse("closed pipe, live", f"{RUN} --count 20", {0}, ros=True, head=True),
+    Abuse("closed stdout", "grasp @/scene.npz --json", {0}, stdout="closed"),
+    Abuse("locale without UTF-8", "predict @/object.pcd @/scene.npz", {0}, env=ASCII),
+    Abuse("locale without UTF-8, JSON", "segment @/scene.npz --json", {0}, env=ASCII),
+    Abuse("dumb terminal", "models", {0}, env={"TERM": "dumb"}),
+]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    record_scenes(folder / "recording", SceneRecordingConfig(count=40))
+    image = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render()
+    write_cloud(folder / "scene.npz", image.cloud())
+    write_cloud(folder / "object.pcd", image.cloud().take(image.labels == 2))
+    write_dataset(folder / "set", 8, points=100)
+    (folder / "junk.pcd").write_bytes(bytes(range(256)))
+    (folder / "empty.mcap").touch()
+    (folder / "flat.yaml").write_text("queue_depth: 3\n")
+    (folder / "many.yaml").write_text("/**: {ros__parameters: {queue_mb: many}}\n")
+    return folder
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    """A DDS domain that tests of the nodes do not take (see `cli/conftest.py`), and no terminal."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(76 + os.getpid() % 25),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "TERM": "xterm",
+    }
+
+
+def start(abuse: Abuse, folder: Path, files: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+    """The command as the leader of a session of its own, as a terminal starts it."""
+    words = [word.replace("@", str(files), 1).replace("%", str(folder), 1) for word in abuse.words.split()]
+    command = [sys.executable, "-m", "foretouch.cli.main", *words]
+    if abuse.stdout == "closed":
+        command = ["sh", "-c", 'exec "$@" >&- <&-', "sh", *command]
+
+    def limit() -> None:
+        if abuse.limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (abuse.limit, abuse.limit))
+
+    out: IO[bytes] | int = Path(abuse.stdout).open("wb") if abuse.stdout.startswith("/") else subprocess.PIPE
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=out,
+        stderr=subprocess.PIPE,
+        env={**environment, **abuse.env},
+        start_new_session=True,
+        bufsize=0,  # or `readline` would take more than a line, which `communicate` then lacks
+        preexec_fn=limit,
+    )
+
+
+def wait_for(abuse: Abuse, process: subprocess.Popen[bytes]) -> None:
+    """Wait for the moment of the signal: until the command catches signals, and then as long as is said, or for a word."""
+    if isinstance(abuse.after, str):
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) and abuse.after.encode() not in line:
+            pass
+        return
+    end = time.monotonic() + PATIENCE_S
+    while process.poll() is None and not _catches(process.pid, signal.SIGHUP):  # Python alone does not
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    time.sleep(abuse.after)
+
+
+def _catches(pid: int, number: int) -> bool:
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
+def members(session: int) -> Iterator[str]:
+    """Command lines of the processes of a session."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, leader = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(leader) == session and state != "Z":
+                yield (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:  # it has ended meanwhile
+            continue
+
+
+def check_end(abuse: Abuse, process: subprocess.Popen[bytes], err: str) -> None:
+    assert process.returncode in abuse.status, f"exit status {process.returncode}: {err}"
+    for word in ("Traceback", "Exception ignored", "Error in", "terminate called"):
+        assert word not in err, err
+    if abuse.line:
+        assert abuse.line in err, err
+    lines = [line for line in err.splitlines() if line.startswith("foretouch: ")]
+    assert len(lines) <= 5, err
+    if process.returncode > 0:
+        assert lines, err
+    end = time.monotonic() + 20.0
+    while left := list(members(process.pid)):
+        assert time.monotonic() < end, left
+        time.sleep(0.05)
+
+
+def marked(abuses: list[Abuse]) -> list[Any]:
+    return [pytest.param(one, id=one.name, marks=[pytest.mark.ros] if one.ros else []) for one in abuses]
+
+
+@pytest.mark.parametrize("abuse", marked(KEYS))
+def test_a_signal_at_any_moment_ends_it_in_order(
+    abuse: Abuse, files: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    if abuse.ros:
+        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    process = start(abuse, tmp_path, files, environment)
+    wait_for(abuse, process)
+    out = b""
+    for _ in range(2):  # a second Ctrl-C, as a person sends it, if a library has lost the first
+        if process.poll() is None:
+            os.killpg(process.pid, abuse.number) if abuse.number == signal.SIGINT else process.send_signal(abuse.number)
+        try:
+            out, err = process.communicate(timeout=PATIENCE_S / 2)
+            break
+        except subprocess.TimeoutExpired:
+            continue
+    else:
+        os.killpg(process.pid, signal.SIGKILL)
+        out, err = process.communicate()
+        pytest.fail(f"did not end: {err.decode()}")
+    check_end(abuse, process, err.decode())
+    if "--json" in abuse.words:
+        assert all(isinstance(json.loads(line), dict) for line in out.splitlines())
+    hidden = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+    assert hidden == [], "a half-written output is left"
+
+
+@pytest.mark.parametrize("abuse", marked(MISTAKES))
+def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
+    abuse: Abuse, files: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    if abuse.ros:
+        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    process = start(abuse, tmp_path, files, environment)
+    assert process.stderr is not None
+    out = b""
+    if abuse.head:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        process.stdout.close()
+        err = process.stderr.read()
+        process.wait(PATIENCE_S)
+    else:
+        out, err = process.communicate(timeout=PATIENCE_S)
+    check_end(abuse, process, err.decode())
+    if "--json" in abuse.words and not abuse.head:
+        assert all(isinstance(json.loads(line), dict) for line in (out or b"").splitlines())
+
+
+@pytest.mark.ros
+def test_a_second_graph_in_the_namespace_is_named(files: Path, environment: dict[str, str], tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    words = "replay @/recording --no-wait --rate 8 --json"
+    both = [start(Abuse("two graphs", words, {0}), tmp_path, files, environment) for _ in range(2)]
+    ends = [process.communicate(timeout=PATIENCE_S) for process in both]
+    named = [json.loads(out)["conflicts"] for out, _ in ends]
+    assert any("2 nodes are named /foretouch/replay" in text for found in named for text in found), named
+    assert any("a second graph or source runs in the namespace" in err.decode() for _, err in ends)
