@@ -31,7 +31,9 @@ def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), pictur
         target = replace(pipeline.segment(cloud).targets[0], id=sample.object)
         (prediction,) = pipeline.predict(target, [sample.grasp], tare=sample.tare)
         known = "does not know any such object (unfamiliar)" if prediction.flags else "knows such objects"
-        title = f"{sample.object}: {pipeline.model.name} {known}; readings of a simulated hand, on which it was not trained"
+        title = (
+            f"{sample.object}: {pipeline.model.name} {known}; readings of a simulated hand, on which it was not trained"
+        )
         drawn.append(
             DrawnGrasp(
                 target=target, prediction=prediction, scene=cloud, rest=sample.tare, read=sample.touch, title=title

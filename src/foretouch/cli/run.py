@@ -278,7 +278,11 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        known = "as the model does not know any (unfamiliar)" if "unfamiliar" in prediction.flags else "as the model knows some"
+        known = (
+            "as the model does not know any (unfamiliar)"
+            if "unfamiliar" in prediction.flags
+            else "as the model knows some"
+        )
         title += f", {known}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
         title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
     return DrawnGrasp(

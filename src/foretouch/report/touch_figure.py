@@ -56,7 +56,13 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     most = max(map(len, rows))
     figure = new_figure(7.2 + 2.5 * most, _ROW_INCHES * len(grasps) + 0.2)
     tared = all(one.rest is not None for one in grasps)
-    limits = _limits([_levels(touch, one.rest if tared else None, name) for one, row in zip(grasps, rows, strict=True) for name, _, touch in row])
+    limits = _limits(
+        [
+            _levels(touch, one.rest if tared else None, name)
+            for one, row in zip(grasps, rows, strict=True)
+            for name, _, touch in row
+        ]
+    )
     drawn: Any = None
     parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
     for part, one, row in zip(parts, grasps, rows, strict=True):
@@ -112,7 +118,9 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
         axes.set_axis_off()
     touches = [(sample.touch, sample.tare) for sample in samples if sample.touch is not None]
     tared = all(tare is not None for _, tare in touches)
-    limits = _limits([_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS])
+    limits = _limits(
+        [_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS]
+    )
     drawn: Any = None
     for k, sample in enumerate(samples):
         row, column = divmod(k, _SHEET_COLUMNS)
@@ -184,6 +192,7 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
+    drawn: Any
     title = f"what the camera sees\nof the table, {abs(target.plane.offset):.2f} m away"
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
@@ -231,7 +240,13 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
 
 
 def draw_electrodes(
-    axes: Axes, levels: Float64, *, tared: bool, colour: str, limits: tuple[float, float] | None = None, size: float = 150
+    axes: Axes,
+    levels: Float64,
+    *,
+    tared: bool,
+    colour: str,
+    limits: tuple[float, float] | None = None,
+    size: float = 150,
 ) -> Any:
     """Draw the 24 electrodes of one fingertip, unrolled from the core.
 
