@@ -65,17 +65,19 @@ def cpu_s(pid: int) -> float:
 def start(*names: str, port: int = PORT) -> subprocess.Popen[bytes]:
     """Nodes in a process of their own."""
     code = f"import sys; from foretouch.ros.executables import run; sys.exit(run(*{names!r}))"
-    return subprocess.Popen([sys.executable, "-c", code, "--ros-args", "-p", f"port:={port}"], stderr=subprocess.DEVNULL)
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "--ros-args", "-p", f"port:={port}"], stderr=subprocess.DEVNULL
+    )
 
 
 def run(options: argparse.Namespace, messages: list[Any], reads: str) -> dict[str, Any]:
     """One run: the graph, the bridge and the client in a process each, the camera and a plain subscriber here."""
+    import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.node import Node
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import PointCloud2
 
-    import rclpy
     from foretouch.ros.messages.conversions import stamp_to_msg
     from foretouch.ros.runtime.executor import GraphExecutor
     from foretouch.ros.runtime.internal_errors import InternalErrors
@@ -100,7 +102,9 @@ def run(options: argparse.Namespace, messages: list[Any], reads: str) -> dict[st
     executor = GraphExecutor(InternalErrors(print))
     executor.add_node(node)
     threading.Thread(target=executor.spin, daemon=True).start()
-    while "url" not in values or publisher.get_subscription_count() < 1 or node.count_publishers("/foretouch/touch") < 1:
+    while (
+        "url" not in values or publisher.get_subscription_count() < 1 or node.count_publishers("/foretouch/touch") < 1
+    ):
         time.sleep(0.1)
     reader = subprocess.Popen([sys.executable, __file__, "--client", reads], stdout=subprocess.PIPE, text=True)
     assert reader.stdout is not None

@@ -34,7 +34,9 @@ def test_an_unlabelled_sample_is_drawn_without_its_fingers(tmp_path: Path) -> No
 def test_a_sheet_has_one_scale_and_no_label_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: kept.append(figure))
-    save_contact_sheet(tmp_path / "a.png", [sample(2000.0), replace(sample(2100.0), id="a_long_name/000123")], "a title")
+    save_contact_sheet(
+        tmp_path / "a.png", [sample(2000.0), replace(sample(2100.0), id="a_long_name/000123")], "a title"
+    )
     (figure,) = kept
     figure.canvas.draw()
     dots = [one for axes in figure.axes for one in axes.collections if len(one.get_offsets()) == 24]
