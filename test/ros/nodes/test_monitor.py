@@ -21,7 +21,15 @@ from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, Grasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import (
+    BiotacAll,
+    ExecutedGrasp,
+    Grasp,
+    GraspArray,
+    Status,
+    TouchPrediction,
+    TouchPredictionArray,
+)
 
 pytestmark = pytest.mark.ros
 
