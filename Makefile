@@ -42,7 +42,7 @@ $(VENV)/.installed: $(VENV)/.runtime
 
 demo: runtime
 	@rm -rf demo-output
-	$(BIN)/foretouch run --source config/scenes/clean.yaml --count 30 --picture demo-output/touch.png
+	$(BIN)/foretouch run --source config/scenes/demo.yaml --count 60 --picture demo-output/touch.png
 
 test: setup
 	$(BIN)/pytest -n 2 --dist loadgroup

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live graph at 30 Hz with the bridge and a client that reads all: losses and processor time (see README.md)."""
+"""The live graph at 30 Hz with the bridge and a client that reads: losses and processor time (see README.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PORT, DOMAIN = 18765, 88
-TOPICS = ("points", "object_cloud", "objects", "table", "grasps", "touch", "markers")
+ALL = ("points", "object_cloud", "objects", "table", "grasps", "touch", "markers")
+TOPICS = {"all": ALL, "all but points": ALL[1:]}  # what the client reads
 TICKS = os.sysconf("SC_CLK_TCK")
 SETTLED_S = 3.0
 
@@ -30,21 +31,21 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="length of each run [s]")
     parser.add_argument("--rate", type=float, default=30.0, help="clouds a second [Hz]")
-    parser.add_argument("--repeat", type=int, default=3, help="pairs of runs, with and without the bridge")
+    parser.add_argument("--repeat", type=int, default=3, help="runs of each kind")
     parser.add_argument("--out", type=Path, default=HERE / "results")
-    parser.add_argument("--client", action="store_true", help=argparse.SUPPRESS)  # the process that reads
+    parser.add_argument("--client", choices=TOPICS, help=argparse.SUPPRESS)  # the process that reads
     return parser.parse_args()
 
 
-def client() -> None:
-    """Read all topics until the server closes, and print what came."""
+def client(what: str) -> None:
+    """Read topics until the server closes, and print what came."""
     sys.path.insert(0, str(ROOT / "test"))
     from websocket_client import WebSocketClient
 
     counts: Counter[str] = Counter()
     size = 0
     with WebSocketClient(f"ws://127.0.0.1:{PORT}") as reader:
-        reader.subscribe(*(f"/foretouch/{topic}" for topic in TOPICS))
+        reader.subscribe(*(f"/foretouch/{topic}" for topic in TOPICS[what]))
         print("subscribed", flush=True)
         try:
             while True:
@@ -61,8 +62,16 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
-def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dict[str, Any]:
-    """One run: graph (and bridge) in one process, the sender and a subscriber here, the client in a third."""
+def start(*names: str, port: int = PORT) -> subprocess.Popen[bytes]:
+    """Nodes in a process of their own."""
+    code = f"import sys; from foretouch.ros.executables import run; sys.exit(run(*{names!r}))"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "--ros-args", "-p", f"port:={port}"], stderr=subprocess.DEVNULL
+    )
+
+
+def run(options: argparse.Namespace, messages: list[Any], reads: str) -> dict[str, Any]:
+    """One run: the graph, the bridge and the client in a process each, the camera and a plain subscriber here."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.node import Node
@@ -74,11 +83,8 @@ def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dic
     from foretouch.ros.runtime.internal_errors import InternalErrors
     from foretouch_msgs.msg import TouchPredictionArray
 
-    names = ("segmentation", "grasp", "touch_predictor", *["bridge"] * serve)
-    code = f"import sys; from foretouch.ros.executables import run; sys.exit(run(*{names!r}))"
-    graph = subprocess.Popen(
-        [sys.executable, "-c", code, "--ros-args", "-p", f"port:={PORT}"], stderr=subprocess.DEVNULL
-    )
+    topics = TOPICS[reads]
+    graph, bridge = start("segmentation", "grasp", "touch_predictor"), start("bridge")
     rclpy.init(domain_id=DOMAIN)
     node = Node("bench", namespace="/foretouch")
     answers: list[Any] = []
@@ -92,50 +98,48 @@ def run(options: argparse.Namespace, messages: list[Any], *, serve: bool) -> dic
     reliable = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
     node.create_subscription(TouchPredictionArray, "touch", answers.append, reliable)
     node.create_subscription(DiagnosticArray, "/diagnostics", diagnosed, 10)
-    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = node.create_publisher(PointCloud2, "points", best_effort)
+    publisher = node.create_publisher(PointCloud2, "points", 10)  # as our camera node does
     executor = GraphExecutor(InternalErrors(print))
     executor.add_node(node)
     threading.Thread(target=executor.spin, daemon=True).start()
-    reader = None
-    try:
-        while publisher.get_subscription_count() < 1 or node.count_publishers("/foretouch/touch") < 1:
-            time.sleep(0.1)
-        if serve:
-            while "url" not in values:
-                time.sleep(0.1)
-            reader = subprocess.Popen([sys.executable, __file__, "--client"], stdout=subprocess.PIPE, text=True)
-            assert reader.stdout is not None
-            reader.stdout.readline()
-            while publisher.get_subscription_count() < 2 or len(values.get("topics", "").split()) < len(TOPICS):
-                time.sleep(0.1)
-        time.sleep(SETTLED_S)
-        before, began = cpu_s(graph.pid), time.monotonic()
-        count = round(options.seconds * options.rate)
-        for k in range(count):
-            message = messages[k % len(messages)]
-            message.header.stamp = stamp_to_msg(time.time_ns())
-            publisher.publish(message)
-            time.sleep(max(0.0, began + (k + 1) / options.rate - time.monotonic()))
-        wall_s, used_s = time.monotonic() - began, cpu_s(graph.pid) - before
-        time.sleep(SETTLED_S)
-        row: dict[str, Any] = {"serve": serve, "sent": count, "answered": len(answers)}
-        row |= {"cpu_percent": round(100.0 * used_s / wall_s, 1)}
-    finally:
-        graph.send_signal(signal.SIGINT)
-        graph.wait(20)
-        executor.shutdown(1.0)
-        rclpy.shutdown()
-    if reader is not None:
-        found = json.loads(reader.communicate(timeout=20)[0].strip().splitlines()[-1])
-        row |= {f"client_{topic}": found["counts"].get(topic, 0) for topic in TOPICS}
-        row |= {"mb_per_s": round(found["bytes"] / 1e6 / options.seconds, 1)}
-        row |= {
-            "received": values["received"],
-            "lost_on_the_way": values["lost_on_the_way"],
-            "slow_clients": values["slow_clients"],
-        }
-    return row
+    while (
+        "url" not in values or publisher.get_subscription_count() < 1 or node.count_publishers("/foretouch/touch") < 1
+    ):
+        time.sleep(0.1)
+    reader = subprocess.Popen([sys.executable, __file__, "--client", reads], stdout=subprocess.PIPE, text=True)
+    assert reader.stdout is not None
+    reader.stdout.readline()
+    while len(values.get("topics", "").split()) < len(topics):
+        time.sleep(0.1)
+    time.sleep(SETTLED_S)
+    before, began = cpu_s(bridge.pid), time.monotonic()
+    count = round(options.seconds * options.rate)
+    for k in range(count):
+        message = messages[k % len(messages)]
+        message.header.stamp = stamp_to_msg(time.time_ns())
+        publisher.publish(message)
+        time.sleep(max(0.0, began + (k + 1) / options.rate - time.monotonic()))
+    wall_s = time.monotonic() - began
+    time.sleep(SETTLED_S)
+    used_s, answered = cpu_s(bridge.pid) - before, len(answers)
+    for process in (bridge, graph):
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+    executor.shutdown(1.0)
+    rclpy.shutdown()
+    found = json.loads(reader.communicate(timeout=20)[0].strip().splitlines()[-1])
+    return {
+        "reads": reads,
+        "sent": count,
+        "rate_hz": round(count / wall_s, 1),
+        "answered": answered,
+        **{f"client_{topic}": found["counts"].get(topic, 0) for topic in ALL},
+        "mb_per_s": round(found["bytes"] / 1e6 / wall_s, 1),
+        "lost_before_the_bridge": int(values["lost_on_the_way"]),
+        "lost_in_the_bridge": int(values["received"]) - sum(found["counts"].values()),
+        "slow_clients": int(values["slow_clients"]),
+        "bridge_cpu_percent": round(100.0 * used_s / wall_s, 1),
+    }
 
 
 def clouds() -> list[Any]:
@@ -152,7 +156,7 @@ def clouds() -> list[Any]:
 def main() -> int:
     options = arguments()
     if options.client:
-        client()
+        client(options.client)
         return 0
     os.environ |= {"ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     from foretouch.ros.runtime.environment import prepare_environment
@@ -161,23 +165,20 @@ def main() -> int:
     messages = clouds()
     rows = []
     for _ in range(options.repeat):
-        for serve in (False, True):
-            rows.append(run(options, messages, serve=serve))
+        for reads in TOPICS:
+            rows.append(run(options, messages, reads))
             print(rows[-1], flush=True)
-    served = [row for row in rows if row["serve"]]
-    more = [row["cpu_percent"] - alone["cpu_percent"] for alone, row in zip(rows[::2], served, strict=True)]
-    lost = sum(max(0, row["answered"] - row["client_touch"]) for row in served)
-    received = [row["client_points"] / row["sent"] for row in served]
     options.out.mkdir(parents=True, exist_ok=True)
     with (options.out / "runs.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(served[0]), lineterminator="\n")
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
-    print(f"answers that the client did not get: {lost}; share of the clouds that it got: {min(received):.3f}")
-    print(
-        f"processor time more: {statistics.median(more):.1f} % of a core (each pair: {', '.join(f'{one:.1f}' for one in more)})"
-    )
+    print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    for reads in TOPICS:
+        own = [row for row in rows if row["reads"] == reads]
+        cpu = statistics.median(row["bridge_cpu_percent"] for row in own)
+        lost = sum(row["answered"] - row["client_touch"] for row in own), sum(row["lost_in_the_bridge"] for row in own)
+        print(f"{reads}: {lost[0]} answers not received, {lost[1]} messages lost in the bridge, {cpu:.1f} % of a core")
     return 0
 
 

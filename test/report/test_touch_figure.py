@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.touch_figure import draw_electrodes, save_touch_picture
+from foretouch.report.touch_figure import DrawnGrasp, agreement, draw_electrodes, draw_front, save_touch_picture
 from foretouch.types import Plane, Touch, TouchPrediction
 
 
@@ -21,46 +21,99 @@ def sample() -> tuple[FoundObject, TouchPrediction, Touch]:
     return target, TouchPrediction(state.grasp, state.touch), state.tare
 
 
-def test_what_was_read_takes_a_row_of_its_own(sample, tmp_path: Path) -> None:
-    target, prediction, tare = sample
-    alone = save_touch_picture(tmp_path / "a.png", None, target, prediction)
-    both = save_touch_picture(tmp_path / "new" / "b.png", None, target, prediction, rest=tare, read=prediction.value)
-    assert imread(both).shape[0] > 1.5 * imread(alone).shape[0]
+def picture(path: Path, target: FoundObject, prediction: TouchPrediction, **options) -> np.ndarray:
+    return imread(save_touch_picture(path, [DrawnGrasp(target=target, prediction=prediction, **options)]))[..., :3]
 
 
-def test_equal_touches_are_drawn_alike(sample, tmp_path: Path) -> None:
+def test_what_was_read_is_beside_what_was_predicted(sample, tmp_path: Path) -> None:
     target, prediction, tare = sample
-    path = save_touch_picture(tmp_path / "a.png", None, target, prediction, rest=tare, read=prediction.value)
-    image = imread(path)[..., :3]
-    half = image.shape[0] // 2
-    columns = slice(2 * image.shape[1] // 3, None)
-    dark = [float((part[:, columns].mean(axis=-1) < 0.6).mean()) for part in (image[:half], image[half:])]
-    assert dark[0] == pytest.approx(dark[1], rel=0.05)
+    alone = picture(tmp_path / "a.png", target, prediction)
+    both = picture(tmp_path / "new" / "b.png", target, prediction, rest=tare, read=prediction.value)
+    assert both.shape[0] == alone.shape[0]
+    assert both.shape[1] > 1.3 * alone.shape[1]
+
+
+def test_a_second_grasp_takes_a_row_of_its_own(sample, tmp_path: Path) -> None:
+    target, prediction, _ = sample
+    one = DrawnGrasp(target=target, prediction=prediction)
+    alone, both = (imread(save_touch_picture(tmp_path / f"{k}.png", [one] * k)) for k in (1, 2))
+    assert both.shape[0] > 1.8 * alone.shape[0]
+    assert both.shape[1] == alone.shape[1]
+
+
+def dots_of(figure: Figure) -> list:
+    """Electrodes of all fingers of a figure."""
+    return [dots for axes in figure.axes for dots in axes.collections if len(dots.get_offsets()) == 24]
+
+
+def test_all_electrodes_have_one_scale_and_equal_touches_equal_colours(sample, tmp_path: Path, monkeypatch) -> None:
+    target, prediction, tare = sample
+    drawn: list[Figure] = []
+    monkeypatch.setattr("foretouch.report.touch_figure.save", lambda figure, path: drawn.append(figure) or path)
+    other = Touch.from_vector(prediction.value.vector() - 500.0)
+    rows = [
+        DrawnGrasp(target=target, prediction=prediction, rest=tare, read=read) for read in (prediction.value, other)
+    ]
+    save_touch_picture(tmp_path / "a.png", rows)
+    dots = dots_of(drawn[0])
+    assert len(dots) == 8
+    assert len({one.get_clim() for one in dots}) == 1
+    np.testing.assert_array_equal(dots[0].get_array(), dots[1].get_array())  # predicted and read of the thumb
+    np.testing.assert_allclose(dots[5].get_array() - dots[4].get_array(), 500.0)
 
 
 def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path: Path) -> None:
     target, prediction, tare = sample
     refused = replace(prediction, value=None, status="refused", reason="no usable model")
-    nothing = imread(save_touch_picture(tmp_path / "a.png", None, target, refused))
-    read = imread(save_touch_picture(tmp_path / "b.png", None, target, refused, rest=tare, read=prediction.value))
-    assert (read < 0.9).mean() > 1.5 * (nothing < 0.9).mean()
+    nothing = picture(tmp_path / "a.png", target, refused)
+    read = picture(tmp_path / "b.png", target, refused, rest=tare, read=prediction.value)
+    assert (read < 0.9).sum() > 1.3 * (nothing < 0.9).sum()
+    assert agreement(DrawnGrasp(target=target, prediction=refused)) == "not predicted: no usable model"
 
 
-def test_an_interval_stands_beside_the_predicted_pressure_and_not_beside_the_reading(sample, tmp_path: Path) -> None:
+def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
+    target, prediction, _ = sample
+    value = prediction.value.vector()
+    low, high = (Touch.from_vector(value + shift) for shift in (-60.0, 60.0))
+    shifted = value.copy()
+    shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
+    one = DrawnGrasp(target=target, prediction=prediction, read=Touch.from_vector(shifted))
+    text = "Predicted and read differ by 100 (thumb) and 0 (middle finger) counts of pressure, and by 4 counts an electrode"
+    assert agreement(one) == f"{text}."
+    bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
+    assert agreement(bounded) == f"{text}; within their 90 % intervals: 1 of 2 pressures, 46 of 48 electrodes."
+    assert agreement(replace(one, read=None)) == ""
+
+
+def test_an_interval_changes_the_predicted_pressures_alone(sample, tmp_path: Path) -> None:
     target, prediction, tare = sample
     low, high = (Touch.from_vector(prediction.value.vector() + shift) for shift in (-60.0, 60.0))
     bounded = replace(prediction, lower=low, upper=high)
-    plain = imread(save_touch_picture(tmp_path / "a.png", None, target, prediction, rest=tare, read=prediction.value))
-    doubtful = imread(save_touch_picture(tmp_path / "b.png", None, target, bounded, rest=tare, read=prediction.value))
-    changed = np.flatnonzero((plain != doubtful).any(axis=(1, 2)))
+    plain, marked = (picture(tmp_path / "a.png", target, one, rest=tare) for one in (prediction, bounded))
+    changed = np.flatnonzero((plain != marked).any(axis=(1, 2)))
     assert changed.size
-    assert changed.max() < plain.shape[0] / 2  # the predicted row is the upper one
+    assert changed.max() < plain.shape[0] / 4  # in the titles
 
 
-def test_colours_are_the_drop_from_rest_within_the_limits() -> None:
+def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None:
+    target, prediction, _ = sample
+    figure = Figure(figsize=(3, 3))
+    axes = figure.add_subplot()
+    draw_front(axes, target.cloud, prediction.grasp)
+    figure.canvas.draw()
+    names = {text.get_text(): text for text in axes.texts}
+    assert names.keys() == {"thumb", "middle finger"}
+    for name, contact in (("thumb", prediction.grasp.g1), ("middle finger", prediction.grasp.g2)):
+        assert names[name].xy == pytest.approx(contact[:2])
+    boxes = [text.get_window_extent() for text in names.values()]
+    assert not boxes[0].overlaps(boxes[1])
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
+
+
+def test_colours_are_the_levels_within_the_limits() -> None:
     axes = Figure().add_subplot()
-    electrodes, rest = np.linspace(3000.0, 2500.0, 24), np.full(24, 3100.0)
-    draw_electrodes(axes, electrodes, rest, colour="red", limits=(0.0, 700.0))
+    levels = np.linspace(100.0, 600.0, 24)
+    draw_electrodes(axes, levels, tared=True, colour="red", limits=(0.0, 700.0))
     dots = axes.collections[0]
-    np.testing.assert_array_equal(dots.get_array(), rest - electrodes)
+    np.testing.assert_array_equal(dots.get_array(), levels)
     assert dots.get_clim() == (0.0, 700.0)

@@ -17,8 +17,10 @@ from foretouch.cli.output import print_json, terminal, warn
 from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
 
 if TYPE_CHECKING:
+    from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.bridge import BridgeNode
+    from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
 
 
@@ -289,27 +291,37 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
 
 def _draw(graph: Graph, path: str) -> None:
     from foretouch.report.touch_figure import save_touch_picture
-    from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
 
-    found = graph.monitor.last_drawable()
-    if found is None:
+    found = graph.monitor.last_drawables()
+    if not found:
         warn(f"{path}: not drawn, because there was no prediction")
         return
+    save_touch_picture(path, list(map(_drawn, found)))
+    warn(f"wrote {path}")
+
+
+def _drawn(found: Drawable) -> DrawnGrasp:
+    from foretouch.report.touch_figure import DrawnGrasp
+    from foretouch.ros.messages.conversions import prediction_from_msg, reference_text
+
     prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        title += f", predicted by {found.prediction.model} ({reference_text(found.prediction)})"
-        title += "".join(f", {flag}" for flag in prediction.flags)
-    save_touch_picture(
-        path,
-        found.scene,
-        found.target,
-        prediction,
+        known = (
+            "as the model does not know any (unfamiliar)"
+            if "unfamiliar" in prediction.flags
+            else "as the model knows some"
+        )
+        title += f", {known}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
+        title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
+    return DrawnGrasp(
+        target=found.target,
+        prediction=prediction,
+        scene=found.scene,
         rest=None if readings is None else readings.tare,
         read=None if readings is None else readings.touch,
         title=title if readings is None else f"{title}; readings of the simulated hand",
     )
-    warn(f"wrote {path}")
 
 
 class _Printer:

@@ -35,7 +35,7 @@ from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, T
 FINGERS: Final = {"TH": "thumb", "MF": "middle finger"}  # in the order of g1, g2
 
 _PAD: Final = PadConfig()
-_COLOURS: Final = {"TH": (209, 73, 91), "MF": (0, 121, 140)}
+_COLOURS: Final = {"TH": (240, 115, 130), "MF": (60, 190, 205)}
 _TARGET, _OTHER = (60, 160, 80), (150, 150, 150)
 _CANDIDATE: Final = (120, 120, 120)
 _TABLE: Final = (120, 128, 140, 255)
@@ -341,7 +341,7 @@ class _Writer:
         predicted = [None if one.prediction is None else one.prediction.value for one in self._steps]
         rows = {"predicted": predicted, "read": [one.read for one in self._steps]}
         tared = all(one.tare is not None for one in self._steps if one.read is not None or one.prediction is not None)
-        colours = colormaps["magma_r" if tared else "viridis"]
+        colours = colormaps["plasma" if tared else "viridis"]
         on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
         along, across, depth = 1e3 * electrode_positions().T
         flat = np.column_stack([np.degrees(np.arctan2(across, -depth)) * _MM_A_DEGREE, -along])
@@ -516,7 +516,7 @@ def _layout(electrodes: Mapping[str, int], eye: tuple[Float64, float] | None) ->
     controls = None
     if eye is not None:
         target, size = eye
-        position = target + size * np.array([-1.2, -1.6, -2.4])  # from the camera's side, from above and the left
+        position = target + size * np.array([-1.0, -1.3, -1.9])  # from the camera's side, from above and the left
         controls = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))
     scene = rrb.Vertical(
         rrb.Spatial3DView(origin="/scene", name="scene", eye_controls=controls, line_grid=False),

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw grasps: the object with its contacts, and both fingertips with their electrodes.
+"""Draw grasps: the scene, the object with its contacts, and both fingertips with their electrodes.
 
-`save_touch_picture` draws one prediction, `save_contact_sheet` many labelled samples on one page.
+`save_touch_picture` draws predictions beside what was read, `save_contact_sheet` many labelled samples on one page. All electrodes
+of a page have one scale of colours.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
 from foretouch.report.panels import new_figure, save
@@ -16,52 +20,82 @@ from foretouch.tactile import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
-_FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}
+FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}
 _SHEET_COLUMNS = 2  # samples side by side
 _SHEET_DPI = 100
-_SHEET_ROW_INCHES = 2.9
-_LEAST_RANGE_M = 0.4  # of depth, from white to black: otherwise a table seen from above would be black
+_SHEET_ROW_INCHES = 2.6
+_SHEET_HEAD_INCHES = 1.3  # title and scale
+_ROW_INCHES = 3.9
+_LEAST_RANGE_M = 0.1  # of depth, over the scale of colours: otherwise noise on a table would be all there is to see
 _MAX_POINTS = 6000  # more make a scatter plot slower, not denser
+_TARGET_COLOUR = "#ff8000"
 
 
-def save_touch_picture(
-    path: str | Path,
-    scene: Cloud | None,
-    target: FoundObject,
-    prediction: TouchPrediction,
-    *,
-    rest: Touch | None = None,
-    read: Touch | None = None,
-    title: str = "",
-) -> Path:
-    """Write one PNG: scene, object with contacts, electrodes of thumb and middle finger.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawnGrasp:
+    """One grasp to draw: its object, its prediction, and what was read where it was executed."""
+
+    target: FoundObject  # the object
+    prediction: TouchPrediction  # a refused one is drawn without its electrodes
+    scene: Cloud | None = None  # the whole cloud; None if there is only the object
+    rest: Touch | None = None  # reading without contact; electrodes are then coloured by their drop from it
+    read: Touch | None = None  # reading of the executed grasp
+    title: str = ""
+
+
+def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
+    """Write one PNG with a row for each grasp: scene, object with its contacts, electrodes predicted and read, and how they agree.
 
     Args:
         path: Path of the file; its folder is created.
-        scene: The whole cloud, or None if there is only the object.
-        target: The object.
-        prediction: The prediction; a refused one is drawn without fingers.
-        rest: Reading without contact; electrodes are then coloured by their drop from it.
-        read: Reading of the executed grasp, which is drawn below the prediction with the same colour scale.
-        title: Title of the figure.
+        grasps: One or more.
 
     Returns:
         The path.
     """
-    rows = {name: touch for name, touch in (("predicted", prediction.value), ("read", read)) if touch is not None}
-    beside = len(rows) < 2  # scene and object side by side, else one above the other
-    figure = new_figure(13.0, 4.6) if beside else new_figure(11.5, 8.6)
-    figure.suptitle(title)
-    widths = [1.35, 1.1, 0.8, 0.8] if beside else [1.2, 0.8, 0.8]
-    grid = figure.add_gridspec(max(1, len(rows)), len(widths), width_ratios=widths)
-    draw_scene(figure.add_subplot(grid[0, 0]), scene if scene is not None else target.cloud, target)
-    draw_front(figure.add_subplot(grid[0, 1] if beside else grid[1, 0]), target.cloud, prediction.grasp)
-    for column, name in enumerate(FINGER_COLOURS, 2 if beside else 1):
-        axes = [figure.add_subplot(grid[row, column]) for row in range(len(rows))]
-        _draw_finger(axes, name, rows, rest, _half_width(prediction, name))
-    if prediction.value is None:
-        figure.suptitle("\n".join(filter(None, (title, f"not predicted: {prediction.reason}"))))
+    rows = [_columns(one) for one in grasps]
+    most = max(map(len, rows))
+    figure = new_figure(7.2 + 2.5 * most, _ROW_INCHES * len(grasps) + 0.2)
+    tared = all(one.rest is not None for one in grasps)
+    limits = _limits(
+        [
+            _levels(touch, one.rest if tared else None, name)
+            for one, row in zip(grasps, rows, strict=True)
+            for name, _, touch in row
+        ]
+    )
+    drawn: Any = None
+    parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
+    for part, one, row in zip(parts, grasps, rows, strict=True):
+        part.suptitle("\n".join(filter(None, (one.title, agreement(one)))), fontsize=11)
+        axes = part.subplots(1, 2 + most, squeeze=False, width_ratios=[1.5, 1.3] + [1.0] * most)[0]
+        draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+        draw_front(axes[1], one.target.cloud, one.prediction.grasp)
+        for panel in axes[2 + len(row) :]:
+            panel.set_axis_off()
+        for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
+            levels = _levels(touch, one.rest if tared else None, name)
+            drawn = draw_electrodes(panel, levels, tared=tared, colour=FINGER_COLOURS[name], limits=limits)
+            panel.set_title(_finger_title(one.prediction, name, what, touch), color=FINGER_COLOURS[name], fontsize=10)
+        if drawn is not None and row:
+            _add_scale(part, drawn, list(axes[2 : 2 + len(row)]), tared=tared)
     return save(figure, Path(path))
+
+
+def agreement(one: DrawnGrasp) -> str:
+    """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
+    value, read = one.prediction.value, one.read
+    if value is None:
+        return f"not predicted: {one.prediction.reason}"
+    if read is None:
+        return ""
+    difference = np.abs(value.vector() - read.vector())
+    text = f"Predicted and read differ by {difference[0]:.0f} (thumb) and {difference[1]:.0f} (middle finger) counts of pressure, "
+    text += f"and by {difference[2:].mean():.0f} counts an electrode"
+    if one.prediction.lower is None or one.prediction.upper is None:
+        return f"{text}."
+    inside = (read.vector() >= one.prediction.lower.vector()) & (read.vector() <= one.prediction.upper.vector())
+    return f"{text}; within their 90 % intervals: {inside[:2].sum()} of 2 pressures, {inside[2:].sum()} of {inside[2:].size} electrodes."
 
 
 def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: str = "") -> Path:
@@ -76,32 +110,56 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
         The path.
     """
     rows = max(1, -(-len(samples) // _SHEET_COLUMNS))
-    figure = new_figure(7.2 * _SHEET_COLUMNS, _SHEET_ROW_INCHES * rows + 0.4)
+    figure = new_figure(7.6 * _SHEET_COLUMNS, _SHEET_ROW_INCHES * rows + _SHEET_HEAD_INCHES)
     figure.suptitle(title)
-    grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.1, 0.8, 0.8] * _SHEET_COLUMNS)
+    grid = figure.subplots(rows, 3 * _SHEET_COLUMNS, squeeze=False, width_ratios=[1.2, 0.8, 0.8] * _SHEET_COLUMNS)
     for axes in grid.flat:
         axes.set_axis_off()
+    touches = [(sample.touch, sample.tare) for sample in samples if sample.touch is not None]
+    tared = all(tare is not None for _, tare in touches)
+    limits = _limits(
+        [_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS]
+    )
+    drawn: Any = None
     for k, sample in enumerate(samples):
         row, column = divmod(k, _SHEET_COLUMNS)
-        _draw_sample(list(grid[row, 3 * column : 3 * column + 3]), sample)
+        panels = list(grid[row, 3 * column : 3 * column + 3])
+        drawn = _draw_sample(panels, sample, limits, tared=tared) or drawn
+    if drawn is not None:
+        _add_scale(figure, drawn, list(grid.flat), tared=tared)
     return save(figure, Path(path), _SHEET_DPI)
 
 
-def _draw_sample(panels: Sequence[Axes], sample: GraspSample) -> None:
+def _draw_sample(panels: Sequence[Axes], sample: GraspSample, limits: tuple[float, float], *, tared: bool) -> Any:
+    """Draw object and fingers of a sample; returns what the scale belongs to, None for an unlabelled sample."""
     front, *fingers = panels
     front.set_axis_on()
     draw_front(front, sample.cloud, sample.grasp)
     front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
     if sample.touch is None:
-        return
+        return None
+    drawn: Any = None
     for axes, (name, colour) in zip(fingers, FINGER_COLOURS.items(), strict=True):
         axes.set_axis_on()
-        pdc, electrodes = _finger(sample.touch, name)
-        rest = None if sample.tare is None else _finger(sample.tare, name)[1]
-        draw_electrodes(axes, electrodes, rest, colour=colour)
+        levels = _levels(sample.touch, sample.tare if tared else None, name)
+        drawn = draw_electrodes(axes, levels, tared=tared, colour=colour, limits=limits, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
         suffix = "" if force is None else f", {force:.1f} N"
-        axes.set_title(f"{_FINGER_NAMES[name].split()[0]}, PDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
+        pdc, _ = _finger(sample.touch, name)
+        axes.set_title(f"{FINGER_NAMES[name]}\nPDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
+    return drawn
+
+
+def _columns(one: DrawnGrasp) -> list[tuple[str, str, Touch]]:
+    """Finger, `predicted` or `read`, and the touch of each panel of electrodes; those of a finger are side by side."""
+    rows = (("predicted", one.prediction.value), ("read", one.read))
+    return [(name, what, touch) for name in FINGER_COLOURS for what, touch in rows if touch is not None]
+
+
+def _finger_title(prediction: TouchPrediction, name: str, what: str, touch: Touch) -> str:
+    pdc, _ = _finger(touch, name)
+    half = _half_width(prediction, name) if what == "predicted" else None
+    return f"{FINGER_NAMES[name]} {what}\nPDC {pdc:.0f}{'' if half is None else f' ± {half:.0f}'}"
 
 
 def _half_width(prediction: TouchPrediction, name: str) -> float | None:
@@ -111,82 +169,125 @@ def _half_width(prediction: TouchPrediction, name: str) -> float | None:
     return (_finger(prediction.upper, name)[0] - _finger(prediction.lower, name)[0]) / 2.0
 
 
-def _draw_finger(
-    rows: list[Axes], name: str, touches: dict[str, Touch], rest: Touch | None, half_width: float | None
-) -> None:
-    """Draw one fingertip of several touches, one below the other with the same colour scale."""
-    readings = {what: _finger(touch, name) for what, touch in touches.items()}
-    at_rest = None if rest is None else _finger(rest, name)[1]
-    shown = [electrodes if at_rest is None else at_rest - electrodes for _, electrodes in readings.values()]
-    limits = (float(np.min(shown)), float(np.max(shown))) if shown else None
-    for axes, (what, (pdc, electrodes)) in zip(rows, readings.items(), strict=True):
-        draw_electrodes(axes, electrodes, at_rest, colour=FINGER_COLOURS[name], limits=limits)
-        interval = f" ± {half_width:.0f}" if what == "predicted" and half_width is not None else ""
-        axes.set_title(
-            f"{_FINGER_NAMES[name]} {what}\nPDC {pdc:.0f}{interval}", color=FINGER_COLOURS[name], fontsize=11
-        )
-
-
 def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
     return (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
 
 
+def _levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
+    """(24,) float64: what the electrodes of a finger are coloured by, their drop from rest or their counts."""
+    electrodes = _finger(touch, name)[1]
+    return electrodes if rest is None else _finger(rest, name)[1] - electrodes
+
+
+def _limits(levels: Sequence[Float64]) -> tuple[float, float]:
+    return (float(np.min(levels)), float(np.max(levels))) if levels else (0.0, 1.0)
+
+
 def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
-    """Draw the scene from the camera, shaded by depth, with the target tinted.
+    """Draw the scene from the camera, coloured by depth, with the outline of the target.
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
     """
+    drawn: Any
+    title = f"what the camera sees\nof the table, {abs(target.plane.offset):.2f} m away"
     if scene.organised and target.pixels is not None and target.image_shape is not None:
         depth = scene.xyz[..., 2]
-        near, far = np.nanpercentile(depth, [0.1, 99])
-        axes.imshow(depth, cmap="Greys", vmin=near, vmax=max(far, near + _LEAST_RANGE_M))
-        tint = np.full(depth.shape, np.nan)
-        tint[np.divmod(target.pixels, target.image_shape[1])] = 1.0
-        axes.imshow(tint, cmap="Wistia", vmin=0, vmax=1)
-        axes.set(xticks=[], yticks=[], title="what the camera sees")
+        rows, columns = np.divmod(target.pixels, target.image_shape[1])
+        near, far = float(target.cloud.xyz[:, 2].min()), float(np.nanpercentile(depth, 99.9))
+        drawn = axes.imshow(depth, cmap="cividis_r", vmin=min(near, far - _LEAST_RANGE_M), vmax=far)
+        inside = np.zeros(depth.shape)
+        inside[rows, columns] = 1.0
+        axes.contour(inside, levels=[0.5], colors=_TARGET_COLOUR, linewidths=1.5)
+        _name(axes, f"object {target.id}", (float(columns.mean()), float(rows.min())))
+        axes.set(xlim=_around(columns, depth.shape[1]), ylim=_around(rows, depth.shape[0])[::-1], xticks=[], yticks=[])
+        axes.set_title(title, fontsize=10)
+        axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
         return
     points = _finite_subset(scene)
-    axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="Greys", linewidths=0)
-    _as_image(axes, "what the camera sees")
+    drawn = axes.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="cividis_r", linewidths=0)
+    _as_image(axes, title)
+    axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
 
 
 def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
-    """Draw the object from the camera, with both contacts and the line between them [m]."""
+    """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
     points = _finite_subset(target)
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
     ends = np.stack([grasp.g1, grasp.g2])
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
-    for (name, contact), end in zip((("TH", "g1"), ("MF", "g2")), ends, strict=True):
-        axes.scatter(end[0], end[1], s=70, color=FINGER_COLOURS[name], edgecolors="white", zorder=3, label=contact)
-    axes.legend(loc="upper right", fontsize=8)
+    middle, half = (points.min(axis=0) + points.max(axis=0)) / 2.0, 0.9 * float(np.ptp(points[:, :2], axis=0).max())
+    upper = int(ends[1, 1] < ends[0, 1])  # y points down
+    for k, (name, colour) in enumerate(FINGER_COLOURS.items()):
+        axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
+        axes.annotate(
+            FINGER_NAMES[name],
+            (ends[k, 0], ends[k, 1]),
+            (0, 8 if k == upper else -8),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if k == upper else "top",
+            color=colour,
+            fontsize=9,
+            fontweight="bold",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+        )
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 
 
 def draw_electrodes(
-    axes: Axes, electrodes: Float64, rest: Float64 | None, *, colour: str, limits: tuple[float, float] | None = None
-) -> None:
+    axes: Axes,
+    levels: Float64,
+    *,
+    tared: bool,
+    colour: str,
+    limits: tuple[float, float] | None = None,
+    size: float = 150,
+) -> Any:
     """Draw the 24 electrodes of one fingertip, unrolled from the core.
 
     Args:
         axes: The axes.
-        electrodes: (24,) counts.
-        rest: (24,) counts without contact, or None to colour by the counts themselves.
+        levels: (24,) counts, or their drop from rest.
+        tared: Whether they are drops.
         colour: Colour of the outlines.
         limits: Limits of the colour scale [counts]; None for those of the values.
+        size: Area of a dot [points squared].
+
+    Returns:
+        What a scale of colours is made for.
     """
     x, y, z = 1e3 * electrode_positions().T
     around = np.degrees(np.arctan2(y, -z))
-    values = electrodes if rest is None else rest - electrodes
-    low, high = limits or (float(values.min()), float(values.max()))
-    colours = "viridis_r" if rest is None else "magma_r"  # both dark at the high end
-    drawn = axes.scatter(around, x, s=190, c=values, cmap=colours, vmin=low, vmax=high, edgecolors=colour)
-    for k, (angle, along, value) in enumerate(zip(around, x, values, strict=True), 1):
+    low, high = limits or (float(levels.min()), float(levels.max()))
+    colours = "magma_r" if tared else "viridis_r"  # both dark at the high end
+    drawn = axes.scatter(around, x, s=size, c=levels, cmap=colours, vmin=low, vmax=high, edgecolors=colour)
+    for k, (angle, along, value) in enumerate(zip(around, x, levels, strict=True), 1):
         ink = "white" if value > (low + high) / 2.0 else "black"
         axes.annotate(str(k), (angle, along), ha="center", va="center", fontsize=6, color=ink)
-    label = "electrode [counts]" if rest is None else "drop from rest [counts]"
-    axes.figure.colorbar(drawn, ax=axes, location="bottom", label=label, shrink=0.9)
-    axes.set(xlabel="around the core [°]", ylabel="along the finger [mm]")
+    axes.set_xlabel("around the core [°]", fontsize=8)
+    axes.set_ylabel("along the finger [mm]", fontsize=8)
+    axes.tick_params(labelsize=8)
     axes.margins(0.15)
+    return drawn
+
+
+def _add_scale(figure: Figure | SubFigure, drawn: Any, axes: Sequence[Axes], *, tared: bool) -> None:
+    label = "drop of an electrode from rest [counts]" if tared else "electrode [counts]"
+    figure.colorbar(drawn, ax=axes, location="bottom", label=label, shrink=0.5, aspect=50)
+
+
+def _around(places: Any, size: int) -> tuple[float, float]:
+    """First and last row or column of what is shown of an image: the target, and as much as it again on each side twice."""
+    low, high = float(places.min()), float(places.max())
+    margin = 2.0 * (high - low)
+    return max(low - margin, 0.0), min(high + margin, size - 1.0)
+
+
+def _name(axes: Axes, text: str, at: tuple[float, float]) -> None:
+    """Write a name above a place of an image."""
+    box = {"boxstyle": "round", "facecolor": "#202020", "edgecolor": _TARGET_COLOUR}
+    axes.annotate(text, at, (0, 8), textcoords="offset points", color="white", fontsize=9, ha="center", bbox=box)
 
 
 def _finite_subset(cloud: Cloud) -> Float64:
@@ -199,4 +300,8 @@ def _finite_subset(cloud: Cloud) -> Float64:
 def _as_image(axes: Axes, title: str) -> None:
     axes.set_aspect("equal")
     axes.invert_yaxis()
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
+    axes.set_xlabel("x [m]", fontsize=8)
+    axes.set_ylabel("y [m]", fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=4)
+    axes.set_title(title, fontsize=10)

@@ -12,13 +12,24 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import REST, level
 from robot_builders import FRAME, MS, Robot
+from sensor_msgs.msg import PointCloud2
 
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
+from foretouch.pipeline import Pipeline
+from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import header_to_msg
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPrediction, TouchPredictionArray
+from foretouch_msgs.msg import (
+    BiotacAll,
+    ExecutedGrasp,
+    Grasp,
+    GraspArray,
+    Status,
+    TouchPrediction,
+    TouchPredictionArray,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -94,3 +105,22 @@ def test_readings_of_a_successful_grasp_are_shown_and_others_are_not(graph: Any,
     graph.until(lambda: robot.feel(REST, 1) or monitor._assembler.results.total() == 3)
     assert dict(monitor._assembler.results) == {"recorded": 1, "overlap": 1, "grasp_failed": 1}
     assert monitor.view().executed[0].grasp.id == "good"
+
+
+def test_the_last_answers_on_known_and_on_unfamiliar_objects_can_be_drawn(graph: Any, scene_cloud: Any) -> None:
+    node = MonitorNode(with_clouds=True)
+    graph._executor.add_node(node)
+    graph.nodes.append(node)
+    assert node.last_drawables() == []
+    answers, clouds = graph.talk(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "object_cloud")
+    graph.matched("touch")
+    graph.matched("object_cloud")
+    for k, flags in enumerate((["unfamiliar"], [], ["unfamiliar"], ["late"])):
+        cloud = scene_cloud(stamp_ns=(k + 1) * 10**9)
+        scene = Pipeline().segment(cloud)
+        message = objects_to_msg(scene.targets, cloud.frame_id, cloud.stamp_ns)
+        clouds.publish(message)
+        grasp = Grasp(id=str(k), object_id=scene.targets[0].id)
+        one = TouchPrediction(header=message.header, grasp=grasp, status=Status.OK, flags=flags)
+        answers.publish(TouchPredictionArray(header=message.header, predictions=[one]))
+    graph.until(lambda: [one.prediction.grasp.id for one in node.last_drawables()] == ["3", "2"])

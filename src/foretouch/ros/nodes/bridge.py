@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -186,7 +187,9 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             for one in self._served.values():
                 wanted = self._server is not None and one.channel.has_sinks()
                 if wanted and one.input is None:
-                    one.input = RecorderInput(self, one.topic, self._forward, self._mismatch)
+                    offered = {end.qos_profile.reliability for end in self.get_publishers_info_by_topic(one.name)}
+                    reliable = ReliabilityPolicy.BEST_EFFORT not in offered
+                    one.input = RecorderInput(self, one.topic, self._forward, self._mismatch, reliable=reliable)
                 elif wanted and one.input is not None:
                     one.input.adapt()
                 elif not wanted:

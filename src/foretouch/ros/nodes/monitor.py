@@ -72,6 +72,10 @@ class Drawable:
     readings: TouchCut | None = None  # tactile readings of the executed grasp; None if it was not executed
 
 
+def _is_unfamiliar(prediction: TouchPrediction) -> bool:
+    return "unfamiliar" in prediction.flags
+
+
 class MonitorNode(GuardedCallbacks, Node):
     """Subscribes to `touch` and /diagnostics, and on request to the clouds and to the hand.
 
@@ -100,7 +104,7 @@ class MonitorNode(GuardedCallbacks, Node):
         self._objects: OrderedDict[int, PointCloud2] = OrderedDict()
         self._kept = _KEPT_WHILE_GRASPING if with_hand else _KEPT_CLOUDS
         self._drawable: deque[TouchPredictionArray] = deque(maxlen=self._kept)
-        self._executed: Drawable | None = None
+        self._executed: dict[bool, Drawable] = {}  # by whether the model does not know the object
         self._assembler = SampleAssembler(AssemblerConfig(successes_only=True), make_reader(TactileConfig()))
         self._with_hand = with_hand
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
@@ -128,13 +132,21 @@ class MonitorNode(GuardedCallbacks, Node):
             self._closed = True
         return self.view()
 
-    def last_drawable(self) -> Drawable | None:
-        """The last prediction whose grasp was executed, else the newest whose clouds are still kept."""
+    def last_drawables(self) -> list[Drawable]:
+        """The last prediction on an object that the model knows, and the last on one that it does not, as far as there are such.
+
+        They are the last whose grasps were executed; if none was, the newest whose clouds are still kept.
+        """
         with self._lock:
-            if self._executed is not None:
-                return self._executed
-            answers = list(self._drawable)
-        return next(filter(None, (self._drawn(answer.predictions[0]) for answer in reversed(answers))), None)
+            found = dict(self._executed)
+            answers = [] if found else list(self._drawable)
+        for answer in reversed(answers):
+            one = answer.predictions[0]
+            if _is_unfamiliar(one) not in found:
+                drawn = self._drawn(one)
+                if drawn is not None:
+                    found[_is_unfamiliar(one)] = drawn
+        return [found[key] for key in sorted(found)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
         """A prediction with its clouds; None if they are no longer kept."""
@@ -186,7 +198,8 @@ class MonitorNode(GuardedCallbacks, Node):
                         drawn = self._drawn(one, result.cut)
                         with self._lock:
                             self._view.executed = one, result.cut
-                            self._executed = drawn or self._executed
+                            if drawn is not None:
+                                self._executed[_is_unfamiliar(one)] = drawn
 
     def _receive_diagnostics(self, message: DiagnosticArray) -> None:
         with self._lock:

@@ -51,6 +51,7 @@ class RecorderInput:
         topic: The topic.
         receive: Called with every message, in a thread of the executor; must return at once.
         mismatch: Called with topic, `publisher` and event where a publisher offers less than a parameter demands.
+        reliable: What it begins with, before it has adapted.
 
     Attributes:
         name: Full name of the topic.
@@ -63,10 +64,12 @@ class RecorderInput:
         topic: InputTopic,
         receive: Callable[[Arrival], None],
         mismatch: Callable[[str, str, Any], None],
+        *,
+        reliable: bool = True,
     ) -> None:
         self.topic = topic
         self.name: str = node.resolve_topic_name(topic.name)
-        self.reliable = True
+        self.reliable = reliable
         self._node = node
         self._forward = receive
         self._mismatch = mismatch
