@@ -11,7 +11,6 @@ than that. If it takes longer than `RELIEF_S`, a third thread takes the inputs u
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
@@ -35,7 +34,6 @@ RELIEF_S: Final = 0.05
 """Time after which another thread takes the inputs of a thread that works [s]."""
 
 _POLL_S: Final = 1.0  # between checks whether the executor is shut down, beside being woken
-_SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms are a whole latency budget
 
 
 class InputGroup(ReentrantCallbackGroup):
@@ -52,7 +50,6 @@ class GraphExecutor(SingleThreadedExecutor):
     def __init__(self, errors: InternalErrors) -> None:
         self._inputs: _Inputs | None = None  # `wake` may be called as soon as the base class is made
         super().__init__()
-        sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_S))
         self._inputs = _Inputs(self.context, errors)
         self._inputs.start()
 
