@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of nodes, and an entry point for each: `ros2 run` and the launch files start these.
 
-Threads: two executor threads deliver messages and serve requests (see `runtime.executor`), and nodes do their slow work in
-separate threads (see `runtime.workers`), so that a cloud in work delays neither the next one nor a service, a parameter
-or a lifecycle request. The three nodes of `perception` share one such thread, which runs a cloud through all their steps:
-threads of their own would compete for the interpreter's lock. With the parameter `direct` unset, each has its own.
+Threads: one serves requests and timers, one takes messages and works on them (see `runtime.executor`), so that a cloud in
+work delays no service, parameter or lifecycle request; if it takes long, a third takes messages meanwhile. The three
+nodes of `perception` work one at a time, and a cloud goes through all their steps: side by side they would compete for
+the interpreter's lock. With the parameter `direct` unset they also may (see `runtime.workers`).
 """
 
 from __future__ import annotations

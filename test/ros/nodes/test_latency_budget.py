@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running node with a latency budget: what it chooses, flags and reports."""
 
+import sys
 import time
 
 import pytest
@@ -9,6 +10,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.models import load_model
 from foretouch.pipeline import FoundObject
+from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
 from foretouch.tradeoff.budget import levels_of
@@ -93,6 +95,28 @@ def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, monkeyp
 
 def test_a_budget_that_nothing_meets_is_used_and_said(graph):
     (node,) = graph.add("touch_predictor", latency_budget_ms=0.01, late_after_s=0.0)
+    assert sys.getswitchinterval() <= 0.0005  # another thread must not hold up an answer for a whole budget
     message = graph.call(PredictTouch, "predict_touch", request(3)).touch
     assert [one.flags[-2:] for one in message.predictions] == [["reduced", "late"]] * 3
     assert node.notes()["budget.unaffordable"] == "1"
+
+
+def test_an_answer_that_becomes_late_while_it_is_encoded_says_so(graph, monkeypatch):
+    (node,) = graph.add("touch_predictor", latency_budget_ms=1000.0, late_after_s=0.0)
+    heard = graph.listen(TouchPredictionArray, "touch")
+    clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
+    for topic in ("object_cloud", "grasps", "touch"):
+        graph.matched(topic)
+    original = TouchAnswer.encoded
+
+    def slowly(self):
+        time.sleep(1.1)
+        return original(self)
+
+    monkeypatch.setattr(TouchAnswer, "encoded", slowly)
+    message = request()
+    clouds.publish(message.cloud)
+    grasps.publish(GraspArray(header=message.cloud.header, grasps=message.grasps))
+    graph.until(lambda: heard)
+    assert "late" in heard[0].predictions[0].flags
+    assert node.notes()["budget.late"] == "1"

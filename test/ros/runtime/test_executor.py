@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs are taken and worked on in one thread, and by another while that takes long."""
 
-import sys
 import threading
 import time
 
@@ -58,7 +57,6 @@ def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, mon
         send(talkers, stamp)
         graph.until(lambda stamp=stamp: len(heard) == stamp)
     assert threads == ["inputs"] * 3
-    assert sys.getswitchinterval() <= 5e-4
 
 
 def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeypatch):

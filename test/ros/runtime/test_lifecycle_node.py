@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle, QoS and diagnostics of a live node."""
 
+import gc
+
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
@@ -151,3 +153,12 @@ def test_a_bad_parameter_at_the_start_is_one_line(graph):
 
     with pytest.raises(ConfigError, match=r"target\.mode|TargetConfig\.mode"):
         make_nodes("segmentation", parameter_overrides=[Parameter("target.mode", value="prettiest")])
+
+
+def test_what_was_loaded_is_not_searched_for_garbage_while_a_node_is_active(graph):
+    (node,) = graph.add("grasp")
+    assert node.state_name == "active"
+    assert gc.get_freeze_count() > 0
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert gc.get_freeze_count() == 0

@@ -2,8 +2,8 @@
 """An executor that takes the messages of a node's inputs in a thread of its own, and works on them there.
 
 rclpy builds a list of all that it waits for several times a message: about 30 services, timers and events a node. The
-inputs alone are a few entries, in a wait set that is kept. Their events belong to them: a new message also wakes a thread
-that waits for one of these.
+inputs alone are a few entries, in a wait set that is kept. Their events are looked at once a second: to wait for one means
+to be woken by each message.
 
 What a message gives a worker to do is done right here, without waking another thread: a prediction may take less time
 than that. If it takes longer than `RELIEF_S`, a third thread takes the inputs until it is done.
@@ -11,7 +11,6 @@ than that. If it takes longer than `RELIEF_S`, a third thread takes the inputs u
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
@@ -34,8 +33,7 @@ if TYPE_CHECKING:
 RELIEF_S: Final = 0.05
 """Time after which another thread takes the inputs of a thread that works [s]."""
 
-_POLL_S: Final = 1.0  # between checks whether the executor is shut down, beside being woken
-_SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms are a whole latency budget
+_POLL_S: Final = 1.0  # between looks at the events of inputs, and checks whether the executor is shut down
 
 
 class InputGroup(ReentrantCallbackGroup):
@@ -52,7 +50,6 @@ class GraphExecutor(SingleThreadedExecutor):
     def __init__(self, errors: InternalErrors) -> None:
         self._inputs: _Inputs | None = None  # `wake` may be called as soon as the base class is made
         super().__init__()
-        sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_S))
         self._inputs = _Inputs(self.context, errors)
         self._inputs.start()
 
@@ -166,6 +163,7 @@ class _InputSet:
         self._nodes: list[Node] | None = []  # None once they are looked at
         self._subscriptions: list[Subscription[Any]] = []
         self._events: list[Any] = []
+        self._events_s = 0.0  # when they were last looked at [s]
 
     def change(self, nodes: list[Node]) -> None:
         """Look at these nodes before the next message is taken."""
@@ -227,7 +225,7 @@ class _InputSet:
                 with suppress(InvalidHandle):  # it was destroyed, and the nodes will be looked at again
                     used.enter_context(one.handle)
                     inputs[wait_set.add_subscription(one.handle)] = one
-            for event in self._events:
+            for event in self._due_events():
                 with suppress(InvalidHandle):
                     used.enter_context(event)
                     event.add_to_wait_set(wait_set)
@@ -235,6 +233,14 @@ class _InputSet:
             wait_set.wait(round(timeout_s * 1e9))
             found = [one for index, one in inputs.items() if wait_set.is_ready("subscription", index)]
             return found, [event for event in events if event.is_ready(wait_set)]
+
+    def _due_events(self) -> list[Any]:
+        """The events once a second, none in between: they are more than the inputs, and waiting for them costs as much."""
+        now = time.monotonic()
+        if now - self._events_s < _POLL_S:
+            return []
+        self._events_s = now
+        return self._events
 
 
 def _is_input(entity: Any) -> bool:

@@ -4,9 +4,10 @@
 Messages of several topics that belong to one cloud are matched by their exact stamp: every output keeps the stamp
 of its cloud, so no tolerance is needed. The number of clouds that wait for a message is bounded.
 
-Threads: the executor's callbacks only sort messages by stamp and queue them. One worker thread, which the nodes of a
-process share unless `direct` is unset, computes and publishes, so that services, parameters, lifecycle and
-diagnostics respond meanwhile. The queue is bounded and drops its oldest input, counted as `superseded`.
+Threads: callbacks only sort messages by stamp and queue them. A worker, whose thread the nodes of a process share unless
+`direct` is unset, computes and publishes, in the thread that took the messages or in its own (see `executor`), so that
+services, parameters, lifecycle and diagnostics respond meanwhile. The queue is bounded and drops its oldest input,
+counted as `superseded`.
 """
 
 import threading
@@ -107,7 +108,7 @@ class ProcessingConfig(NodeConfig):
 
 
 class ProcessingNode(ForetouchNode[_P], ABC):
-    """Matches its inputs by stamp and answers each set in a separate thread.
+    """Matches its inputs by stamp and answers each set, one at a time.
 
     Args:
         name: Of the node.

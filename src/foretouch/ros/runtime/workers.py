@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads for slow work, so that one executor thread can deliver messages all the time.
+"""Slow work beside callbacks.
 
 `Worker` serves topics: callbacks only store, and when the work does not keep up, the oldest input is dropped, so
-that answers are as recent as possible. `ThreadPool` serves services and actions, whose callbacks await it as
+that answers are as recent as possible. Its work is done by a thread of its own, or by the thread that took the message, which
+spares the wait for another thread (see `helping`). `ThreadPool` serves services and actions, whose callbacks await it as
 coroutines. A multi-threaded executor would cost three times the processor time: it rebuilds its wait set twice a
 message. rclpy's events executor (9.1) has no callback groups, blocks while a coroutine waits, and stopped for good when
 another thread published to a subscription of the same process.

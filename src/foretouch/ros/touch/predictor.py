@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -32,6 +33,7 @@ if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.tradeoff.budget import Answer, LatencyBudget
 
 _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
+_SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms may be the whole budget
 
 
 class Predictor:
@@ -76,6 +78,7 @@ class Predictor:
 
         if self.model is None:
             return
+        sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_S))
         levels = levels_of(self.model)
         profile = load_profile(levels, say=say)
         cloud, grasps = profile_scene(1)
