@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.exceptions import InvalidHandle, InvalidTopicNameException
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -24,7 +24,9 @@ _SUBSCRIBERS, _PUBLISHERS = "matched_subscribers.", "matched_publishers."
 _GRAPH: Final = frozenset({"segmentation", "grasp", "touch_predictor", "replay", "monitor"})  # see `Matching`
 
 
-def matched_ends(publishers: Iterable["Publisher[Any]"], subscriptions: Iterable["Subscription[Any]"]) -> dict[str, int]:
+def matched_ends(
+    publishers: Iterable["Publisher[Any]"], subscriptions: Iterable["Subscription[Any]"]
+) -> dict[str, int]:
     """Number of matched ends on the other side of each topic, by key of /diagnostics."""
     found = {}
     for one in (*publishers, *subscriptions):
@@ -77,8 +79,8 @@ class Matching:
         """What is not matched, of what is seen, a few words each."""
         reports, own = dict(self._reports), self._names()
         found = [f"{topic}: no subscriber" for topic in self._wait_for if not self._is_heard(topic, own)]
-        for name in sorted(own & self._reporting() - reports.keys()):
-            found.append(f"{name}: no report in /diagnostics")
+        silent = sorted(own & self._reporting() - reports.keys())
+        found += [f"{name}: no report in /diagnostics" for name in silent]
         for name, (_, ends) in reports.items():
             for key, count in ends.items():
                 other, _, topic = key.partition(".")
@@ -112,7 +114,7 @@ class Matching:
 def _resolved(node: Node, topic: str) -> str:
     try:
         return node.resolve_topic_name(topic)
-    except (InvalidTopicNameException, ValueError) as err:
+    except RuntimeError as err:  # of rcl
         raise ConfigError(f"wait_for: {topic!r} is no name of a topic") from err
 
 
