@@ -238,7 +238,7 @@ def row(options: argparse.Namespace, where: tuple[str, ...], outcomes: list[Outc
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def save(path: Path, options: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
+def save(path: Path, rows: list[dict[str, Any]]) -> None:
     """Replace the rows of the same label, command, range and load."""
     keys = COLUMNS[:6]
     fresh = {tuple(str(one[key]) for key in keys) for one in rows}
@@ -269,7 +269,7 @@ def main() -> int:
                     print(*rows[-1].values(), sep=", ", flush=True)
                     if options.verbose:
                         print(*outcomes, sep="\n", flush=True)
-                save(options.out, options, rows)
+                save(options.out, rows)
     return int(any(one["good"] < one["runs"] for one in rows))
 
 
