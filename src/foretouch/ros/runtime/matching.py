@@ -8,6 +8,7 @@ it answers the first announcement of a new one, and if that answer is lost, its 
 
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -29,14 +30,11 @@ def matched_ends(
 ) -> dict[str, int]:
     """Number of matched ends on the other side of each topic, by key of /diagnostics."""
     found = {}
-    for one in (*publishers, *subscriptions):
-        try:
-            if isinstance(one, Publisher):
-                found[_SUBSCRIBERS + one.topic_name] = int(one.get_subscription_count())
-            else:
-                found[_PUBLISHERS + one.topic_name] = int(one.get_publisher_count())
-        except InvalidHandle:  # destroyed meanwhile
-            continue
+    with suppress(InvalidHandle):  # destroyed meanwhile
+        for publisher in publishers:
+            found[_SUBSCRIBERS + publisher.topic_name] = int(publisher.get_subscription_count())
+        for subscription in subscriptions:
+            found[_PUBLISHERS + subscription.topic_name] = int(subscription.get_publisher_count())
     return found
 
 
