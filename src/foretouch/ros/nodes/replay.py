@@ -337,9 +337,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
             self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
             missing = self._matching.missing()
             waited_s = time.monotonic() - began
-            if not missing and self._matching.is_discovered():
-                return True
-            if waited_s >= limit_s:
+            if self._matching.is_discovered() and (not missing or waited_s >= limit_s):
                 if missing:
                     self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
                 return True
