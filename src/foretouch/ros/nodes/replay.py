@@ -140,7 +140,7 @@ class ReplayConfig(NodeConfig):
         maximum=60.0,
     )
     discovery_s: float = setting(
-        3.2,
+        3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
         unit="s",
