@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Print every touch prediction: stamp, frame, grasp, and the predicted readings.
 
-    python examples/listen_touch.py [--topic /foretouch/touch] [--count N]
+    python examples/listen_touch.py [--topic /foretouch/touch] [--count N] [--max-age S]
 
 Requires rclpy and the messages, but no other part of foretouch, like a program on another robot.
 One array is published per cloud, empty with a reason if there is no prediction; both are printed.
+
+It subscribes with transient local durability, and so gets the last ten answers when it joins late, with their own stamps.
+A program that acts on predictions must discard old ones: `--max-age 0.5` on a live robot. By default all are printed,
+because the stamps of a replayed recording are those of the recording.
 """
 
 from __future__ import annotations
@@ -19,7 +23,8 @@ os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
 
 from foretouch_msgs.msg import TouchPrediction, TouchPredictionArray
 
@@ -36,17 +41,28 @@ class TouchListener(Node):
 
     Args:
         topic: Topic of type `foretouch_msgs/TouchPredictionArray`.
+        max_age_s: Answers with an older stamp are discarded [s].
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, max_age_s: float = math.inf) -> None:
         super().__init__("touch_listener")
         self.received = 0
-        self.create_subscription(
-            TouchPredictionArray, topic, self._print, QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+        self.discarded = 0
+        self._max_age_s = max_age_s
+        profile = QoSProfile(
+            depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
+        self.create_subscription(TouchPredictionArray, topic, self._receive, profile)
+
+    def _receive(self, message: TouchPredictionArray) -> None:
+        age_s = (self.get_clock().now() - Time.from_msg(message.header.stamp)).nanoseconds * 1e-9
+        if age_s > self._max_age_s:
+            self.discarded += 1
+            return
+        self.received += 1
+        self._print(message)
 
     def _print(self, message: TouchPredictionArray) -> None:
-        self.received += 1
         stamp = message.header.stamp
         start = f"{stamp.sec}.{stamp.nanosec:09d} {message.header.frame_id}"
         if not message.predictions:
@@ -79,9 +95,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--topic", default="/foretouch/touch")
     parser.add_argument("--count", type=int, default=0, help="exit after this number of arrays; 0 never exits")
+    parser.add_argument(
+        "--max-age", type=float, default=math.inf, metavar="S", help="discard answers with an older stamp [s]"
+    )
     arguments, others = parser.parse_known_args()
     rclpy.init(args=others)
-    listener = TouchListener(arguments.topic)
+    listener = TouchListener(arguments.topic, arguments.max_age)
     try:
         while not arguments.count or listener.received < arguments.count:
             rclpy.spin_once(listener)

@@ -26,15 +26,20 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE.parents[1] / "src"
 RANGES = ("LOCALHOST", "SUBNET")
-LOADS = {"idle": 0, "loaded": 2}  # busy processes for each core
+LOADS = {"idle": 0, "loaded": 1}  # busy processes for each core
 STARTS = {"1 s before": -1.0, "0.2 s after": 0.2, "2 s after": 2.0}
 DURABILITIES = ("volatile", "transient local")
 LAST = 10  # answers that a late joiner gets
 PATIENCE_S = 60.0
-REST_S = 1.0  # after the replay
+IDLE_S = 5.0  # without an answer
+REST_S = 1.0  # after the last answer
 NODES = "import sys; from foretouch.ros.executables import perception; sys.exit(perception())"
-COLUMNS = ("label", "command", "range", "load", "start", "durability", "runs", "good", "answers", "least", "missed",
-           "of_earlier", "match_s_p50", "match_s_max")  # fmt: skip
+QUEUES = (
+    "queue_depth:=100",
+    "qos_overrides./foretouch/points.subscription.depth:=100",
+)  # a slow machine drops no cloud
+COLUMNS = ("label", "command", "range", "load", "start", "durability", "runs", "good", "clouds", "least_answered",
+           "least_received", "missed", "least_of_earlier", "match_s_p50", "match_s_max")  # fmt: skip
 
 
 def arguments() -> argparse.Namespace:
@@ -103,34 +108,38 @@ class Outcome:
     """What one subscription got of the answers to one replay."""
 
     clouds: int  # played
+    answered: int  # of them
     match_s: float  # from the start of its process to its match; infinite without
-    earlier: int  # answers published before its match
     received: int  # answers
-    missed: int  # answers published after its match, or after its first one, that it did not get
-    of_earlier: int  # answers published before its match that it got
+    missed: int  # answers published after its match, or after the first one it got, that it did not get
+    earlier: int  # answers published before the first one arrived
+    of_earlier: int  # of these, those that it got
 
     def is_good(self, start: str, durability: str) -> bool:
         """Whether the subscription got all that it should."""
         if start == "1 s before":
-            return self.received == self.clouds
+            return self.received == self.answered == self.clouds
         late = min(LAST, self.earlier) if durability == "transient local" else 0
         return not self.missed and self.of_earlier >= late
 
 
 def outcome(child: Child, durability: str, published: dict[int, int], clouds: int) -> Outcome:
     """Compare what a subscription got with the times of publication of all answers by stamp [ns]."""
-    got = {line["stamp"] for line in child.lines if line.get("answer") == durability}
+    lines = [line for line in child.lines if line.get("answer") == durability and line["stamp"] in published]
+    got = {line["stamp"] for line in lines}
     matched = min((line["at"] for line in child.lines if line.get("matched") == durability), default=None)
     if matched is None:
-        return Outcome(clouds, math.inf, len(published), 0, 0, 0)
-    first = min([matched, *(at for stamp, at in published.items() if stamp in got)])
+        return Outcome(clouds, len(published), math.inf, 0, 0, len(published), 0)
+    first = min([matched, *(published[stamp] for stamp in got)])
+    arrived = min((line["arrived"] for line in lines), default=time.time_ns())
     return Outcome(
         clouds,
+        len(published),
         (matched - child.started) * 1e-9,
-        earlier=sum(at < matched for at in published.values()),
-        received=len(got & published.keys()),
+        received=len(got),
         missed=sum(at > first and stamp not in got for stamp, at in published.items()),
-        of_earlier=sum(at < matched and stamp in got for stamp, at in published.items()),
+        earlier=sum(at < arrived for at in published.values()),
+        of_earlier=sum(at < arrived and stamp in got for stamp, at in published.items()),
     )
 
 
@@ -144,7 +153,8 @@ class Cell:
         self._ours = {**self._plain, "PYTHONPATH": str(options.source)}
         self._watcher = self._subscriber()
         if options.command == "replay":
-            self._start(sys.executable, "-c", NODES, environ=self._ours)
+            queues = [word for one in QUEUES for word in ("-p", one)]
+            self._start(sys.executable, "-c", NODES, "--ros-args", *queues, environ=self._ours)
             self._watcher.wait_for(0, matched="volatile")
             time.sleep(5.0)
 
@@ -164,7 +174,7 @@ class Cell:
                 time.sleep(max(playing + delay - time.time(), 0.0))
                 children[start] = self._subscriber()
         self._watcher.wait_for(began, replay="finished")
-        time.sleep(REST_S)
+        self._wait_for_answers(began)
         for child in (*children.values(), source):
             child.end()
         published = {line["stamp"]: line["at"] for line in self._watcher.having(began, answer="volatile")}
@@ -173,6 +183,16 @@ class Cell:
             for start, child in children.items()
             for durability in DURABILITIES
         }
+
+    def _wait_for_answers(self, since: int) -> None:
+        """Wait until every cloud is answered, or no answer has come for a while."""
+        count, last = 0, time.monotonic()
+        while count < self._options.clouds and time.monotonic() - last < IDLE_S:
+            time.sleep(0.1)
+            answers = len(list(self._watcher.having(since, answer="volatile")))
+            if answers > count:
+                count, last = answers, time.monotonic()
+        time.sleep(REST_S)
 
     def _start(self, *command: str, environ: dict[str, str]) -> Child:
         child = Child(*command, environ=environ)
@@ -208,6 +228,7 @@ def row(options: argparse.Namespace, where: tuple[str, ...], outcomes: list[Outc
         len(outcomes),
         sum(one.is_good(*where[2:]) for one in outcomes),
         options.clouds,
+        min(one.answered for one in outcomes),
         min(one.received for one in outcomes),
         sum(one.missed for one in outcomes),
         min(one.of_earlier for one in outcomes),
@@ -217,7 +238,7 @@ def row(options: argparse.Namespace, where: tuple[str, ...], outcomes: list[Outc
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def save(path: Path, options: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
+def save(path: Path, rows: list[dict[str, Any]]) -> None:
     """Replace the rows of the same label, command, range and load."""
     keys = COLUMNS[:6]
     fresh = {tuple(str(one[key]) for key in keys) for one in rows}
@@ -248,7 +269,7 @@ def main() -> int:
                     print(*rows[-1].values(), sep=", ", flush=True)
                     if options.verbose:
                         print(*outcomes, sep="\n", flush=True)
-                save(options.out, options, rows)
+                save(options.out, rows)
     return int(any(one["good"] < one["runs"] for one in rows))
 
 

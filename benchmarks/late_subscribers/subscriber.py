@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import time
+from contextlib import suppress
 from typing import Any
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
@@ -51,7 +52,12 @@ class Subscriber(Node):
 
     def _answered(self, name: str, message: TouchPredictionArray, info: Any) -> None:
         stamp = message.header.stamp
-        say(answer=name, stamp=stamp.sec * 10**9 + stamp.nanosec, at=info["source_timestamp"])
+        say(
+            answer=name,
+            stamp=stamp.sec * 10**9 + stamp.nanosec,
+            at=info["source_timestamp"],
+            arrived=info["received_timestamp"],
+        )
 
     def _replay(self, message: DiagnosticStatus, info: Any) -> None:
         say(replay=message.message, at=info["source_timestamp"])
@@ -63,10 +69,8 @@ def say(**values: Any) -> None:
 
 def main() -> None:
     rclpy.init(args=[])
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(Subscriber())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 pytestmark = pytest.mark.ros
 
+LISTENER = Path(__file__).parents[2] / "examples" / "listen_touch.py"
+
 
 def _run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
     done = subprocess.run(
@@ -56,6 +58,40 @@ def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path,
     stamps = [line["stamp_ns"] for line in lines[:-1]]
     assert len(stamps) == 3
     assert stamps == sorted(set(stamps))
+
+
+def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environment: dict[str, str]) -> None:
+    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=5))
+    command = ["run", "--source", str(tmp_path / "recording"), "--json", "--wait-for", "touch", "--wait-limit", "60"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "foretouch.cli.main", *command],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        listener = subprocess.run(
+            [sys.executable, str(LISTENER), "--count", "5"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=80,
+            check=False,
+        )
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    stamps = [json.loads(line)["stamp_ns"] for line in out.splitlines()[:5]]
+    heard = [line.split()[0].split(".") for line in listener.stdout.splitlines()]
+    assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
+
+
+@pytest.mark.parametrize("source", ["camera", "scene.yaml"])
+def test_a_camera_does_not_wait_for_subscribers(source: str, environment: dict[str, str]) -> None:
+    status, _, err = _run(environment, "run", "--source", source, "--wait-for", "touch")
+    assert status == 1
+    assert err.splitlines() == [
+        f"foretouch: --source {source}: a camera does not wait; --wait-for needs a recording or files"
+    ]
 
 
 def test_an_absent_source_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:

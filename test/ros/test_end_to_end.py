@@ -63,7 +63,8 @@ def play(graph, path: Path, model: str, **parameters) -> tuple[ReplayNode, list[
     graph.add("segmentation")
     graph.add("grasp", grasp_hold=0.0)  # so that each cloud is answered as it would be alone
     graph.add("touch_predictor", model=model)
-    (replay,) = graph.add("replay", **{"path": str(path), "lockstep": True, "rate_hz": 1000.0, **parameters})
+    options = {"path": str(path), "lockstep": True, "rate_hz": 1000.0, "discovery_s": 0.0, **parameters}
+    (replay,) = graph.add("replay", **options)
     assert replay.ended.wait(60.0)
     assert (replay.outcome, replay.unanswered) == ("finished", 0)
     graph.until(lambda: len(received) >= replay.played[replay.clouds_topic])

@@ -2,17 +2,20 @@
 """Parts of the examples that need no running graph."""
 
 import importlib.util
+import math
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from rclpy.duration import Duration
 
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
-from foretouch_msgs.msg import Interval, TouchPrediction
+from foretouch_msgs.msg import Interval, TouchPrediction, TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
@@ -38,6 +41,27 @@ def test_the_listener_knows_each_reference(reference: int) -> None:
     assert "based on" in example("listen_touch").describe(
         TouchPrediction(reference=reference, e_th=intervals, e_mf=intervals)
     )
+
+
+def test_the_listener_gets_the_last_answers_and_discards_old_ones_by_their_stamps(
+    graph: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (node,) = graph.add("grasp")
+    publisher = node.advertise(TouchPredictionArray, "touch", keep=True)
+    publisher.on_activate(None)
+    now = node.get_clock().now()
+    ages_s = [60.0, 50.0, 2.0, 1.0]
+    for age_s in ages_s:
+        message = TouchPredictionArray(reason=f"{age_s:g} s old")
+        message.header.stamp = (now - Duration(seconds=age_s)).to_msg()
+        publisher.publish(message)
+    listeners = [example("listen_touch").TouchListener("/foretouch/touch", age_s) for age_s in (30.0, math.inf)]
+    for one in listeners:
+        graph._executor.add_node(one)
+    graph.nodes += listeners
+    graph.until(lambda: [one.received for one in listeners] == [2, 4])
+    assert [one.discarded for one in listeners] == [2, 0]
+    assert capsys.readouterr().out.count("60 s old") == 1
 
 
 def test_the_parts_of_the_day_are_those_of_the_level() -> None:

@@ -93,6 +93,32 @@ def test_nothing_is_played_before_somebody_listens(graph, tmp_path, rng):
     graph.until(lambda: len(received) == 5)
 
 
+def test_nothing_is_played_before_the_named_topic_is_subscribed_to(graph, tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    clouds = graph.listen(PointCloud2, "points")
+    node = start(graph, tmp_path / "bag", wait_for=["plans"], wait_limit_s=60.0)
+    graph.until(lambda: graph.probe.count_publishers("/foretouch/points"))
+    time.sleep(0.5)
+    assert node.outcome == "waiting"
+    graph.listen(String, "plans")
+    assert node.ended.wait(20.0)
+    graph.until(lambda: len(clouds) == 5)
+
+
+def test_the_wait_has_a_limit_and_names_what_is_missing(graph, tmp_path, rng, capfd):
+    write_bag(tmp_path / "bag", make_clouds(rng))
+    play(graph, tmp_path / "bag", {"points": PointCloud2}, wait_for=["plans"], wait_limit_s=1.2)
+    told = capfd.readouterr().err
+    assert "waits at most 1.2 s for /foretouch/plans: no subscriber" in told
+    assert "plays after 1.2 s, still without /foretouch/plans: no subscriber" in told
+
+
+def test_a_replay_is_discovered_before_it_plays(graph, tmp_path, rng):
+    write_bag(tmp_path / "bag", make_clouds(rng, count=1))
+    node, _ = play(graph, tmp_path / "bag", {"points": PointCloud2}, discovery_s=1.5)
+    assert node.uptime_s() >= 1.5
+
+
 def test_the_end_is_told_to_those_who_come_late(graph, tmp_path, rng):
     write_bag(tmp_path / "bag", make_clouds(rng))
     play(graph, tmp_path / "bag", {"points": PointCloud2})

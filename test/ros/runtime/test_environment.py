@@ -50,6 +50,16 @@ def test_the_profile_offers_64_mb_and_still_reaches_other_machines():
     assert int(root.find(".//d:maxMessageSize", space).text) > 1280 * 720 * 16
 
 
+def test_the_profile_announces_often():
+    space = {"d": "http://www.eprosima.com"}
+    config = (
+        ET.parse(SHARED_MEMORY_PROFILE).getroot().find(".//d:participant/d:rtps/d:builtin/d:discovery_config", space)
+    )
+    period = config.find("d:leaseAnnouncement", space)
+    seconds = int(period.findtext("d:sec", None, space)) + 1e-9 * int(period.findtext("d:nanosec", None, space))
+    assert seconds <= 0.5
+
+
 def test_it_loads_neither_numpy_nor_rclpy():
     code = "import sys, foretouch.ros.runtime.environment, foretouch.ros.executables; print('numpy' in sys.modules, 'rclpy' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

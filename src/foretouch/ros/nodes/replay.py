@@ -42,7 +42,7 @@ from foretouch_msgs.msg import Status, TablePlane, TouchPredictionArray
 _DEPTH = 100  # messages that a slow reliable subscriber may lag behind
 _ACKNOWLEDGED_S = 2.0
 _POLL_S = 0.02
-_TOLD_S = 1.0  # a longer wait is logged
+_LOGGED_S = 1.0  # a longer wait is logged
 _TYPE = re.compile(r"([a-z]\w*)/msg/([A-Z]\w*)")
 _LIVE_ONLY = frozenset({"/diagnostics", "/parameter_events", "/rosout"})
 _INPUTS = frozenset({EXECUTED_TOPIC})  # in the graph's namespace, but published by the robot
@@ -140,7 +140,7 @@ class ReplayConfig(NodeConfig):
         maximum=60.0,
     )
     discovery_s: float = setting(
-        3.2,
+        3.5,
         "Time that every node of the graph must have run before the first cloud, to be discovered by all: other programs"
         " announce themselves every 3 s; 0 does not wait",
         unit="s",
@@ -332,19 +332,17 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
     def _wait_for_matches(self) -> bool:
         """Wait until what discovery shows is matched, with a limit; False if the replay must stop."""
         assert self._matching is not None  # noqa: S101  setup made it
-        began, limit_s, told = time.monotonic(), self.config.wait_limit_s, False
+        began, limit_s, logged = time.monotonic(), self.config.wait_limit_s, False
         while True:
             self._matching.report(self.get_fully_qualified_name(), self.uptime_s(), self.matched_ends())
             missing = self._matching.missing()
             waited_s = time.monotonic() - began
-            if not missing and self._matching.is_discovered():
-                return True
-            if waited_s >= limit_s:
+            if self._matching.is_discovered() and (not missing or waited_s >= limit_s):
                 if missing:
                     self.get_logger().warning(f"plays after {limit_s:g} s, still without {'; '.join(missing)}")
                 return True
-            if missing and waited_s >= _TOLD_S and not told:
-                told = True
+            if missing and waited_s >= _LOGGED_S and not logged:
+                logged = True
                 self.get_logger().info(f"waits at most {limit_s:g} s for {'; '.join(missing)}")
             if self._stopping.wait(_POLL_S):
                 return False

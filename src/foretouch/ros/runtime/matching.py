@@ -8,10 +8,11 @@ it answers the first announcement of a new one, and if that answer is lost, its 
 
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.exceptions import InvalidHandle, InvalidTopicNameException
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
@@ -29,14 +30,11 @@ def matched_ends(
 ) -> dict[str, int]:
     """Number of matched ends on the other side of each topic, by key of /diagnostics."""
     found = {}
-    for one in (*publishers, *subscriptions):
-        try:
-            if isinstance(one, Publisher):
-                found[_SUBSCRIBERS + one.topic_name] = int(one.get_subscription_count())
-            else:
-                found[_PUBLISHERS + one.topic_name] = int(one.get_publisher_count())
-        except InvalidHandle:  # destroyed meanwhile
-            continue
+    with suppress(InvalidHandle):  # destroyed meanwhile
+        for publisher in publishers:
+            found[_SUBSCRIBERS + publisher.topic_name] = int(publisher.get_subscription_count())
+        for subscription in subscriptions:
+            found[_PUBLISHERS + subscription.topic_name] = int(subscription.get_publisher_count())
     return found
 
 
@@ -79,8 +77,8 @@ class Matching:
         """What is not matched, of what is seen, a few words each."""
         reports, own = dict(self._reports), self._names()
         found = [f"{topic}: no subscriber" for topic in self._wait_for if not self._is_heard(topic, own)]
-        for name in sorted(own & self._reporting() - reports.keys()):
-            found.append(f"{name}: no report in /diagnostics")
+        silent = sorted(own & self._reporting() - reports.keys())
+        found += [f"{name}: no report in /diagnostics" for name in silent]
         for name, (_, ends) in reports.items():
             for key, count in ends.items():
                 other, _, topic = key.partition(".")
@@ -114,7 +112,7 @@ class Matching:
 def _resolved(node: Node, topic: str) -> str:
     try:
         return node.resolve_topic_name(topic)
-    except (InvalidTopicNameException, ValueError) as err:
+    except RuntimeError as err:  # of rcl
         raise ConfigError(f"wait_for: {topic!r} is no name of a topic") from err
 
 
