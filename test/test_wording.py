@@ -22,6 +22,7 @@ SEARCHED = (
     "docs/architecture.md",
     "docs/recording.md",
     "docs/numerical_stability.md",
+    "docs/planners.md",
 )
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""

@@ -238,7 +238,7 @@ def _draw(graph: Graph, path: str) -> None:
 
     found = graph.monitor.last_drawable()
     if found is None:
-        warn(f"{path}: not drawn, because there was no prediction")
+        warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
     prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"

@@ -379,7 +379,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Answer a goal of MoveIt Task Constructor on the latest object."""
 
         def work() -> Any:
-            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name)
+            count = min(self.config.planner_action_count, self.config.max_grasps)
+            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
             sampled = self._sample(goal_handle, goal, lambda _: None)
             goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
             return planner_result(self._planner_action)
