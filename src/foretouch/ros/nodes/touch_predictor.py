@@ -352,7 +352,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         asked = self._framed(request.cloud, request.table, request.grasps)
         table = read_plane(asked.table[0]) if asked.table else None
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE)
-        check_optical(targets)
+        check_optical(targets, self.config.limits)
         if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
