@@ -68,7 +68,7 @@ def main() -> None:
     print(f"{len(predicted)} of {CANDIDATES} grasps predicted; the gentlest is {best.grasp.id}:")
     print(f"PDC thumb {best.pdc_th.value:.0f}, middle finger {best.pdc_mf.value:.0f} counts, flags {list(best.flags)}")
     for name, point in (("g1", best.grasp.g1), ("g2", best.grasp.g2)):
-        print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m")
+        print(f"{name} = ({point.x:.3f}, {point.y:.3f}, {point.z:.3f}) m in {best.header.frame_id}")
     rclpy.shutdown()
 
 

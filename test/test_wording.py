@@ -29,6 +29,7 @@ SEARCHED = (
     "docs/tutorials",
     "docs/reference",
     "docs/_ext",
+    "docs/planners.md",
 )
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""

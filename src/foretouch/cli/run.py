@@ -294,7 +294,7 @@ def _draw(graph: Graph, path: str) -> None:
 
     found = graph.monitor.last_drawables()
     if not found:
-        warn(f"{path}: not drawn, because there was no prediction")
+        warn(f"{path}: not drawn, because there was no prediction in the frame of its cloud")
         return
     save_touch_picture(path, list(map(_drawn, found)))
     warn(f"wrote {path}")

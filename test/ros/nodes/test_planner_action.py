@@ -81,7 +81,7 @@ def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type
     path = tmp_path / "hand_eye.yaml"
     path.write_text("translation: [0.4, 0.0, 0.9]\nrotation: [1, 0, 0, 0]\n")
     (node,) = graph.add(
-        "touch_predictor", model=model_card, grasp__count=5, sample_cost="harder_finger", output_frame="base_link",
+        "touch_predictor", model=model_card, planner_action_count=5, sample_cost="harder_finger", output_frame="base_link",
         hand_eye=str(path),
     )  # fmt: skip
     assert node.notes()["sample_grasp_poses"] == "moveit_task_constructor_msgs/SampleGraspPoses"
@@ -91,7 +91,7 @@ def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type
     send_latest(graph, node, target)
     status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", planner_type.Goal(action_name="a"))
     assert (status, result.grasp_state, len(feedback)) == (GoalStatus.STATUS_SUCCEEDED, "success", 1)
-    _, own, _ = sample(graph, SampleGrasps, "sample_grasps", SampleGrasps.Goal())
+    _, own, _ = sample(graph, SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
     assert feedback[0].grasp_candidates == own.grasp_candidates
     assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
     assert len(own.costs) == 5

@@ -9,9 +9,10 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Plane as PlaneMsg
 from std_msgs.msg import Header
 
+from foretouch.cloud.geometry.limits import ObjectLimits, check_object
 from foretouch.cloud.segmentation.rays import not_optical
 from foretouch.dataset.messages import decode_cloud
-from foretouch.errors import CloudError, DatasetError, ForetouchError
+from foretouch.errors import CloudError, DatasetError, ForetouchError, LimitError
 from foretouch.grasp import GraspHold, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import TargetCloud, objects_from_msg
@@ -106,16 +107,26 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Foun
     return targets
 
 
-def check_optical(targets: Sequence[FoundObject]) -> None:
+def check_optical(targets: Sequence[FoundObject], limits: ObjectLimits) -> None:
     """Check that the objects of a request are in the optical frame of a camera.
 
+    Objects beyond the limits are left out, which are refused by them.
+
     Raises:
-        RefusalError: UNKNOWN_FRAME, with a reason that begins with `not_optical`.
+        RefusalError: UNKNOWN_FRAME, with a reason that holds `not_optical`.
     """
     for target in targets:
         fault = not_optical(target.cloud.xyz)
-        if fault:
+        if fault and _is_within(target, limits):
             raise RefusalError(Status.UNKNOWN_FRAME, f"cloud: frame {target.cloud.frame_id!r}: {fault}")
+
+
+def _is_within(target: FoundObject, limits: ObjectLimits) -> bool:
+    try:
+        check_object(target.cloud.xyz, limits)
+    except LimitError:
+        return False
+    return True
 
 
 def read_plane(message: PlaneMsg) -> Plane:

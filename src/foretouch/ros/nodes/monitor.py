@@ -149,11 +149,11 @@ class MonitorNode(GuardedCallbacks, Node):
         return [found[key] for key in sorted(found)]
 
     def _drawn(self, prediction: TouchPrediction, readings: TouchCut | None = None) -> Drawable | None:
-        """A prediction with its clouds; None if they are no longer kept."""
+        """A prediction with its clouds; None if they are no longer kept, or in another frame than the prediction."""
         stamp = stamp_ns(prediction.header.stamp)
         with self._lock:
             scene_message, object_message = self._scenes.get(stamp), self._objects.get(stamp)
-        if object_message is None:
+        if object_message is None or object_message.header.frame_id != prediction.header.frame_id:
             return None
         try:
             found = objects_from_msg(object_message, ASSUMED_TABLE)

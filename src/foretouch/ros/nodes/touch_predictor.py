@@ -352,7 +352,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         asked = self._framed(request.cloud, request.table, request.grasps)
         table = read_plane(asked.table[0]) if asked.table else None
         targets = read_targets(asked.cloud, table or ASSUMED_TABLE)
-        check_optical(targets)
+        check_optical(targets, self.config.limits)
         if not asked.grasps:
             raise RefusalError(Status.NO_GRASP, "grasps: is empty")
         posing = self.config.grasp if table else None
@@ -380,7 +380,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         """Answer a goal of MoveIt Task Constructor on the latest object."""
 
         def work() -> Any:
-            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name)
+            count = min(self.config.planner_action_count, self.config.max_grasps)
+            goal = SampleGrasps.Goal(action_name=goal_handle.request.action_name, count=count)
             sampled = self._sample(goal_handle, goal, lambda _: None)
             goal_handle.publish_feedback(planner_feedback(self._planner_action, sampled))
             return planner_result(self._planner_action)

@@ -71,6 +71,9 @@ class TouchPredictorConfig(ProcessingConfig, OutputFrameConfig, ReachConfig):
         "Type of the action sample_grasp_poses, which is offered where the package of the type is installed",
         read_only=True,
     )
+    planner_action_count: int = setting(
+        20, "Maximum number of grasps in an answer of sample_grasp_poses", minimum=1, maximum=10_000
+    )
     tactile_topic: str = setting(TACTILE_TOPIC, "Topic of the tactile messages", read_only=True)
     tactile: TactileConfig = field(default_factory=TactileConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)

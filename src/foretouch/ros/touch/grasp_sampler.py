@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages import requests
 from foretouch.ros.messages.clouds import TargetCloud
@@ -88,7 +89,7 @@ class GraspSampler:
             raise requests.RefusalError(
                 Status.BAD_REQUEST, f"count: {goal.count} is above max_grasps, {self._max_grasps}"
             )
-        header, targets = _targets(goal, latest)
+        header, targets = _targets(goal, latest, self._settings.limits)
         grasp = self._settings.grasp
         config = grasp.replace(count=goal.count) if goal.count else grasp
         pipeline = Pipeline(self._settings.replace(grasp=config))
@@ -118,13 +119,13 @@ class GraspSampler:
         ]
 
 
-def _targets(goal: Any, latest: Latest | None) -> tuple[Header, tuple[FoundObject, ...]]:
+def _targets(goal: Any, latest: Latest | None, limits: ObjectLimits) -> tuple[Header, tuple[FoundObject, ...]]:
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:
             raise requests.RefusalError(Status.BAD_PLANE, "table: is needed with a cloud")
         targets = requests.read_targets(goal.cloud, requests.read_plane(goal.table[0]))
-        requests.check_optical(targets)
+        requests.check_optical(targets, limits)
         return goal.cloud.header, targets
     if latest is None:
         raise requests.RefusalError(

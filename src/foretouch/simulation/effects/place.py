@@ -23,7 +23,7 @@ def _object(job: Job, state: SampleState) -> None:
     size = np.asarray(item.size_m) * (1.0 + item.size_spread * rng.uniform(-1.0, 1.0))
     rotation = _resting(item, rng)
     place = np.array([draw(rng, item.pose.x_m), draw(rng, item.pose.y_m), 0.0])
-    state.bodies = [_stood(Body(item.shape, item.first_variant + turn % item.variants, size, place, rotation))]
+    state.bodies = [_stood(Body(item.solid, item.first_variant + turn % item.variants, size, place, rotation))]
 
 
 def _clutter(job: Job, state: SampleState) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, star_shaped
+from foretouch.simulation.objects.mesh_file import read_mesh_file
 from foretouch.types import Float64
 
 _HARMONICS = 6  # waves of a blob
@@ -149,16 +150,22 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
     """A closed mesh in [-0.5, 0.5]³, upright along z.
 
     Args:
-        shape: Out of `SHAPES`.
+        shape: Out of `SHAPES`, or the SHA-256 of a mesh file and its path, with a colon between them.
         variant: Member of the family `random`; the others have one.
 
     Raises:
         SimulationError: If there is no such shape.
+        FileError: If the file cannot be used.
     """
     if shape == "random":
         mesh = random_shape(np.random.default_rng([0x5EED, variant]))
     elif shape in _BUILDERS:
         mesh = _BUILDERS[shape]()
+    elif ":" in shape:
+        sha256, _, path = shape.partition(":")
+        mesh, found = read_mesh_file(path)
+        if found != sha256:
+            raise SimulationError(f"{path}: has changed since the scene was read", "mesh")
     else:
         raise SimulationError(f"shape: {shape!r} is none of {', '.join(SHAPES)}", "mesh")
     mesh = mesh.in_unit_box()

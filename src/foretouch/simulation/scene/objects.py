@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from foretouch.config import Settings, setting
-from foretouch.errors import ConfigError
-from foretouch.simulation.objects import SHAPES
+from foretouch.errors import ConfigError, FileError
+from foretouch.simulation.objects import SHAPES, read_mesh_file
 from foretouch.simulation.scene.ranges import draw, require_range
 
 RESTS = ("upright", "side", "any")
+MESH = "mesh"  # shape of an object whose surface comes from a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +47,20 @@ class SurfaceConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectConfig(Settings):
-    """One kind of object. Without `young_pa` it is rigid."""
+    """One kind of object. Without `young_pa` it is rigid.
+
+    With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
+    """
 
     name: str = setting("object", "Label of its samples")
-    shape: str = setting("can", "Shape of its mesh", choices=SHAPES)
+    shape: str = setting("can", "Shape of its mesh; mesh: that of a file", choices=(*SHAPES, MESH))
+    file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
+    file_sha256: str = setting("", "SHA-256 of this file; another is refused where it is given")
     variants: int = setting(1, "Members of the family that are used, for the shape random", minimum=1, maximum=10_000)
     first_variant: int = setting(0, "The first member of the family that is used", minimum=0, maximum=10_000)
-    size_m: tuple[float, ...] = setting((0.07, 0.07, 0.1), "Bounding box along its own x, y and z (up)", unit="m")
+    size_m: tuple[float, ...] = setting(
+        (0.07, 0.07, 0.1), "Bounding box along its own x, y and z (up); empty: that of the file", unit="m"
+    )
     size_spread: float = setting(
         0.0, "Largest relative change of its size from sample to sample", minimum=0.0, maximum=0.5
     )
@@ -73,6 +81,7 @@ class ObjectConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._read_file()
         if len(self.size_m) != 3 or min(self.size_m) < 0.005 or max(self.size_m) > 0.5:
             raise ConfigError(f"ObjectConfig.size_m: {list(self.size_m)} is not three lengths from 0.005 to 0.5 m")
         if self.thickness_m is not None and self.young_pa is None:
@@ -84,6 +93,28 @@ class ObjectConfig(Settings):
             raise ConfigError(f"{self.name}.{field}: {getattr(self, field)}, but the shape {self.shape} has one")
         if self.colour is not None and len(self.colour) != 3:
             raise ConfigError(f"{self.name}.colour: {list(self.colour)} is not red, green and blue")
+
+    def _read_file(self) -> None:
+        """Check the mesh, and set its hash and its size where they are not given."""
+        if (self.shape == MESH) != bool(self.file):
+            needed = "file: is needed for the shape mesh" if self.shape == MESH else "file: is only for the shape mesh"
+            raise ConfigError(f"{self.name}.{needed}")
+        if self.shape != MESH:
+            return
+        try:
+            mesh, sha256 = read_mesh_file(self.file)
+        except FileError as err:
+            raise ConfigError(f"{self.name}.file: {err}") from err
+        if self.file_sha256 not in {"", sha256}:
+            raise ConfigError(f"{self.name}.file: {self.file}: its sha256 is not {self.file_sha256}")
+        object.__setattr__(self, "file_sha256", sha256)
+        if not self.size_m:
+            object.__setattr__(self, "size_m", tuple(float(edge) for edge in mesh.extents))
+
+    @property
+    def solid(self) -> str:
+        """What `unit_mesh` makes its surface of: the name of the shape, or hash and path of the file."""
+        return f"{self.file_sha256}:{self.file}" if self.file else self.shape
 
     @property
     def rigid(self) -> bool:

@@ -18,7 +18,14 @@ from foretouch.simulation.scene.campaign import CampaignConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
 from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
 
-_YOUNGER: Final = {"first_variant": 0, "sessions": None, "method": "original", "campaign": None}
+_YOUNGER: Final = {
+    "first_variant": 0,
+    "sessions": None,
+    "method": "original",
+    "campaign": None,
+    "file": "",
+    "file_sha256": "",
+}
 """Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""
 
 FIDELITIES = ("auto", "hertz", "winkler", "layer")
@@ -74,8 +81,13 @@ class SceneConfig(Settings):
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], source: str = "") -> Self:
-        """As of all settings; besides, `families` are drawn here and stand after the objects that are listed."""
+        """As of all settings; besides, `families` are drawn here and stand after the objects that are listed.
+
+        The path of a mesh is relative to the file of the scene, if it is there, else to the working folder.
+        """
         given = dict(mapping)
+        if isinstance(given.get("objects"), list):
+            given["objects"] = [_beside(source, item) for item in given["objects"]]
         if "families" in given:
             families = FamiliesConfig.from_mapping({"families": given.pop("families")}, source)
             given["objects"] = [*given.get("objects", []), *(item.to_mapping() for item in families.objects())]
@@ -85,7 +97,7 @@ class SceneConfig(Settings):
         """Hash of all settings, defaults included, so that a changed default is a changed scene.
 
         Settings that came after scenes were frozen count only where they are given: left at their defaults they
-        change no sample.
+        change no sample. Of the file of a mesh only the content counts.
         """
         text = json.dumps(_without_younger(self.to_mapping()), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
@@ -106,7 +118,18 @@ def _without_younger(value: Any) -> Any:
         return [_without_younger(item) for item in value]
     if not isinstance(value, dict):
         return value
-    return {key: _without_younger(item) for key, item in value.items() if key not in _YOUNGER or item != _YOUNGER[key]}
+    kept = {key: item for key, item in value.items() if key not in _YOUNGER or item != _YOUNGER[key]}
+    if "file_sha256" in kept:
+        del kept["file"]
+    return {key: _without_younger(item) for key, item in kept.items()}
+
+
+def _beside(source: str, item: Any) -> Any:
+    """The settings of an object with the path of its mesh, where that is beside the file of the scene."""
+    if not isinstance(item, Mapping) or not isinstance(item.get("file"), str) or not item["file"]:
+        return item
+    path = Path(source).parent / item["file"]
+    return {**item, "file": str(path)} if source and path.is_file() else item
 
 
 def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
