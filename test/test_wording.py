@@ -19,9 +19,6 @@ SEARCHED = (
     "launch",
     "examples",
     "README.md",
-    "docs/architecture.md",
-    "docs/recording.md",
-    "docs/numerical_stability.md",
     "docs/index.md",
     "docs/install.md",
     "docs/concepts.md",
@@ -29,6 +26,9 @@ SEARCHED = (
     "docs/tutorials",
     "docs/reference",
     "docs/_ext",
+    "docs/architecture.md",
+    "docs/recording.md",
+    "docs/numerical_stability.md",
 )
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""
