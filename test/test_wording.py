@@ -14,23 +14,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SEARCHED = (
-    "src",
-    "launch",
-    "examples",
-    "README.md",
-    "docs/architecture.md",
-    "docs/recording.md",
-    "docs/numerical_stability.md",
-    "docs/index.md",
-    "docs/install.md",
-    "docs/concepts.md",
-    "docs/limits.md",
-    "docs/tutorials",
-    "docs/reference",
-    "docs/_ext",
-    "docs/planners.md",
-)
+PAGES = tuple(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").glob("*.md")))
+SEARCHED = ("src", "launch", "examples", "README.md", *PAGES, "docs/tutorials", "docs/reference", "docs/_ext")
 _KEY = re.compile(
     r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)"""
 )  # names in quotes or backticks, *titles* and `file.tell()`

@@ -263,12 +263,15 @@ def parameters() -> str:
 
 _INTERNAL = re.compile(r"/(rosout|parameter_events)$|/_action/|/(change_state|get_[a-z_]*|transition_event)$"
                        r"|_parameters?(_types|_atomically)?$|type_description$")  # fmt: skip
-_PURPOSES = {  # of topics whose types are not ours
+_PURPOSES = {  # of topics and services whose types have no comment of their own, or are not ours
     "points": "the point cloud of the camera",
     "object_cloud": "the points of the target",
     "markers": "all results, for RViz",
     "replay_status": "state and counts of a replay, latched",
     "/diagnostics": "rates, latencies and dropped messages of each node",
+    "label_grasp": "change the label, the outcome or the note of a grasp, or discard it",
+    "start_recording": "start a recording",
+    "stop_recording": "end the recording",
     "execute_grasp": "execute the best of the newest grasps now",
     "forget_touches": "forget the readings of the current object",
     "forget_history": "forget all readings of the hand",
@@ -412,6 +415,16 @@ def _option_row(parser: argparse.ArgumentParser, action: argparse.Action) -> tup
     return f"`{shown}`".replace("|", "\\|"), cell(help_text)
 
 
+def results() -> str:
+    """A table of the pages of committed results, by folder."""
+    rows = []
+    for page in sorted((ROOT / "docs" / "results").glob("*/**/*.md")):
+        place = page.relative_to(ROOT / "docs")
+        title = page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        rows.append((f"[{place.parent.relative_to('results')}]({place})", cell(title)))
+    return table(["folder", "question"], rows)
+
+
 GENERATORS: dict[str, Callable[[], str]] = {
     "messages": messages,
     "parameters": parameters,
@@ -421,5 +434,6 @@ GENERATORS: dict[str, Callable[[], str]] = {
     "scenes": scenes,
     "recipes": recipes,
     "experiments": experiments,
+    "results": results,
 }
 """What a page can ask for, by name."""
