@@ -103,8 +103,8 @@ class _ProductsAt(torch.autograd.Function):
         x, weight, rows = ctx.saved_tensors
         if torch.is_grad_enabled():  # a second derivative, as of the gradient penalty, needs a graph of this one
             each = slope[..., None]
-            g_x = torch.zeros_like(x).index_add(0, rows.flatten(), (each * weight).flatten(0, 1))
-            return g_x, (each * _at(x, rows)).sum(dim=0), None
+            by_x = torch.zeros_like(x).index_add(0, rows.flatten(), (each * weight).flatten(0, 1))
+            return by_x, (each * _at(x, rows)).sum(dim=0), None
         g_x, g_weight = (
             torch.zeros_like(one) if need else None
             for one, need in zip((x, weight), ctx.needs_input_grad[:2], strict=True)
@@ -260,23 +260,22 @@ _Map: TypeAlias = tuple[Tensor, Tensor, bool]
 
 def _affine_maps(layers: nn.Sequential, points: Tensor) -> list[_Map]:
     """The maps of the layers, if features may be computed from the winners alone and that is faster; else empty."""
-    values = points.shape[0] * points.shape[1] * layers[-1].linear.out_features
-    if points.device.type != "cpu" or values < _ENOUGH_VALUES:
+    if points.device.type != "cpu":
         return []
     maps: list[_Map] = []
     for layer in layers:
         found = layer.map_of(points) if isinstance(layer, Layer) and layer.affine else None
         if found is None:
             return []
-        maps.append((*found, layer.relu))
-    return maps
+        maps.append((*found, bool(layer.relu)))
+    return maps if points.shape[0] * points.shape[1] * len(maps[-1][1]) >= _ENOUGH_VALUES else []
 
 
 def _pooled_from_winners(maps: Sequence[_Map], points: Tensor, precision: torch.dtype) -> Tensor:
     """(B, F): as `pool`; a graph only through the points that win a feature, a third of them in P2's network."""
     weight, bias, relu = maps[-1]
     with torch.no_grad():  # cloud by cloud, which stays in the cache
-        hidden = (_chained(maps[:-1], cloud) for cloud in points.split(1))
+        hidden = (_chained(maps[:-1], cloud) for cloud in torch.split(points, 1))
         rows = _rows(torch.cat([winners(cloud, weight, precision) for cloud in hidden]), points.shape[1])
         wins = torch.zeros(points.shape[0] * points.shape[1], dtype=torch.int64)
         wins[rows] = 1
