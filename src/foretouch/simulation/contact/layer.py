@@ -403,7 +403,7 @@ def _descend(
 ) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
     total = None if command.force_n is None else command.force_n / problem.cell_m2
-    spectrum = _spectra(problem, gap.shape[0]).sum(axis=0)
+    spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
     if _layer_descent:
         end = _compiled_descent(gap, spectrum, start, command.depth_m, total, config)
         if end is not None:
@@ -434,13 +434,15 @@ def _compiled_descent(
     return _End(pressure, float(end[0]), int(end[1]), float(end[2])) if end[3] else None
 
 
-def _spectra(problem: problems.ContactProblem, n: int) -> Complex128:
-    """(L, 2n, n + 1), of each layer."""
-    return np.stack([influence_spectrum(layer, n, problem.step_m) for layer in problem.layers])
+@lru_cache(maxsize=_CACHED)
+def _spectra(layers: tuple[problems.Layer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
+    """(L, 2n, n + 1) of each layer, and their sum; do not write to them."""
+    each = np.stack([influence_spectrum(layer, n, step_m) for layer in layers])
+    return each, each.sum(axis=0)
 
 
 def _displacements(problem: problems.ContactProblem, pressure: Float64) -> Float64:
-    return convolve(pressure, _spectra(problem, pressure.shape[0]))
+    return convolve(pressure, _spectra(problem.layers, pressure.shape[0], problem.step_m)[0])
 
 
 def _overlap(displacement: Float64, gap: Float64, depth: float) -> float:
