@@ -182,7 +182,7 @@ class Pipeline:
         residuals: ObjectResiduals | None = None,
         history: History | None = None,
         model: TouchModel | None = None,
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
         """Touch for each grasp on one object (see `TouchModel.predict`); the cloud's features are computed once.
 
         A `model` is used instead of the configured one.

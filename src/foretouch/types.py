@@ -7,10 +7,10 @@ everything derived from them are in the camera's optical frame (x right, y down,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Self
+from typing import Literal, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -271,6 +271,69 @@ class TouchPrediction:
             prediction.__dict__.update(shared, grasp=grasp, value=value, lower=lower, upper=upper, flags=flags)
             predictions.append(prediction)
         return predictions
+
+
+class TouchPredictions(Sequence[TouchPrediction]):
+    """Predictions for K grasps of one call, kept as columns; each becomes an object when it is first read.
+
+    Args:
+        grasps: (K,) grasps.
+        values: (K, 50) float64 predictions [counts].
+        bounds: (K, 50) lower and upper bounds [counts]; None without calibration.
+        flags: (K,) flags of each.
+        reference: Readings to which they were adapted.
+        evidence: The readings behind `reference`.
+        refused: Those that hold no value, by their number.
+    """
+
+    def __init__(
+        self,
+        grasps: Sequence[Grasp],
+        values: Float64,
+        bounds: tuple[Float64, Float64] | None,
+        flags: Sequence[tuple[str, ...]],
+        reference: Reference,
+        evidence: Evidence,
+        refused: Mapping[int, TouchPrediction],
+    ) -> None:
+        self._grasps, self._values, self._bounds, self._flags = grasps, values, bounds, flags
+        self._reference: Reference = reference
+        self._evidence = evidence
+        self._made: list[TouchPrediction | None] = [None] * len(grasps)
+        for number, prediction in refused.items():
+            self._made[number] = prediction
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    @overload
+    def __getitem__(self, index: int) -> TouchPrediction: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[TouchPrediction]: ...
+    def __getitem__(self, index: int | slice) -> TouchPrediction | list[TouchPrediction]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        made = self._made[index]
+        if made is None:
+            k = range(len(self))[index]
+            (made,) = self._build(slice(k, k + 1))
+            self._made[k] = made
+        return made
+
+    def __iter__(self) -> Iterator[TouchPrediction]:
+        if None in self._made:  # all together takes a fifth of the time of one by one
+            built = self._build(slice(None))
+            self._made = [new if old is None else old for new, old in zip(built, self._made, strict=True)]
+        return (self[k] for k in range(len(self)))
+
+    def _build(self, part: slice) -> list[TouchPrediction]:
+        values = Touch.from_rows(self._values[part])
+        lower: Sequence[Touch | None] = [None] * len(values)
+        upper = lower
+        if self._bounds is not None:
+            lower, upper = (Touch.from_rows(bound[part]) for bound in self._bounds)
+        rows = zip(self._grasps[part], values, lower, upper, self._flags[part], strict=True)
+        return TouchPrediction.usable(rows, self._reference, self._evidence)
 
 
 @dataclass(frozen=True, eq=False)

@@ -278,3 +278,19 @@ def test_contradicting_arguments_are_refused(calibrated) -> None:
 def test_importing_models_does_not_import_torch() -> None:
     code = "import sys, foretouch.models; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_predictions_become_objects_when_they_are_read(calibrated) -> None:
+    """One by one, in slices or all: the same objects, which hold the same numbers."""
+    cloud, grasps = SAMPLES[0].cloud, [sample.grasp for sample in SAMPLES[:4]]
+    one_by_one, together = calibrated.predict(cloud, grasps), calibrated.predict(cloud, grasps)
+    last = one_by_one[-1]
+    assert one_by_one[len(grasps) - 1] is last
+    assert [*one_by_one][-1] is last
+    assert one_by_one[1:] == [*one_by_one][1:]
+    for one, other in zip([one_by_one[k] for k in range(len(grasps))], together, strict=True):
+        for name in ("value", "lower", "upper"):
+            assert np.array_equal(getattr(one, name).vector(), getattr(other, name).vector())
+        assert (one.grasp, one.flags, one.status) == (other.grasp, other.flags, other.status)
+    with pytest.raises(IndexError):
+        one_by_one[len(grasps)]

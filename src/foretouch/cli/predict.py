@@ -108,7 +108,7 @@ class Adaptation:
         grasps: Sequence[Grasp],
         sample: GraspSample | None,
         model: TouchModel | None = None,
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
         """Predict K grasps on one object, by a reduced form of the model if one is given.
 
         Raises:
@@ -407,7 +407,7 @@ def _predict(
     target: FoundObject,
     grasps: Sequence[Grasp],
     sample: GraspSample | None,
-) -> tuple[list[TouchPrediction], inputs.Record]:
+) -> tuple[Sequence[TouchPrediction], inputs.Record]:
     """Predictions, and what the budget chose for the record."""
     from foretouch.types import LATE, REDUCED
 

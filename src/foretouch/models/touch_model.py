@@ -35,6 +35,7 @@ from foretouch.types import (
     Reference,
     Touch,
     TouchPrediction,
+    TouchPredictions,
     stacked,
 )
 
@@ -177,7 +178,7 @@ class TouchModel:
         history: History | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
         """Predict the readings of both fingertips at each grasp.
 
         Predictions are deterministic, and independent of the other grasps of the call to the last bit.
@@ -233,7 +234,7 @@ class TouchModel:
         tare: Touch | None,
         residuals: ObjectResiduals | None,
         history: History | None,
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
         """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
         if residuals is None and self._unread is not None:
@@ -327,22 +328,20 @@ class TouchModel:
 
     def _predictions(
         self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
+        if not grasps:
+            return []
         counts, half = adapted.counts, adapted.half
         outside: list[bool] = np.any(self.ranges.outside(counts), axis=1).tolist()
         known: list[bool] = in_distribution.tolist()
         flags = [_FLAGS[pair] for pair in zip(outside, known, strict=True)]
-        values = Touch.from_rows(counts)
-        lower: Sequence[Touch | None] = [None] * len(grasps)
-        upper = lower
-        if self.calibration is not None:
-            lower, upper = Touch.from_rows(counts - half), Touch.from_rows(counts + half)
-        rows = zip(grasps, values, lower, upper, flags, strict=True)
-        predictions = TouchPrediction.usable(rows, adapted.reference, adapted.evidence)
-        for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist():
-            reason = "the model gives a value that is not finite"
-            predictions[k] = TouchPrediction(grasps[k], None, status="refused", reason=reason)
-        return predictions
+        bounds = None if self.calibration is None else (counts - half, counts + half)
+        reason = "the model gives a value that is not finite"
+        refused = {
+            k: TouchPrediction(grasps[k], None, status="refused", reason=reason)
+            for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
+        }
+        return TouchPredictions(grasps, counts, bounds, flags, adapted.reference, adapted.evidence, refused)
 
 
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:

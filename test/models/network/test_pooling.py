@@ -4,6 +4,7 @@
 import pytest
 import torch
 
+from foretouch import kernels
 from foretouch.models.network import pointnet as pooling
 from foretouch.models.network.pointnet import pooled_affine, winners
 
@@ -56,3 +57,54 @@ def test_what_is_not_finite_comes_through() -> None:
     pooled = pooled_affine(x, weight, bias)
     assert torch.isnan(pooled[2]).all()
     assert torch.isfinite(pooled[[0, 1, 3, 4]]).all()
+
+
+def test_products_at_the_winners_have_their_gradients() -> None:
+    x, weight, _ = (value.requires_grad_() for value in made(20, torch.float64))
+    rows = pooling._rows(winners(x, weight), 20)
+    inputs = (x.flatten(0, 1).detach().requires_grad_(), weight)
+
+    def products(*given: torch.Tensor) -> torch.Tensor:
+        return pooling.products_at(*given, rows)
+
+    assert torch.autograd.gradcheck(products, inputs)
+    assert torch.autograd.gradgradcheck(products, inputs)
+
+
+@pytest.mark.parametrize("inputs", [3, 16, 40])
+def test_compiled_and_by_torch(inputs: int) -> None:
+    """The same winners, also among equal values, and products and gradients that differ by rounding."""
+    generator = torch.Generator().manual_seed(inputs)
+    x = torch.randn(3, 110, inputs, generator=generator)
+    x = torch.cat([x, x[:, :50]], dim=1).requires_grad_()
+    weight = torch.randn(70, inputs, generator=generator).requires_grad_()
+
+    def both(precision: torch.dtype) -> tuple[torch.Tensor, ...]:
+        pooled = pooled_affine(x, weight, torch.zeros(70), precision)
+        return winners(x, weight, precision), pooled, *torch.autograd.grad(pooled.square().sum(), (x, weight))
+
+    for precision in (torch.float32, torch.bfloat16):
+        compiled = both(precision)
+        with kernels.disabled():
+            plain = both(precision)
+        assert torch.equal(compiled[0], plain[0])
+        for one, two in zip(compiled[1:], plain[1:], strict=True):
+            torch.testing.assert_close(one, two, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
+def test_layers_computed_at_the_winners_alone(monkeypatch, precision: torch.dtype) -> None:
+    torch.manual_seed(0)
+    layers = pooling.make_layers([4, 16, 96]).eval()
+    points = torch.randn(3, 90, 4, requires_grad=True)
+    inputs = [points, *layers.parameters()]
+    alone = pooling.pool(layers, points, precision)
+    monkeypatch.setattr(pooling, "_ENOUGH_VALUES", 1)
+    from_winners = pooling.pool(layers, points, precision)
+    torch.testing.assert_close(from_winners, alone, rtol=1e-5, atol=1e-6)
+    for one, two in zip(
+        torch.autograd.grad(from_winners.square().sum(), inputs),
+        torch.autograd.grad(alone.square().sum(), inputs),
+        strict=True,
+    ):
+        torch.testing.assert_close(one, two, rtol=1e-4, atol=1e-5)

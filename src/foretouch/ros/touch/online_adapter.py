@@ -136,7 +136,7 @@ class OnlineAdapter:
         limits: ObjectLimits,
         reach: ReachConfig,
         model: TouchModel | None = None,
-    ) -> list[TouchPrediction]:
+    ) -> Sequence[TouchPrediction]:
         """Predict as `TouchModel.predict`, with the touches of the object in this cloud, else with a recent tare.
 
         Args:
@@ -264,7 +264,7 @@ class OnlineAdapter:
         with self._input_lock:
             self._touch_counts[name] += 1
 
-    def _noted(self, predictions: list[TouchPrediction], tare: Touch | None) -> list[TouchPrediction]:
+    def _noted(self, predictions: Sequence[TouchPrediction], tare: Touch | None) -> Sequence[TouchPrediction]:
         """Keep the reference and the calibration group of the first prediction for /diagnostics."""
         if predictions:
             first = predictions[0]

@@ -205,7 +205,7 @@ class Predictor:
 
     def _predicted(
         self, model: TouchModel, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits, reach: ReachConfig
-    ) -> list[Prediction]:
+    ) -> Sequence[Prediction]:
         if self.adapter is not None:
             return self.adapter.predict(cloud, grasps, limits=limits, reach=reach, model=model)
         return model.predict(cloud, grasps, limits=limits, reach=reach)

@@ -39,6 +39,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
+from foretouch.kernels import Kernel
 from foretouch.simulation.contact import problem as problems
 from foretouch.simulation.contact.closed_form import bed_stiffness
 from foretouch.types import Float64
@@ -50,6 +51,10 @@ _TABLE = 2401
 _WAVES = 30.0  # t beyond which M - 1 is below 1e-20
 _GAUSS = 3  # points a side that average the smooth part over a cell
 _CACHED = 64  # spectra kept, 130 kB each at N = 64
+
+_layer_descent = Kernel(
+    "layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2
+)  # `Descent`, with its own FFT
 
 
 def layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
@@ -246,6 +251,16 @@ class Descent:
         self.residual = float(np.abs(new - old).sum()) / max(total, _TINY)
 
 
+@dataclass
+class _End:
+    """What a descent came to."""
+
+    pressure: Float64  # (N, N) [Pa]
+    depth: float  # [m]
+    iterations: int
+    residual: float
+
+
 _HERTZ = 4.0 * math.sqrt(2.0) / (3.0 * math.pi)
 _SIZES = (8, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)  # few, so that the spectra kept suffice
 
@@ -349,7 +364,7 @@ def solve_layer(
 
 def _solve_in_box(
     problem: problems.ContactProblem, command: problems.Command, config: problems.ContactConfig, gap: Float64
-) -> tuple[Float64, Descent]:
+) -> tuple[Float64, _End]:
     """The pressure on the window, if only the expected footprint and its margin may carry any."""
     guess = expected_pressure(problem, command)
     box = Box.around(guess, _MARGIN)
@@ -365,7 +380,7 @@ def _solve_in_window(
     config: problems.ContactConfig,
     gap: Float64,
     spent: int,
-) -> Descent:
+) -> _End:
     """From even pressure wherever both surfaces exist: slower, and sure where the guess misled."""
     even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
     end = _descend(problem, command, config, gap, even)
@@ -385,22 +400,49 @@ def _descend(
     config: problems.ContactConfig,
     gap: Float64,
     start: Float64,
-) -> Descent:
+) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
     total = None if command.force_n is None else command.force_n / problem.cell_m2
-    descent = Descent(gap, _spectra(problem, gap.shape[0]).sum(axis=0), start, depth=command.depth_m, total=total)
+    spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
+    if _layer_descent:
+        end = _compiled_descent(gap, spectrum, start, command.depth_m, total, config)
+        if end is not None:
+            return end
+    descent = Descent(gap, spectrum, start, depth=command.depth_m, total=total)
     while descent.iterations < config.max_iterations and descent.step() >= config.tolerance:
         pass
-    return descent
+    return _End(descent.pressure, descent.depth, descent.iterations, descent.residual)
 
 
-def _spectra(problem: problems.ContactProblem, n: int) -> Complex128:
-    """(L, 2n, n + 1), of each layer."""
-    return np.stack([influence_spectrum(layer, n, problem.step_m) for layer in problem.layers])
+def _compiled_descent(
+    gap: Float64,
+    spectrum: Complex128,
+    start: Float64,
+    depth: float | None,
+    total: float | None,
+    config: problems.ContactConfig,
+) -> _End | None:
+    """As `Descent`; None where the number of cells has a factor other than 2, 3 and 5."""
+    given = depth if total is None else total
+    if given is None:
+        return None
+    pressure = start.copy() if total is None else start * (total / float(start.sum()))
+    safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)
+    limits = safe_length, config.tolerance, config.max_iterations
+    n, by_force = gap.shape[0], int(total is not None)
+    _layer_descent(np.ascontiguousarray(gap), spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
+    return _End(pressure, float(end[0]), int(end[1]), float(end[2])) if end[3] else None
+
+
+@lru_cache(maxsize=_CACHED)
+def _spectra(layers: tuple[problems.Layer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
+    """(L, 2n, n + 1) of each layer, and their sum; do not write to them."""
+    each = np.stack([influence_spectrum(layer, n, step_m) for layer in layers])
+    return each, each.sum(axis=0)
 
 
 def _displacements(problem: problems.ContactProblem, pressure: Float64) -> Float64:
-    return convolve(pressure, _spectra(problem, pressure.shape[0]))
+    return convolve(pressure, _spectra(problem.layers, pressure.shape[0], problem.step_m)[0])
 
 
 def _overlap(displacement: Float64, gap: Float64, depth: float) -> float:

@@ -149,7 +149,7 @@ def _measure(
     cloud, grasps = profile_scene(_REQUESTS[-1])
 
     def answer(model: TouchModel, count: int) -> Any:
-        return model.predict(cloud, grasps[:count])
+        return list(model.predict(cloud, grasps[:count]))  # each becomes an object when it is read
 
     timed = {level.name: Timed(partial(answer, level.model)) for level in levels}
     load = MachineLoad()
