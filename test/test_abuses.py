@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ KEYS = [
 MISTAKES = [
     Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file", ros=True),
     Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters", ros=True),
-    Abuse("parameter of a wrong type", f"record -o %/set --params @/many.yaml", {1}, "queue_mb", ros=True),
+    Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb", ros=True),
     Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder", ros=True),
     Abuse("absent recording", "replay @/none", {1}, "none: does not exist", ros=True),
     Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not", ros=True),
@@ -138,12 +138,8 @@ def start(abuse: Abuse, folder: Path, files: Path, environment: dict[str, str]) 
     if abuse.stdout == "closed":
         command = ["sh", "-c", 'exec "$@" >&- <&-', "sh", *command]
 
-    def limit() -> None:
-        if abuse.limit is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (abuse.limit, abuse.limit))
-
-    out: IO[bytes] | int = Path(abuse.stdout).open("wb") if abuse.stdout.startswith("/") else subprocess.PIPE
-    return subprocess.Popen(
+    out = os.open(abuse.stdout, os.O_WRONLY) if abuse.stdout.startswith("/") else subprocess.PIPE
+    process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
         stdout=out,
@@ -151,8 +147,10 @@ def start(abuse: Abuse, folder: Path, files: Path, environment: dict[str, str]) 
         env={**environment, **abuse.env},
         start_new_session=True,
         bufsize=0,  # or `readline` would take more than a line, which `communicate` then lacks
-        preexec_fn=limit,
     )
+    if abuse.limit is not None:
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (abuse.limit, abuse.limit))
+    return process
 
 
 def wait_for(abuse: Abuse, process: subprocess.Popen[bytes]) -> None:

@@ -21,7 +21,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Literal
 
 from foretouch import kernels
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import announce, print_json, print_table
 
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet
@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         from foretouch.cli.self_test import run_self_test
 
         return run_self_test(arguments.self_test, as_json=arguments.json)
+    announce("importing the libraries and loading the models")
     findings = list(examine())
     problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:

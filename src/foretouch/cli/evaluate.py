@@ -5,7 +5,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from foretouch.cli.output import print_json, print_table, warn
+from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
 
@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.learning.data import load_dataset
     from foretouch.learning.evaluation.evaluate import evaluate_model
 
+    announce(f"reading {arguments.dataset}, fitting the baselines, predicting")
     data = load_dataset(arguments.dataset)
     result = evaluate_model(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
     scores = dict(result["scores"])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError, FileError
 
@@ -150,11 +150,11 @@ def data_source(experiment: Experiment[Any, Any], given: Path | None) -> Path | 
 
 
 def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summary: dict[str, Any]) -> None:
-    print(experiment.question)
+    print_text(experiment.question)
     for table in experiment.summarise(rows) if rows else ():
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])
         for note in table.notes:
-            print(f"  {note}")
+            print_text(f"  {note}")
     failed = f", {len(summary['failed'])} failed" if summary["failed"] else ""
     print(f"{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/results.csv", end="")
     print("".join(f", {name}" for name in summary["figures"]))

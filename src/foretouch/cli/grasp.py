@@ -62,8 +62,7 @@ def _show(record: dict[str, Any]) -> None:
         [str(rank), _point(grasp["g1"]), _point(grasp["g2"]), f"{grasp['score']:.3f}"]
         for rank, grasp in enumerate(record["grasps"], 1)
     ]
-    title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']}"
-    print_table(title, ["rank", "g1 [m]", "g2 [m]", "score (higher is better)"], rows)
+    print_table(inputs.heading(record), ["rank", "g1 [m]", "g2 [m]", "score (higher is better)"], rows)
 
 
 def _point(xyz: Any) -> str:

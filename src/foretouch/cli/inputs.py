@@ -102,6 +102,13 @@ def grasp_record(grasp: Grasp) -> Record:
     return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
+def heading(record: Record, by: str = "") -> str:
+    """What is printed above a table: input, object and status; a remark follows in a line of its own."""
+    status = "" if record["status"] == "ok" else f": {record['status'].replace('_', ' ')}"
+    remark = f"\n{record['reason']}" if record["reason"] else ""
+    return f"{record['input']}, object {record['object']}{by}{status}{remark}"
+
+
 def process_inputs(
     arguments: argparse.Namespace, process: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
 ) -> int:

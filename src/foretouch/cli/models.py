@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from foretouch.cli.output import print_json, print_table
+from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.errors import ModelError
 
 _SPLITS = ("random", "time", "object")
@@ -127,13 +127,14 @@ def _show(records: list[dict[str, Any]]) -> None:
     print_table(title, ["model", "kind", "files", "kB", *_SPLITS, "coverage"], rows)
     for record in records:
         if record["status"] != "ok":
-            print(record["reason"])  # which names the file
-    notes = [(record["name"], _notes(record)) for record in records if record["status"] == "ok"]
-    common = [line for line in notes[0][1] if all(line in lines for _, lines in notes)] if len(notes) > 1 else []
-    for name, lines in [("all models", common), *notes]:
-        for line in lines:
-            if line not in common or lines is common:
-                print(f"{name}: {line}")
+            print_text(record["reason"])  # which names the file
+    named: dict[str, list[str]] = {}
+    for record in records:
+        for line in _notes(record) if record["status"] == "ok" else []:
+            named.setdefault(line, []).append(record["name"])
+    sound = sum(record["status"] == "ok" for record in records)
+    for line, names in sorted(named.items(), key=lambda item: -len(item[1])):  # what several have in common, once
+        print_text(f"{'all models' if len(names) == sound > 1 else ', '.join(names)}: {line}")
 
 
 def _coverages(calibration: Mapping[str, Any] | None) -> str:

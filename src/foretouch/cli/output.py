@@ -37,19 +37,25 @@ def terminal(*, stderr: bool = False) -> Console:
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a title and, if there are rows, a table; the caller formats numbers and units."""
-    from rich.table import Table
-    from rich.text import Text
+    from foretouch.cli.tables import FittedTable
 
     console = terminal()
-    console.print(title, style="bold", highlight=False, markup=False, soft_wrap=True)
-    if not rows:
-        return
-    table = Table()
-    for column in columns:
-        table.add_column(Text(column), justify="left" if column == columns[0] else "right")
-    for row in rows:
-        table.add_row(*map(Text, row))  # unchanged: rich would parse `[m]` as a style
-    console.print(table)
+    # In a pipe, a line stays a line; on a terminal, it is folded between words.
+    console.print(title, style="bold", highlight=False, markup=False, soft_wrap=not console.is_terminal)
+    if rows:
+        console.print(FittedTable(columns, rows))
+
+
+def print_text(text: str) -> None:
+    """Print a paragraph, folded between words on a terminal."""
+    console = terminal()
+    console.print(text, highlight=False, markup=False, soft_wrap=not console.is_terminal)
+
+
+def announce(wait: str) -> None:
+    """Say on stderr what a person at a terminal is going to wait for."""
+    if sys.stderr.isatty():
+        warn(wait)
 
 
 @contextmanager

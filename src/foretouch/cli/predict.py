@@ -514,12 +514,13 @@ def _show(record: dict[str, Any]) -> None:
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
             *(_text(one[name]) for name in _MODALITIES),
-            "\n".join([_reference_text(one, record["touched"]), *one["flags"]]),
+            "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
         ]
         for one in record["predictions"]
     ]
-    title = f"{record['input']} object {record['object']}: {record['status']} {record['reason']} ({record['model']['name']})"
-    print_table(title, ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows)
+    print_table(
+        inputs.heading(record, f" by {record['model']['name']}"), ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows
+    )
 
 
 def _reference_text(prediction: inputs.Record, touched: int) -> str:
@@ -537,7 +538,7 @@ def _text(modality: inputs.Record) -> str:
     if modality["value"] is None:
         return "refused"
     value = np.atleast_1d(modality["value"])
-    text = f"{value.min():.0f}…{value.max():.0f}" if value.size > 1 else f"{value[0]:.0f}"
+    text = f"{value.min():.0f}–{value.max():.0f}" if value.size > 1 else f"{value[0]:.0f}"
     if modality["lower"] is None:
         return text
     return f"{text} ±{np.mean(np.subtract(modality['upper'], modality['lower'])) / 2.0:.0f}"  # no space: it wraps there

@@ -13,14 +13,13 @@ from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table
+from rich.console import RenderableType
 from rich.text import Text
 
-from foretouch.cli.output import print_json, terminal, warn
+from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.run import report_conflicts
+from foretouch.cli.screen import FittedPanel, can_draw, draw_until
+from foretouch.cli.tables import FittedTable
 from foretouch.errors import ForetouchError
 from foretouch.interrupts import uninterrupted
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig
@@ -38,12 +37,13 @@ if TYPE_CHECKING:
 _GB = 1e9
 
 
-def record_panel(status: RecorderStatus, title: str) -> Panel:
+def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
     """Samples, rejected grasps, sensors, message counts and the time left on the disk, at a glance."""
-    parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status), _topics(status.topics)]
+    parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status)]
     if status.reason:
         parts.append(Text(status.reason, "red"))
-    return Panel(Group(*parts), title=title, title_align="left")
+    parts += [_topics(status.topics), *map(Text, _drops(status.topics))]
+    return FittedPanel(parts, title)
 
 
 def _samples(status: RecorderStatus) -> Text:
@@ -85,26 +85,30 @@ def _sensors(status: RecorderStatus) -> Text:
     return text
 
 
-def _topics(topics: Sequence[TopicAccount]) -> Table:
-    table = Table(expand=True, box=SIMPLE_HEAD)
-    for name in ("topic", "Hz", "received", "written", "queue", "lost", "dropped"):
-        table.add_column(name, justify="left" if name == "topic" else "right", no_wrap=name != "dropped")
+def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
     common = (
         commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"
     )  # the first topic is the hand's
+    rows: list[list[str | Text]] = []
     for topic in topics:
-        drops = zip(topic.drop_reasons, topic.drop_counts, strict=True)
-        dropped = " ".join(f"{count} {reason}" for reason, count in drops)
-        table.add_row(
+        dropped = sum(topic.drop_counts)
+        rows.append([
             Text(topic.topic.removeprefix(common), "" if topic.reliable else "yellow"),
             f"{topic.rate:.1f}",
             str(topic.received),
             str(topic.written),
             str(topic.waiting),
             Text(str(topic.lost), "red" if topic.lost else ""),
-            Text(dropped or "0", "red" if dropped else ""),
-        )
-    return table
+            Text(str(dropped), "red" if dropped else ""),
+        ])  # fmt: skip
+    columns = ("topic", "Hz", "received", "written", "queue", "lost", "dropped")
+    return FittedTable(columns, rows, box=None, expand=True, listed=False)
+
+
+def _drops(topics: Sequence[TopicAccount]) -> list[str]:
+    """One line for each topic with dropped messages, with the reasons."""
+    reasons = {one.topic: zip(one.drop_reasons, one.drop_counts, strict=True) for one in topics if one.drop_counts}
+    return [f"{name} dropped {', '.join(f'{n} {why}' for why, n in found)}" for name, found in reasons.items()]
 
 
 _REFRESH_S = 0.25
@@ -145,12 +149,14 @@ def run(arguments: argparse.Namespace) -> int:
     from foretouch.ros.nodes.recorder import RecorderNode
 
     graph = Graph({"recorder": _parameters(arguments)}, namespace=arguments.namespace, params_file=arguments.params)
+    announce("starting the recorder")
     with graph:
         node = graph.nodes["recorder"]
         if not isinstance(node, RecorderNode) or node.state_name != "active":
             raise ForetouchError("the recorder did not start; see its log")
         node.begin(str(Path(arguments.output).resolve()), arguments.object, arguments.note)
         _watch(node, arguments)
+        announce("writing what is left; waiting until other graphs would be seen")
         with uninterrupted():
             node.end()
         report_conflicts(graph)
@@ -187,7 +193,7 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
     try:
         if arguments.json:
             _report_until(ended, node)
-        elif sys.stdout.isatty():
+        elif can_draw():
             _draw_until(ended, node)
         else:
             while not ended():
@@ -207,14 +213,7 @@ def _report_until(ended: Callable[[], bool], node: RecorderNode) -> None:
 
 
 def _draw_until(ended: Callable[[], bool], node: RecorderNode) -> None:
-    from rich.live import Live
-
-    from foretouch.cli.record import record_panel
-
-    with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
-        while not ended():
-            live.update(record_panel(node.status(), "foretouch record (Ctrl-C ends it)"))
-            time.sleep(_REFRESH_S)
+    draw_until(ended, lambda: record_panel(node.status(), "foretouch record (Ctrl-C ends it)"), _REFRESH_S)
 
 
 def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -13,10 +12,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import four_numbers
-from foretouch.cli.output import print_json, terminal, warn
+from foretouch.cli.output import announce, print_json, terminal, warn
+from foretouch.cli.screen import can_draw, draw_until
 from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from foretouch.report.touch_figure import DrawnGrasp
     from foretouch.ros.graph import Graph
     from foretouch.ros.nodes.bridge import BridgeNode
@@ -116,6 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         monitor["on_touch"] = arguments.printer = _Printer()
     graph = Graph(nodes, namespace=arguments.namespace, params_file=arguments.params, monitor=monitor)
+    announce("starting the nodes")
     with graph:
         if not graph.started:
             states = "; ".join(
@@ -223,7 +226,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
 
     title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
     try:
-        if arguments.json or not sys.stdout.isatty():
+        if arguments.json or not can_draw():
             said = time.monotonic()
             while not ended():
                 time.sleep(_REFRESH_S)
@@ -235,6 +238,7 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
     except KeyboardInterrupt:
         graph.stop_source()  # or answers would still arrive after the counts
         return True
+    announce("waiting for the last answers")
     if replay is None or not replay.ended.is_set():
         graph.stop_source()
     graph.wait_for_hand(_LONGEST_GRASP_S)
@@ -249,14 +253,12 @@ def _source_state(graph: Graph) -> str:
 
 
 def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
-    from rich.live import Live
-
     from foretouch.cli.live import live_panel
 
-    with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
-        while not ended():
-            live.update(live_panel(graph.monitor.view(), title))
-            time.sleep(_REFRESH_S)
+    def draw() -> RenderableType:
+        return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
+
+    draw_until(ended, draw, _REFRESH_S)
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:

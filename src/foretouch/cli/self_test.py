@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import IO, Any
 
-from foretouch.cli.output import print_json, print_table, progress_bar
+from foretouch.cli.output import print_json, print_table, print_text, progress_bar
 from foretouch.errors import ConfigError
 from foretouch.processes import one_thread_each
 from foretouch.selftest.rows import ROWS, RowResult
@@ -124,5 +124,5 @@ def _print_table(results: Sequence[RowResult], failed: Sequence[RowResult], seco
     rows = [[one.row, one.state, one.found, f"{one.seconds:.1f} s"] for one in results]
     print_table("foretouch doctor --self-test", ["row", "state", "found", "time"], rows)
     for one in failed:
-        print(f"{one.row}: {one.cause}\n  fix: {one.fix}")
+        print_text(f"{one.row}: {one.cause}\n  fix: {one.fix}")
     print(f"{len(results)} rows, {len(failed)} failed, {seconds:.0f} s")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.experiment import ENVIRONMENT, data_source, print_cell
 from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table, progress_bar, warn
+from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError
 
@@ -163,5 +163,5 @@ def _show(area: Area[Any, Any], result: TradeoffResult, arguments: argparse.Name
     for table in summary_tables(area, result.rows, result.skipped):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])
         for note in table.notes:
-            print(f"  {note}")
+            print_text(f"  {note}")
     print(f"{arguments.out}/tradeoff.csv, {', '.join(result.figures)}")
