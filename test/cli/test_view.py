@@ -21,7 +21,8 @@ from PIL import Image
 
 from foretouch.cli.main import main
 from foretouch.dataset.samples import open_samples
-from foretouch.report.rerun_view import _viewer, _viewer_environment, fingertip_pose
+from foretouch.report.rerun_view import fingertip_pose
+from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import electrode_normals, electrode_positions
 
 DATASET = Path(__file__).parents[1] / "data" / "from_0_1_0" / "store"

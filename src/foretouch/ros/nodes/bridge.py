@@ -124,7 +124,8 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             )
         except RuntimeError as err:
             raise ConfigError(f"{config.address}:{config.port}: {err}") from err
-        self.url = f"ws://{config.address}:{self._server.port}"
+        host = f"[{config.address}]" if ":" in config.address else config.address
+        self.url = f"ws://{host}:{self._server.port}"
         self._timer = self.create_timer(_TICK_S, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"serving at {self.url}")
 
