@@ -103,13 +103,14 @@ class _Steps:
     def of_source(self, path: str) -> Iterator[Shown]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
         from foretouch.cli.predict import read_adaptation
+        from foretouch.dataset.samples import is_sample_set
         from foretouch.dataset.source import open_source
 
-        source = open_source(path, topic=self._arguments.topic)
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
-        if source.kind == "samples":
+        if self._arguments.topic is None and is_sample_set(path):
             yield from self._of_samples(path)
             return
+        source = open_source(path, topic=self._arguments.topic)
         for item in source:
             try:
                 yield self._of_cloud(item, stamped=source.kind == "recording")

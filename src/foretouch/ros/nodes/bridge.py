@@ -158,7 +158,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         slow = 0 if self._reports is None else self._reports.count
         return {"url": self.url, "topics": " ".join(asked), "lost_on_the_way": str(lost), "slow_clients": str(slow)}
 
-    def errors(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Whether a client is slow now."""
         last_s = None if self._reports is None else self._reports.last_s
         if last_s is None or time.monotonic() - last_s > _SLOW_S:

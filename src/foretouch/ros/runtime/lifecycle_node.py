@@ -136,6 +136,10 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """What keeps the node from working, for /diagnostics."""
         return ()
 
+    def warnings(self) -> tuple[str, ...]:
+        """What the operator should know although the node works, for /diagnostics."""
+        return ()
+
     def notes(self) -> dict[str, str]:
         """Further values for /diagnostics."""
         return {}
@@ -337,7 +341,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         node = NodeStatus(
             state=self.state_name,
             errors=self.errors(),
-            warnings=(*self.conflicts, *self._mismatches.values(), *recent),
+            warnings=(*self.conflicts, *self._mismatches.values(), *self.warnings(), *recent),
             notes={
                 **self.notes(),
                 **{f"lost_on_the_way.{topic}": str(one.count) for topic, one in self._losses.items() if one.count},
