@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +121,7 @@ def run(options: argparse.Namespace, messages: list[Any], reads: str) -> dict[st
         publisher.publish(message)
         time.sleep(max(0.0, began + (k + 1) / options.rate - time.monotonic()))
     wall_s = time.monotonic() - began
-    time.sleep(SETTLED_S)
+    wait_until_stable(lambda: (values.get("received"), len(answers)))
     used_s, answered = cpu_s(bridge.pid) - before, len(answers)
     for process in (bridge, graph):
         process.send_signal(signal.SIGINT)
@@ -139,7 +140,17 @@ def run(options: argparse.Namespace, messages: list[Any], reads: str) -> dict[st
         "lost_in_the_bridge": int(values["received"]) - sum(found["counts"].values()),
         "slow_clients": int(values["slow_clients"]),
         "bridge_cpu_percent": round(100.0 * used_s / wall_s, 1),
+        "bridge_cpu_ms_a_cloud": round(1e3 * used_s / count, 2),
     }
+
+
+def wait_until_stable(state: Callable[[], Any]) -> None:
+    """Wait until nothing has changed for longer than the period of /diagnostics."""
+    last, since = state(), time.monotonic()
+    while time.monotonic() - since < SETTLED_S:
+        time.sleep(0.1)
+        if state() != last:
+            last, since = state(), time.monotonic()
 
 
 def clouds() -> list[Any]:
@@ -178,7 +189,11 @@ def main() -> int:
         own = [row for row in rows if row["reads"] == reads]
         cpu = statistics.median(row["bridge_cpu_percent"] for row in own)
         lost = sum(row["answered"] - row["client_touch"] for row in own), sum(row["lost_in_the_bridge"] for row in own)
-        print(f"{reads}: {lost[0]} answers not received, {lost[1]} messages lost in the bridge, {cpu:.1f} % of a core")
+        each = statistics.median(row["bridge_cpu_ms_a_cloud"] for row in own)
+        print(
+            f"{reads}: {lost[0]} answers not received, {lost[1]} messages lost in the bridge, "
+            f"{cpu:.1f} % of a core, {each:.1f} ms a cloud"
+        )
     return 0
 
 

@@ -9,6 +9,7 @@ import importlib.util
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,7 +22,8 @@ from PIL import Image
 
 from foretouch.cli.main import main
 from foretouch.dataset.samples import open_samples
-from foretouch.report.rerun_view import _viewer, _viewer_environment, fingertip_pose
+from foretouch.report.rerun_view import fingertip_pose
+from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import electrode_normals, electrode_positions
 
 DATASET = Path(__file__).parents[1] / "data" / "from_0_1_0" / "store"
@@ -168,6 +170,16 @@ def test_a_recorded_dataset_has_its_times_candidates_and_no_discarded_sample(tmp
     assert {k: len(lines) for k, lines in drawn.items()} == {
         k: len(one.candidates) for k, one in enumerate(records) if one.candidates
     }
+
+
+@needs_rerun
+def test_a_recording_that_is_still_written_is_shown_as_far_as_it_is(call: Call, tmp_path: Path) -> None:
+    shutil.copytree(RECORDING, tmp_path / "now")
+    file = tmp_path / "now" / "session-0002.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert call("view", tmp_path / "now", "--save", tmp_path / "v.rrd").status == 0
+    steps = Written(tmp_path / "v.rrd").rows("/answer", "TextDocument:text")
+    assert 0 < len(steps) < 7
 
 
 @needs_rerun

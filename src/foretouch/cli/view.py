@@ -5,16 +5,16 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli import inputs
+from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, model_name, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
 from foretouch.cli.predict import add_adaptation_arguments
-from foretouch.errors import ConfigError, FileError, ForetouchError
+from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
     from foretouch.cli.predict import Adaptation
@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     from foretouch.types import Cloud, Grasp, GraspSample, Plane, TouchPrediction
 
 
-_ANSWERS = (".json", ".jsonl")
 _CANDIDATES = 10  # grasps that are planned on each cloud
-_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,11 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status 1 if a cloud could not be read."""
     from foretouch.checked_files import require_existing
-    from foretouch.report.rerun_view import open_viewer, save_screenshot, write_view
+    from foretouch.report.rerun_view import write_view
+    from foretouch.report.rerun_viewer import open_viewer, save_screenshot
 
     path = require_existing(arguments.path)
     steps = _Steps(arguments)
-    made = steps.of_answers(path) if path.suffix in _ANSWERS and path.is_file() else steps.of_source(arguments.path)
+    made = (
+        steps.of_answers(path) if path.suffix in ANSWER_SUFFIXES and path.is_file() else steps.of_source(arguments.path)
+    )
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"
         with progress_bar("reading", arguments.count) as advance:
@@ -102,13 +103,14 @@ class _Steps:
     def of_source(self, path: str) -> Iterator[Shown]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
         from foretouch.cli.predict import read_adaptation
+        from foretouch.dataset.samples import is_sample_set
         from foretouch.dataset.source import open_source
 
-        source = open_source(path, topic=self._arguments.topic)
         self._adaptation = read_adaptation(self._arguments, self._pipeline.model)
-        if source.kind == "samples":
+        if self._arguments.topic is None and is_sample_set(path):
             yield from self._of_samples(path)
             return
+        source = open_source(path, topic=self._arguments.topic)
         for item in source:
             try:
                 yield self._of_cloud(item, stamped=source.kind == "recording")
@@ -131,16 +133,14 @@ class _Steps:
 
     def of_answers(self, path: Path) -> Iterator[Shown]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""
-        records = [one for one in _read_answers(path) if "predictions" in one or "status" in one]
-        if not records:
-            raise FileError(path, "holds no answers of `predict --json` or `run --json`")
+        records = read_answers(path)
         if self._arguments.data is None:
             for record in records:
                 yield self._of_answer(record, self._own_cloud(record))
             return
         by_key: dict[str | int, list[dict[str, Any]]] = {}
         for record in records:
-            by_key.setdefault(_key(record), []).append(record)
+            by_key.setdefault(answer_key(record), []).append(record)
         yield from self._matched(by_key)
         if by_key:
             warn(f"{path}: {sum(map(len, by_key.values()))} answers belong to nothing in {self._arguments.data}")
@@ -243,13 +243,13 @@ class _Steps:
         shown: dict[str, Any] = {
             "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
             "stamp_ns": int(record.get("stamp_ns") or 0),
-            "model": _model_name(record),
+            "model": model_name(record),
             "reason": str(record.get("reason", "")),
         }
         try:
             if item is not None:
                 shown |= self._seen(item)
-            predictions = [_prediction(one) for one in record.get("predictions", ())]
+            predictions = [prediction_from_record(one) for one in record.get("predictions", ())]
         except ForetouchError as err:
             self._refuse(shown["name"], err)
             return Shown(**shown)
@@ -266,79 +266,3 @@ class _Steps:
             return {**seen, "stamp_ns": sample.stamp_ns}
         found = self._found(item.cloud)
         return {"cloud": item.cloud, "table": found["table"], "objects": found.get("objects")}
-
-
-def _key(record: Mapping[str, Any]) -> str | int:
-    """What an answer is matched with: its sample, its input, or the stamp of its cloud [ns]."""
-    return str(record.get("sample") or record.get("input") or "") or int(record.get("stamp_ns") or 0)
-
-
-def _read_answers(path: Path) -> list[dict[str, Any]]:
-    """The JSON objects of a file, one a line."""
-    from foretouch.checked_files import TEXT_LIMIT, open_regular
-
-    with open_regular(path) as file:
-        text = file.read(TEXT_LIMIT + 1)
-    if len(text) > TEXT_LIMIT:
-        raise FileError(path, f"is larger than {TEXT_LIMIT} bytes")
-    records = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip():
-            continue
-        try:
-            record = json.loads(line)
-        except (ValueError, RecursionError) as err:
-            raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
-        if not isinstance(record, dict):
-            raise FileError(path, "is no JSON object", field=f"line {number}")
-        records.append(record)
-    return records
-
-
-def _model_name(record: Mapping[str, Any]) -> str:
-    model = record.get("model")
-    return str(model.get("name", "")) if isinstance(model, dict) else ""
-
-
-def _prediction(record: Any) -> TouchPrediction:
-    """A prediction from the JSON of `predict` and `run`.
-
-    Raises:
-        ConfigError: Names the field that is missing or wrong.
-    """
-    import numpy as np
-
-    from foretouch.types import Grasp, Touch, TouchPrediction
-
-    try:
-        field = "grasp"
-        score = record["grasp"].get("score")
-        grasp = Grasp(
-            np.array(record["grasp"]["g1"], np.float64),
-            np.array(record["grasp"]["g2"], np.float64),
-            np.array(record["grasp"]["rotation"], np.float64).reshape(3, 3),
-            score=float("nan") if score is None else float(score),
-        )
-        touches: dict[str, Touch | None] = {}
-        for end in ("value", "lower", "upper"):
-            parts = []
-            for field in _MODALITIES:
-                part = record[field][end]
-                parts.append(None if part is None else np.atleast_1d(np.array(part, np.float64)))
-            known = [part for part in parts if part is not None]
-            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(_MODALITIES) else None
-        field = "status"
-        return TouchPrediction(
-            grasp,
-            touches["value"],
-            touches["lower"],
-            touches["upper"],
-            reference=record["reference"],
-            flags=tuple(record["flags"]),
-            status=record["status"],
-            reason=record["reason"],
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as err:
-        raise ConfigError(
-            f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
-        ) from err

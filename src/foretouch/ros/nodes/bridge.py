@@ -124,7 +124,8 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
             )
         except RuntimeError as err:
             raise ConfigError(f"{config.address}:{config.port}: {err}") from err
-        self.url = f"ws://{config.address}:{self._server.port}"
+        host = f"[{config.address}]" if ":" in config.address else config.address
+        self.url = f"ws://{host}:{self._server.port}"
         self._timer = self.create_timer(_TICK_S, self._follow_clients, callback_group=MutuallyExclusiveCallbackGroup())
         self.get_logger().info(f"serving at {self.url}")
 
@@ -157,7 +158,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         slow = 0 if self._reports is None else self._reports.count
         return {"url": self.url, "topics": " ".join(asked), "lost_on_the_way": str(lost), "slow_clients": str(slow)}
 
-    def errors(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Whether a client is slow now."""
         last_s = None if self._reports is None else self._reports.last_s
         if last_s is None or time.monotonic() - last_s > _SLOW_S:

@@ -143,7 +143,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         return ()
 
     def warnings(self) -> tuple[str, ...]:
-        """What makes its results worse, for /diagnostics."""
+        """What the operator should know although the node works, for /diagnostics."""
         return ()
 
     def notes(self) -> dict[str, str]:

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers that `predict --json` and `run --json` printed, read back from a file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch.errors import ConfigError, FileError
+
+if TYPE_CHECKING:
+    from foretouch.types import TouchPrediction
+
+
+ANSWER_SUFFIXES = (".json", ".jsonl")
+_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
+
+
+def answer_key(record: Mapping[str, Any]) -> str | int:
+    """What an answer is matched with: its sample, its input, or the stamp of its cloud [ns]."""
+    return str(record.get("sample") or record.get("input") or "") or int(record.get("stamp_ns") or 0)
+
+
+def read_answers(path: Path) -> list[dict[str, Any]]:
+    """The answers in a file, one JSON object a line; other objects, such as the counts of `run`, are left out.
+
+    Raises:
+        FileError: If there is none, or a line is no JSON object.
+    """
+    from foretouch.checked_files import TEXT_LIMIT, open_regular
+
+    with open_regular(path) as file:
+        text = file.read(TEXT_LIMIT + 1)
+    if len(text) > TEXT_LIMIT:
+        raise FileError(path, f"is larger than {TEXT_LIMIT} bytes")
+    records = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            record = json.loads(line)
+        except (ValueError, RecursionError) as err:
+            raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
+        if not isinstance(record, dict):
+            raise FileError(path, "is no JSON object", field=f"line {number}")
+        if "predictions" in record or "status" in record:
+            records.append(record)
+    if not records:
+        raise FileError(path, "holds no answers of `predict --json` or `run --json`")
+    return records
+
+
+def model_name(record: Mapping[str, Any]) -> str:
+    """Name of the model of an answer; "" if it holds none."""
+    model = record.get("model")
+    return str(model.get("name", "")) if isinstance(model, dict) else ""
+
+
+def prediction_from_record(record: Any) -> TouchPrediction:
+    """A prediction from the JSON of `predict` and `run`.
+
+    Raises:
+        ConfigError: Names the field that is missing or wrong.
+    """
+    import numpy as np
+
+    from foretouch.types import Grasp, Touch, TouchPrediction
+
+    try:
+        field = "grasp"
+        score = record["grasp"].get("score")
+        grasp = Grasp(
+            np.array(record["grasp"]["g1"], np.float64),
+            np.array(record["grasp"]["g2"], np.float64),
+            np.array(record["grasp"]["rotation"], np.float64).reshape(3, 3),
+            score=float("nan") if score is None else float(score),
+        )
+        touches: dict[str, Touch | None] = {}
+        for end in ("value", "lower", "upper"):
+            parts = []
+            for field in _MODALITIES:
+                part = record[field][end]
+                parts.append(None if part is None else np.atleast_1d(np.array(part, np.float64)))
+            known = [part for part in parts if part is not None]
+            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(_MODALITIES) else None
+        field = "status"
+        return TouchPrediction(
+            grasp,
+            touches["value"],
+            touches["lower"],
+            touches["upper"],
+            reference=record["reference"],
+            flags=tuple(record["flags"]),
+            status=record["status"],
+            reason=record["reason"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        raise ConfigError(
+            f"predictions: {field}: is not as `predict --json` writes it ({type(err).__name__}: {err})"
+        ) from err

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Show a Rerun recording in a window, or draw it to a picture.
+
+Rerun is started with its usage statistics turned off, in a configuration folder of its own, and listens on 127.0.0.1 alone.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from foretouch.errors import FileError, ForetouchError, MissingDependencyError
+
+_STATISTICS_OFF_S: Final = 30.0
+_SCREENSHOT_S: Final = 120.0
+_SETTLED_S: Final = 1.0  # until what was loaded is drawn
+_POLL_S: Final = 0.1
+_NO_GRAPHICS: Final = ("No graphics adapter", "Failed to get render context")  # what Rerun prints without a driver
+
+
+def save_screenshot(recording: Path, path: Path, size: tuple[int, int] = (1600, 1000)) -> None:
+    """Draw the first step of a Rerun recording to a PNG, without a window.
+
+    Raises:
+        FileError: If the file cannot be written.
+        ForetouchError: If Rerun draws nothing.
+        MissingDependencyError: If Rerun or a graphics driver (Vulkan) is not installed.
+    """
+    with _viewer_environment() as environment, tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
+        printed, drawn = Path(folder) / "printed.txt", Path(folder) / "drawn.png"
+        port = _free_port()
+        command = [*_viewer(port), "--headless", "--window-size", f"{size[0]}x{size[1]}", recording]
+        with printed.open("wb") as output:
+            viewer = subprocess.Popen(command, env=environment, stdout=output, stderr=output)  # noqa: S603  Rerun's own
+        try:
+            _draw(viewer, port, drawn)
+        finally:
+            viewer.kill()
+            viewer.wait()
+        if not drawn.is_file():
+            raise _not_drawn(printed.read_text(encoding="utf-8", errors="replace"))
+        try:
+            path.write_bytes(drawn.read_bytes())
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+
+
+def _draw(viewer: subprocess.Popen[bytes], port: int, path: Path) -> None:
+    """Wait until a viewer has loaded its recording, and let it draw; without a file if it ended or took too long."""
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + _SCREENSHOT_S
+    client: ViewerClient | None = None
+    while viewer.poll() is None and time.monotonic() < end:
+        with suppress(RuntimeError, ConnectionError, ValueError):  # until it answers
+            client = client or ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            state = client.get_state()
+            if state.active_recording is not None and state.recordings[0].timelines and not state.loading:
+                client.set_time("step", sequence=0, play_state="paused")
+                time.sleep(_SETTLED_S)
+                client.save_screenshot(str(path))
+                return
+        time.sleep(_POLL_S)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def open_viewer(recording: Path) -> None:
+    """Show a Rerun recording in a window, and wait until it is closed.
+
+    Raises:
+        ForetouchError: If the viewer ends with an error, as it does without a display.
+        MissingDependencyError: If Rerun is not installed.
+    """
+    with _viewer_environment() as environment:
+        done = subprocess.run(  # noqa: S603  Rerun's own viewer
+            [*_viewer(), recording], env=environment, stderr=subprocess.PIPE, text=True, errors="replace", check=False
+        )
+    if done.returncode:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        cause = next((line for line in lines if line.startswith("Error")), lines[0] if lines else "no message")
+        raise ForetouchError(f"Rerun cannot open a window ({cause}): write a file with --save F.rrd instead")
+
+
+def _viewer(port: int | None = None) -> list[str | Path]:
+    """The command that starts Rerun's viewer, which else would listen on all addresses."""
+    found = find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise MissingDependencyError("Rerun is not installed: pip install 'foretouch[view]'")
+    return [Path(found.origin).with_name("rerun"), "--bind", "127.0.0.1", "--port", str(port or "auto")]
+
+
+@contextmanager
+def _viewer_environment() -> Iterator[dict[str, str]]:
+    """Variables with which Rerun sends no usage statistics; the settings of the user stay as they are."""
+    with tempfile.TemporaryDirectory(prefix="foretouch-rerun-") as folder:
+        environment = {**os.environ, "XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder, "RERUN_APP_ONLY": "true"}
+        done = subprocess.run(  # noqa: S603  Rerun's own viewer
+            [_viewer()[0], "analytics", "disable"],
+            env=environment,
+            capture_output=True,
+            check=False,
+            timeout=_STATISTICS_OFF_S,
+        )
+        if done.returncode:
+            raise ForetouchError("Rerun cannot turn its usage statistics off, so it is not started")
+        yield environment
+
+
+def _not_drawn(output: str) -> ForetouchError:
+    """The error for a viewer that has drawn nothing, from what it printed."""
+    if any(text in output for text in _NO_GRAPHICS):
+        return MissingDependencyError(
+            "--screenshot: Rerun finds no graphics driver (Vulkan): apt install libvulkan1 mesa-vulkan-drivers"
+        )
+    causes = [line.strip() for line in output.splitlines() if "panicked" in line or "ERROR" in line]
+    cause = causes[0] if causes else f"nothing was loaded within {_SCREENSHOT_S:.0f} s"
+    return ForetouchError(f"--screenshot: Rerun has drawn nothing: {cause}")
