@@ -72,9 +72,9 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
         finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
     shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    _, first = np.unique(labels, return_index=True)
+    single = bool((labels == labels[0]).all())
     objects = []
-    for label in labels[np.sort(first)]:
+    for label in labels[:1] if single else labels[np.sort(np.unique(labels, return_index=True)[1])]:
         members = np.flatnonzero(labels == label)
         pixels = None
         if shape is not None and rows is not None and columns is not None:

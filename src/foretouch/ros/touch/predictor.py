@@ -124,8 +124,12 @@ class Predictor:
         Returns:
             A `TouchPredictionArray`, or its bytes.
         """
+        if self.budget is None or answer is None:
+            return _made(message, encoded=encoded)
+        if self.budget.is_over(answer) and LATE not in message.flags:
+            message.flags += (LATE,)
         made = _made(message, encoded=encoded)
-        if self.budget is not None and answer is not None and self.budget.end(answer) and LATE not in message.flags:
+        if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
             message.flags += (LATE,)
             made = _made(message, encoded=encoded)
         return made
