@@ -131,7 +131,10 @@ class Predictor:
         made = _made(message, encoded=encoded)
         if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
             message.flags += (LATE,)
-            made = _made(message, encoded=encoded)
+            if isinstance(made, bytes):
+                return message.encoded()
+            for prediction in made.predictions:
+                prediction.flags = [*prediction.flags, LATE]
         return made
 
     def _fall_back(self, name: str) -> None:
