@@ -115,6 +115,13 @@ def test_a_load_at_the_edge_does_not_make_it_swing(make, clock):
     assert changes <= 3
 
 
+def test_many_grasps_that_need_a_cheaper_level_leave_few_grasps_the_model(make, clock):
+    budget = make(10)
+    for _ in range(100):
+        assert answer(budget, clock, slow=1.4)[0] == "model"
+        assert answer(budget, clock, count=100, slow=1.0)[0] == "mean"  # half needs 14 ms at 1.4 times its time
+
+
 def test_every_late_answer_is_told(make, clock):
     budget = make(5)
     for k in range(300):

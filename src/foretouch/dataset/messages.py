@@ -72,16 +72,22 @@ def decode_objects(message: Any) -> tuple[ObjectCloud, ...]:
         finite = np.flatnonzero(np.isfinite(cloud.xyz).all(axis=-1))
         return (ObjectCloud("", cloud.take(finite)),) if finite.size else ()
     shape = None if rows is None or columns is None else (int(rows.max()) + 1, int(columns.max()) + 1)
-    found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
-    by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
     objects = []
-    for k in np.argsort(first):
-        label, members = found[k], by_label[k]
+    for label, members in _by_label(labels):
         pixels = None
         if shape is not None and rows is not None and columns is not None:
             pixels = rows[members].astype(np.int64) * shape[1] + columns[members]
         objects.append(ObjectCloud(str(label), cloud.take(members), pixels, shape))
     return tuple(objects)
+
+
+def _by_label(labels: npt.NDArray[Any]) -> list[tuple[Any, npt.NDArray[np.intp]]]:
+    """Each label with its points, in the order of their first points."""
+    if (labels == labels[0]).all():  # the usual case
+        return [(labels[0], np.arange(len(labels)))]
+    found, first, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
+    members = np.split(np.argsort(inverse, kind="stable"), np.cumsum(counts)[:-1])
+    return [(found[k], members[k]) for k in np.argsort(first)]
 
 
 def has_orientation(message: Any) -> bool:

@@ -90,3 +90,14 @@ def test_the_status_is_that_of_any_prediction_else_of_the_first_refusal():
         assert (made.status, made.reason) == expected
     known = next(outcome for outcome in one.outcomes if not isinstance(outcome, Refusal))
     assert TouchAnswer(one.header, one.grasps, [*refused, known]).status == Status.OK
+
+
+def test_an_answer_in_another_frame_keeps_all_but_header_and_grasps():
+    one, other = answer(1, 3), answer(2, 3)
+    before = one.encoded()
+    moved = one.moved(other.header, other.grasps)
+    message = deserialize_message(moved.encoded(), TouchPredictionArray)
+    assert message.header == other.header
+    assert [p.grasp.id for p in message.predictions] == [grasp.id for grasp in other.grasps]
+    assert [list(p.flags) for p in message.predictions] == [list(p.flags) for p in one.message.predictions]
+    assert one.encoded() == before

@@ -101,6 +101,20 @@ def test_a_budget_that_nothing_meets_is_used_and_said(graph):
     assert node.notes()["budget.unaffordable"] == "1"
 
 
+def test_an_answer_of_the_service_that_becomes_late_while_it_is_made_says_so(graph, monkeypatch):
+    (node,) = graph.add("touch_predictor", latency_budget_ms=1000.0, late_after_s=0.0)
+    original = TouchAnswer.prediction
+
+    def slowly(self, k):
+        time.sleep(0.6)
+        return original(self, k)
+
+    monkeypatch.setattr(TouchAnswer, "prediction", slowly)
+    message = graph.call(PredictTouch, "predict_touch", request(2)).touch
+    assert [one.flags.count("late") for one in message.predictions] == [1, 1]
+    assert node.notes()["budget.late"] == "1"
+
+
 def test_an_answer_that_becomes_late_while_it_is_encoded_says_so(graph, monkeypatch):
     (node,) = graph.add("touch_predictor", latency_budget_ms=1000.0, late_after_s=0.0)
     heard = graph.listen(TouchPredictionArray, "touch")

@@ -124,10 +124,17 @@ class Predictor:
         Returns:
             A `TouchPredictionArray`, or its bytes.
         """
-        made = _made(message, encoded=encoded)
-        if self.budget is not None and answer is not None and self.budget.end(answer) and LATE not in message.flags:
+        if self.budget is None or answer is None:
+            return _made(message, encoded=encoded)
+        if self.budget.is_over(answer) and LATE not in message.flags:
             message.flags += (LATE,)
-            made = _made(message, encoded=encoded)
+        made = _made(message, encoded=encoded)
+        if self.budget.end(answer) and LATE not in message.flags:  # meanwhile
+            message.flags += (LATE,)
+            if isinstance(made, bytes):
+                return message.encoded()
+            for prediction in made.predictions:
+                prediction.flags = [*prediction.flags, LATE]
         return made
 
     def _fall_back(self, name: str) -> None:

@@ -3,8 +3,8 @@
 
 The expected time of a level is that of its profile, plus what the caller needs around the prediction, times how much
 slower than that the latest answers were. The first level that meets what is left of the budget is chosen. If that is
-less than an idle machine would choose, the machine is overloaded, and no better level is chosen until one has met the
-budget with a margin for a second. The least time between receipt and choice so far, among requests of about as many
+less than an idle machine would choose, the machine is overloaded, and no better level is chosen for requests of about as
+many grasps until one has met the budget with a margin for a second. The least time between receipt and choice so far, among requests of about as many
 grasps, is that of an idle machine: the rest was spent in a queue.
 """
 
@@ -15,7 +15,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -49,6 +49,24 @@ class Answer:
     affordable: bool  # whether a level meets the budget on the machine as it was profiled
 
 
+@dataclass
+class _Size:
+    """What is known of requests of about as many grasps: many may need a cheaper level where few do not."""
+
+    waits: list[float] = field(default_factory=list)  # the first ones, and the least [s]
+    floor: int = 0  # place of the best level that may be chosen
+    better_since: float | None = None  # when a better level began to meet the budget with a margin [s]
+
+    def rise(self, better: int, now: float) -> None:
+        """A better level would do now; it is allowed once that has been so for long enough."""
+        if better >= self.floor:
+            self.better_since = None
+        elif self.better_since is None:
+            self.better_since = now
+        elif now - self.better_since >= _HOLD_S:
+            self.floor, self.better_since = self.floor - 1, None
+
+
 class LatencyBudget:
     """Chooses the level of each request. Thread-safe.
 
@@ -75,9 +93,8 @@ class LatencyBudget:
         self._now = now
         self._lock = threading.Lock()
         self._ratios: deque[float] = deque(maxlen=_WINDOW)
-        self._waits: dict[int, list[float]] = {}  # the first ones and the least, by digits of the number of grasps [s]
-        self._floor = 0
-        self._better_since: float | None = None
+        self._sizes: dict[int, _Size] = {}  # by digits of the number of grasps
+        self._overloaded = False
         self._known: dict[int, tuple[float, ...]] = {}
         self._counts: Counter[str] = Counter()
         self._last = ""
@@ -98,31 +115,31 @@ class LatencyBudget:
         left = self.budget_s - (began - arrived)
         last = len(self._levels) - 1
         with self._lock:
-            waits = self._waits.setdefault(len(str(count)), [])
-            waits.append(began - arrived)
-            if len(waits) > _WAITS:
-                waits.remove(max(waits))
+            size = self._sizes.setdefault(len(str(count)), _Size())
+            size.waits.append(began - arrived)
+            if len(size.waits) > _WAITS:
+                size.waits.remove(max(size.waits))
             slow = self._slowdown()
             affordable = self._first(count, _MARGIN, self._left_if_idle(count))
             idle = self._place(count, _MARGIN, 0.0) if affordable is None else affordable
             place = max(idle, self._place(count, _MARGIN * slow, left))
-            if place > max(idle, self._floor):
-                self._floor, self._better_since = place, None
-            elif self._floor > idle:
-                self._rise(self._place(count, _MARGIN_UP * slow, left), began)
-            level = self._levels[min(max(place, self._floor), last)]
-            self._last = level.name
+            if place > max(idle, size.floor):
+                size.floor, size.better_since = place, None
+            elif size.floor > idle:
+                size.rise(self._place(count, _MARGIN_UP * slow, left), began)
+            chosen = min(max(place, size.floor), last)
+            level = self._levels[chosen]
+            self._last, self._overloaded = level.name, chosen > idle
             expected_s = self._expected(count)[self._levels.index(level)]
         return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable is not None)
 
-    def end(self, answer: Answer) -> bool:
-        """Note the end of an answer, right before it is published.
+    def is_over(self, answer: Answer) -> bool:
+        """Whether an answer is late by now, or so close to it that it may be when it is handed over."""
+        return self._now() - answer.arrived > self.budget_s - _GUARD_S
 
-        Returns:
-            Whether it is late, or so close to it that it may be late when the message is handed over.
-        """
-        ended = self._now()
-        late = ended - answer.arrived > self.budget_s - _GUARD_S
+    def end(self, answer: Answer) -> bool:
+        """Note the end of an answer, right before it is published, and whether it is late as by `is_over`."""
+        late, ended = self.is_over(answer), self._now()
         with self._lock:
             self._ratios.append((ended - answer.began + _REGULAR_S) / (answer.expected_s + _REGULAR_S))
             self._counts[answer.level.name] += 1
@@ -135,7 +152,7 @@ class LatencyBudget:
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
         with self._lock:
-            counts, slow, overloaded = dict(self._counts), self._slowdown(), self._floor > 0
+            counts, slow, overloaded = dict(self._counts), self._slowdown(), self._overloaded
         return {
             "budget_ms": f"{self.budget_s * 1e3:g}",
             "budget.level": self._last or "none yet",
@@ -158,8 +175,8 @@ class LatencyBudget:
         return found
 
     def _left_if_idle(self, count: int) -> float:
-        waits = self._waits.get(len(str(count)), [])
-        return self.budget_s - (min(waits) if len(waits) >= _WAITS else 0.0)
+        size = self._sizes.get(len(str(count)))
+        return self.budget_s - (min(size.waits) if size is not None and len(size.waits) >= _WAITS else 0.0)
 
     def _first(self, count: int, factor: float, left: float) -> int | None:
         return next((k for k, seconds in enumerate(self._expected(count)) if factor * seconds <= left), None)
@@ -171,14 +188,6 @@ class LatencyBudget:
             return place
         expected = self._expected(count)
         return expected.index(min(expected))
-
-    def _rise(self, better: int, now: float) -> None:
-        if better >= self._floor:
-            self._better_since = None
-        elif self._better_since is None:
-            self._better_since = now
-        elif now - self._better_since >= _HOLD_S:
-            self._floor, self._better_since = self._floor - 1, None
 
     def _slowdown(self) -> float:
         if not self._ratios:
