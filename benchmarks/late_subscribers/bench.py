@@ -34,10 +34,11 @@ PATIENCE_S = 60.0
 IDLE_S = 5.0  # without an answer
 REST_S = 1.0  # after the last answer
 NODES = "import sys; from foretouch.ros.executables import perception; sys.exit(perception())"
-QUEUES = (
-    "queue_depth:=100",
-    "qos_overrides./foretouch/points.subscription.depth:=100",
-)  # a slow machine drops no cloud
+QUEUES = """/**:
+  ros__parameters:
+    queue_depth: 100
+    qos_overrides: {/foretouch/points: {subscription: {depth: 100}}}
+"""  # so that a slow machine drops no cloud
 COLUMNS = ("label", "command", "range", "load", "start", "durability", "runs", "good", "clouds", "least_answered",
            "least_received", "missed", "least_of_earlier", "match_s_p50", "match_s_max")  # fmt: skip
 
@@ -148,13 +149,15 @@ class Cell:
 
     def __init__(self, options: argparse.Namespace, clouds: Path, discovery: str, stack: ExitStack) -> None:
         self._options, self._clouds, self._stack = options, clouds, stack
+        self._parameters = clouds.with_suffix(".yaml")
+        self._parameters.write_text(QUEUES, encoding="utf-8")
         self._plain = {name: value for name, value in os.environ.items() if "PROFILES_FILE" not in name}
         self._plain["ROS_AUTOMATIC_DISCOVERY_RANGE"] = discovery
         self._ours = {**self._plain, "PYTHONPATH": str(options.source)}
         self._watcher = self._subscriber()
         if options.command == "replay":
-            queues = [word for one in QUEUES for word in ("-p", one)]
-            self._start(sys.executable, "-c", NODES, "--ros-args", *queues, environ=self._ours)
+            given = ("--ros-args", "--params-file", str(self._parameters))
+            self._start(sys.executable, "-c", NODES, *given, environ=self._ours)
             self._watcher.wait_for(0, matched="volatile")
             time.sleep(5.0)
 
@@ -165,7 +168,7 @@ class Cell:
         time.sleep(-STARTS["1 s before"])
         words = ["replay", str(self._clouds), "--restamp"]
         if options.command == "run":
-            words = ["run", "--source", str(self._clouds)]
+            words = ["run", "--source", str(self._clouds), "--params", str(self._parameters)]
         command = [sys.executable, "-m", "foretouch.cli.main", *words, "--rate", str(options.rate), "--json"]
         source = self._start(*command, environ=self._ours)
         playing = self._watcher.wait_for(began, replay="playing")["at"] * 1e-9
@@ -256,12 +259,14 @@ def main() -> int:
     """Return exit status 1 if a subscription did not get all that it should."""
     options, rows = arguments(), []
     with tempfile.TemporaryDirectory() as folder:
-        write_clouds(Path(folder), options.clouds)
+        clouds = Path(folder) / "clouds"
+        clouds.mkdir()
+        write_clouds(clouds, options.clouds)
         for discovery in options.ranges:
             for load in options.loads:
                 with ExitStack() as stack:
                     busy(LOADS[load] * (os.cpu_count() or 1), stack)
-                    cell = Cell(options, Path(folder), discovery, stack)
+                    cell = Cell(options, clouds, discovery, stack)
                     runs = [cell.run() for _ in range(options.runs)]
                 for start, durability in runs[0]:
                     outcomes = [one[start, durability] for one in runs]

@@ -2,8 +2,8 @@
 """Whether the publishers and subscribers of a graph have found each other, so that no answer is lost at the start.
 
 Each node reports in /diagnostics how long it has run and how many ends of its topics are matched (`matched_ends`). A source
-of clouds compares that with the ends that discovery shows. A participant of another program is seen up to three seconds late:
-it answers the first announcement of a new one, and if that answer is lost, its next announcement is due only then.
+of clouds compares that with the ends that discovery shows. A participant of another program may be seen up to three seconds
+late, when its next announcement is due (benchmarks/late_subscribers).
 """
 
 import time
