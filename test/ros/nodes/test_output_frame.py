@@ -20,6 +20,7 @@ from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
 from foretouch.ros.messages.frames import FrameTransform
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch_msgs.action import SampleGrasps
 from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPredictionArray
@@ -102,7 +103,7 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     prediction = touch[0].predictions[0]
     assert touch[0].header.frame_id == prediction.header.frame_id == "base_link"
     assert touch[0].header.stamp == grasps[0].header.stamp
-    check_grasp(prediction.grasp, plan.g1, plan.g2, plan.rotation)
+    assert prediction.grasp == best
     (expected,) = load_model(model_card).predict(target.cloud, [plan])
     assert_allclose(prediction.pdc_mf.value, expected.value.pdc_mf, rtol=1e-5)
     graph.until(lambda: any(one.ns == "contacts" for message in markers for one in message.markers))
@@ -117,6 +118,20 @@ def test_the_default_is_the_frame_of_the_cloud(graph, cloud, truth, model_card):
     grasps, touch, _ = answers(graph, cloud, model_card)
     assert grasps[0].header.frame_id == touch[0].header.frame_id == CAMERA
     assert touch[0].predictions[0].grasp == grasps[0].grasps[0]
+
+
+def test_a_prediction_in_another_frame_than_its_cloud_is_not_drawn(graph, cloud, model_card, hand_eye):
+    monitor = MonitorNode(with_clouds=True)
+    graph._executor.add_node(monitor)
+    graph.nodes.append(monitor)
+    graph.add(*PERCEPTION, model=model_card, output_frame="base_link", hand_eye=hand_eye)
+    camera = graph.talk(PointCloud2, "points")
+    for topic in ("points", "object_cloud", "grasps", "touch"):
+        graph.matched(topic)
+    camera.publish(cloud_to_msg(cloud))
+    graph.until(lambda: monitor.view().last is not None)
+    assert monitor.view().answers == {"ok": 1}
+    assert monitor.last_drawable() is None
 
 
 @pytest.fixture
@@ -173,6 +188,9 @@ def test_requests_are_answered_in_the_frame_of_the_robot_from_either_frame(graph
         assert (answer.header.frame_id, answer.status) == ("base_link", Status.OK), answer.reason
         for found, one, grasp in zip(answer.predictions, expected, plan, strict=True):
             check_grasp(found.grasp, grasp.g1, grasp.g2, grasp.rotation)
+        if answer is here:
+            sent = [(one.g1, one.g2, one.pose) for one in moved]
+            assert [(one.grasp.g1, one.grasp.g2, one.grasp.pose) for one in here.predictions] == sent
             assert_allclose(found.pdc_th.value, one.value.pdc_th, rtol=tolerance)
     request.grasps[0].rotation = np.zeros(9)
     request.grasps[0].pose.orientation.x = request.grasps[0].pose.orientation.y = 0.0

@@ -218,7 +218,9 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
                 prediction.flags = [*prediction.flags, AMBIGUOUS_TARGET]
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], planned)
-        published = message if transform is None else transform.predictions(message)
+        published = message
+        if transform is not None:
+            published = transform.predictions(message, None if planned is grasps.grasps else grasps.grasps)
         self._touch.publish(self._loaded().end(published, answer))
         if self._markers.wanted and message.predictions:
             message.predictions[0].flags = published.predictions[0].flags
@@ -359,7 +361,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
         self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
-            message = asked.transform.predictions(message)
+            moved = asked.grasps is not request.grasps
+            message = asked.transform.predictions(message, request.grasps if moved else None)
         return self._loaded().end(message, answer)
 
     def _framed(self, cloud: PointCloud2, table: Sequence[Plane], grasps: Sequence[Grasp]) -> FramedRequest:
