@@ -22,7 +22,7 @@ from foretouch.ros.messages.frames import FrameTransform
 from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPredictionArray
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -207,6 +207,22 @@ def test_a_cloud_in_the_frame_of_a_link_is_refused_by_name(graph, truth, model_c
     assert answer.status == Status.UNKNOWN_FRAME
     assert "frame 'camera_link': not_optical: " in answer.reason
     assert "in view along x, as in the frame of a link" in answer.reason
+
+
+def test_objects_in_the_frame_of_a_link_get_no_grasp_and_no_prediction(graph, truth, model_card):
+    graph.add("grasp", "touch_predictor", model=model_card)
+    target, _ = truth
+    heard = [graph.listen(GraspArray, "grasps"), graph.listen(TouchPredictionArray, "touch")]
+    clouds, tables = graph.talk(PointCloud2, "object_cloud"), graph.talk(TablePlane, "table")
+    for topic in ("object_cloud", "table", "grasps", "touch"):
+        graph.matched(topic)
+    link = FrameTransform("camera_link", CAMERA, np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float), np.zeros(3))
+    tables.publish(TablePlane(header=header_to_msg("camera_link", 5), plane=link.plane(plane_to_msg(target.plane))))
+    clouds.publish(link.cloud(objects_to_msg([target], CAMERA, 5)))
+    graph.until(lambda: heard[0] and heard[1])
+    for (message,) in heard:
+        assert message.status == Status.UNKNOWN_FRAME
+        assert message.reason.startswith("cloud: frame 'camera_link': not_optical: ")
 
 
 def test_a_header_alone_asks_about_the_latest_object(graph, cloud, truth, model_card, hand_eye):

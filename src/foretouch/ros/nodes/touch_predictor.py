@@ -212,6 +212,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         transform = self._output().transform(header)
         planned = _in_frame_of(header, grasps, transform)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
+        if isinstance(messages[CLOUD_TOPIC], PointCloud2):  # not of our segmentation in this process
+            check_optical(targets, self.config.limits)
         message, answer = self._predict(targets, planned, header, None, self.arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             for prediction in message.predictions:
