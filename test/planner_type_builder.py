@@ -68,7 +68,7 @@ def build() -> Path:
         The folder that it is installed into.
 
     Raises:
-        RuntimeError: With the last line of pip.
+        RuntimeError: With the last error of pip.
     """
     root = prefix()
     if root.is_dir():
@@ -80,8 +80,8 @@ def build() -> Path:
         environment |= {"FORETOUCH_ROS": distribution(), "PIP_DEFAULT_TIMEOUT": "15"}
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         if done.returncode:
-            lines = (done.stderr or done.stdout).strip().splitlines() or [""]
-            raise RuntimeError(f"{PACKAGE}: pip wheel: {lines[-1]}")
+            lines = [line.strip() for line in done.stderr.splitlines() if "error:" in line.lower()]
+            raise RuntimeError(f"{PACKAGE}: pip wheel: {lines[-1] if lines else done.returncode}")
         (wheel,) = wheels.glob("*.whl")
         unpacked = Path(folder) / "unpacked"
         with zipfile.ZipFile(wheel) as archive:

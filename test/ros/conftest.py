@@ -22,6 +22,7 @@ from foretouch.ros.runtime.environment import prepare_environment
 prepare_environment()
 
 import rclpy  # noqa: E402
+from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import ExternalShutdownException  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -99,6 +100,15 @@ class Graph:
         future = client.call_async(request)
         self.until(future.done)
         return future.result()
+
+    def action_client(self, kind: type, name: str) -> Any:
+        """A client, on a node that is served once the client is complete: its constructor makes it known too early."""
+        node = Node("planner", namespace="/foretouch")
+        client = ActionClient(node, kind, name)
+        self.nodes.append(node)
+        self._executor.add_node(node)
+        assert client.wait_for_server(10.0), f"{name} is not offered"
+        return client
 
     def until(self, condition: Callable[[], Any], timeout_s: float = 45.0) -> None:
         """Wait for something to become true."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import tf2_stand_in
 from numpy.testing import assert_allclose
-from rclpy.action import ActionClient
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
@@ -20,9 +19,10 @@ from foretouch.ros.executables import PERCEPTION
 from foretouch.ros.messages.clouds import cloud_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg
 from foretouch.ros.messages.frames import FrameTransform
+from foretouch.ros.nodes.monitor import MonitorNode
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode
 from foretouch_msgs.action import SampleGrasps
-from foretouch_msgs.msg import Grasp, GraspArray, Status, TouchPredictionArray
+from foretouch_msgs.msg import Grasp, GraspArray, Status, TablePlane, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
@@ -102,7 +102,7 @@ def test_a_grasp_in_the_frame_of_the_robot_is_the_truth(graph, cloud, truth, mod
     prediction = touch[0].predictions[0]
     assert touch[0].header.frame_id == prediction.header.frame_id == "base_link"
     assert touch[0].header.stamp == grasps[0].header.stamp
-    check_grasp(prediction.grasp, plan.g1, plan.g2, plan.rotation)
+    assert prediction.grasp == best
     (expected,) = load_model(model_card).predict(target.cloud, [plan])
     assert_allclose(prediction.pdc_mf.value, expected.value.pdc_mf, rtol=1e-5)
     graph.until(lambda: any(one.ns == "contacts" for message in markers for one in message.markers))
@@ -117,6 +117,20 @@ def test_the_default_is_the_frame_of_the_cloud(graph, cloud, truth, model_card):
     grasps, touch, _ = answers(graph, cloud, model_card)
     assert grasps[0].header.frame_id == touch[0].header.frame_id == CAMERA
     assert touch[0].predictions[0].grasp == grasps[0].grasps[0]
+
+
+def test_a_prediction_in_another_frame_than_its_cloud_is_not_drawn(graph, cloud, model_card, hand_eye):
+    monitor = MonitorNode(with_clouds=True)
+    graph._executor.add_node(monitor)
+    graph.nodes.append(monitor)
+    graph.add(*PERCEPTION, model=model_card, output_frame="base_link", hand_eye=hand_eye)
+    camera = graph.talk(PointCloud2, "points")
+    for topic in ("points", "object_cloud", "grasps", "touch"):
+        graph.matched(topic)
+    camera.publish(cloud_to_msg(cloud))
+    graph.until(lambda: monitor.view().last is not None)
+    assert monitor.view().answers == {"ok": 1}
+    assert monitor.last_drawable() is None
 
 
 @pytest.fixture
@@ -174,6 +188,8 @@ def test_requests_are_answered_in_the_frame_of_the_robot_from_either_frame(graph
         for found, one, grasp in zip(answer.predictions, expected, plan, strict=True):
             check_grasp(found.grasp, grasp.g1, grasp.g2, grasp.rotation)
             assert_allclose(found.pdc_th.value, one.value.pdc_th, rtol=tolerance)
+    sent = [(one.g1, one.g2, one.pose) for one in moved]
+    assert [(one.grasp.g1, one.grasp.g2, one.grasp.pose) for one in here.predictions] == sent
     request.grasps[0].rotation = np.zeros(9)
     request.grasps[0].pose.orientation.x = request.grasps[0].pose.orientation.y = 0.0
     request.grasps[0].pose.orientation.z = request.grasps[0].pose.orientation.w = 0.0
@@ -191,6 +207,22 @@ def test_a_cloud_in_the_frame_of_a_link_is_refused_by_name(graph, truth, model_c
     assert answer.status == Status.UNKNOWN_FRAME
     assert "frame 'camera_link': not_optical: " in answer.reason
     assert "in view along x, as in the frame of a link" in answer.reason
+
+
+def test_objects_in_the_frame_of_a_link_get_no_grasp_and_no_prediction(graph, truth, model_card):
+    graph.add("grasp", "touch_predictor", model=model_card)
+    target, _ = truth
+    heard = [graph.listen(GraspArray, "grasps"), graph.listen(TouchPredictionArray, "touch")]
+    clouds, tables = graph.talk(PointCloud2, "object_cloud"), graph.talk(TablePlane, "table")
+    for topic in ("object_cloud", "table", "grasps", "touch"):
+        graph.matched(topic)
+    link = FrameTransform("camera_link", CAMERA, np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float), np.zeros(3))
+    tables.publish(TablePlane(header=header_to_msg("camera_link", 5), plane=link.plane(plane_to_msg(target.plane))))
+    clouds.publish(link.cloud(objects_to_msg([target], CAMERA, 5)))
+    graph.until(lambda: heard[0] and heard[1])
+    for (message,) in heard:
+        assert message.status == Status.UNKNOWN_FRAME
+        assert message.reason.startswith("cloud: frame 'camera_link': not_optical: ")
 
 
 def test_a_header_alone_asks_about_the_latest_object(graph, cloud, truth, model_card, hand_eye):
@@ -231,8 +263,7 @@ def test_a_header_alone_before_the_first_object_is_refused(graph, truth, model_c
 def test_sampled_grasps_and_their_feedback_are_in_the_frame_of_the_robot(graph, truth, model_card, hand_eye):
     predictor(graph, model_card, hand_eye=hand_eye)
     target, _ = truth
-    client = ActionClient(graph.probe, SampleGrasps, "sample_grasps")
-    assert client.wait_for_server(10.0)
+    client = graph.action_client(SampleGrasps, "sample_grasps")
     feedback = []
     goal = SampleGrasps.Goal(cloud=objects_to_msg([target], CAMERA, 5), table=[plane_to_msg(target.plane)], count=5)
     sent = client.send_goal_async(goal, feedback_callback=lambda m: feedback.append(m.feedback))

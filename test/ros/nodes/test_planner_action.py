@@ -10,7 +10,6 @@ import numpy as np
 import planner_type_builder
 import pytest
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.errors import ConfigError
@@ -63,8 +62,7 @@ def send_latest(graph, node, target):
 
 def sample(graph, kind, name, goal):
     """The status, the result and all feedback of a goal."""
-    client = ActionClient(graph.probe, kind, name)
-    assert client.wait_for_server(10.0)
+    client = graph.action_client(kind, name)
     feedback = []
     sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback.append(message.feedback))
     graph.until(sent.done)

@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
@@ -176,8 +175,7 @@ class Sampler:
     def __init__(self, graph):
         self.graph = graph
         self.feedback = []
-        self.client = ActionClient(graph.probe, SampleGrasps, "sample_grasps")
-        assert self.client.wait_for_server(10.0)
+        self.client = graph.action_client(SampleGrasps, "sample_grasps")
 
     def sample(self, goal):
         sent = self.client.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))

@@ -108,7 +108,7 @@ def read_targets(message: PointCloud2 | TargetCloud, plane: Plane) -> tuple[Foun
 
 
 def check_optical(targets: Sequence[FoundObject], limits: ObjectLimits) -> None:
-    """Check that the objects of a request are in the optical frame of a camera.
+    """Check that objects are in the optical frame of a camera.
 
     Objects beyond the limits are left out, which are refused by them.
 

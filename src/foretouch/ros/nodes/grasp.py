@@ -12,7 +12,7 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import setting
 from foretouch.grasp import GraspHold, LiveGeoGraspConfig
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
+from foretouch.ros.messages.requests import check_optical, plan_targets, read_table, read_targets
 from foretouch.ros.runtime.direct import DirectPublisher
 from foretouch.ros.runtime.output_frame import OutputFrame, OutputFrameConfig
 from foretouch.ros.runtime.processing_node import ProcessingConfig, ProcessingNode, warm_up_cloud
@@ -82,6 +82,8 @@ class GraspNode(ProcessingNode[GraspNodeConfig]):
         transform = self._frame.transform(header) if self._frame else None
         table = messages["table"]
         targets = read_targets(messages[CLOUD_TOPIC], read_table(table, header))
+        if isinstance(messages[CLOUD_TOPIC], PointCloud2):  # not of our segmentation in this process
+            check_optical(targets, self.config.limits)
         margin = self.config.grasp_hold
         message = plan_targets(self._pipeline, targets, header, table.reason, self._held, margin)
         for grasp in message.grasps:  # as after serialisation, for subscribers of this process

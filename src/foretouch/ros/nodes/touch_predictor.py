@@ -214,12 +214,16 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         transform = self._output().transform(header)
         planned = _in_frame_of(header, grasps, transform)
         targets = read_targets(messages[CLOUD_TOPIC], ASSUMED_TABLE)  # predictions do not use the table
+        if isinstance(messages[CLOUD_TOPIC], PointCloud2):  # not of our segmentation in this process
+            check_optical(targets, self.config.limits)
         message, answer = self._predict(targets, planned, header, None, self.arrived)
         if grasps.reason.startswith(AMBIGUOUS_TARGET):
             message.flags += (AMBIGUOUS_TARGET,)
         if self._adapter is not None:
             self._adapter.add_grasps(messages[CLOUD_TOPIC], planned)
-        published = message if transform is None else transform.answer(message)
+        published = message
+        if transform is not None:
+            published = transform.answer(message, None if planned is grasps.grasps else grasps.grasps)
         self._touch.publish(self._loaded().end(published, answer, encoded=True))
         if self._markers.wanted:
             message.flags = published.flags
@@ -358,7 +362,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message, answer = self._predict(targets, asked.grasps, asked.cloud.header, posing, arrived)
         self._add_requested(asked.cloud, asked.grasps)  # not before: the same grasp may have been executed already
         if asked.transform is not None:
-            message = asked.transform.answer(message)
+            moved = asked.grasps is not request.grasps
+            message = asked.transform.answer(message, request.grasps if moved else None)
         made: TouchPredictionArray = self._loaded().end(message, answer)
         return made
 

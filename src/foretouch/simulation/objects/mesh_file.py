@@ -42,9 +42,9 @@ def _read(path: str, _sha256: str) -> TriangleMesh:
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     mesh = TriangleMesh(vertices, faces)
     try:
-        mesh.in_unit_box().require_closed("file")
+        mesh.in_unit_box().require_closed("mesh")
     except SimulationError as err:
-        raise FileError(path, str(err)) from err
+        raise FileError(path, str(err).removeprefix("mesh: ")) from err
     return mesh
 
 
@@ -56,7 +56,7 @@ def _triangles(path: str) -> tuple[Float64, Any]:
     except (ImportError, MissingDependencyError) as err:
         raise MissingDependencyError(f"{shown(path)}: meshes from files need Open3D: pip install open3d") from err
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        found = open3d.io.read_triangle_mesh(path)
+        found = open3d.io.read_triangle_mesh(Path(path))
         found.remove_duplicated_vertices()
         found.remove_degenerate_triangles()
         found.remove_duplicated_triangles()
