@@ -84,7 +84,7 @@ def run(page: Path, folder: Path) -> tuple[list[Step], list[str]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=280,
+        timeout=580,
         check=False,
     )
     outputs = done.stdout.split(f"{END}\n")
@@ -94,7 +94,7 @@ def run(page: Path, folder: Path) -> tuple[list[Step], list[str]]:
 
 @pytest.mark.ros
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "page", [pytest.param(page, id=page.stem, marks=pytest.mark.xdist_group(f"tutorial_{page.stem}")) for page in PAGES]
 )
