@@ -41,6 +41,8 @@ def test_a_side_with_another_factor_is_left_to_numpy() -> None:
     with kernels.disabled():
         assert np.array_equal(compiled.pressure, layers._descend(*args).pressure)
     assert (
-        layers._compiled_descent(problem.gap, layers._spectra(problem.layers, 7, 1e-3)[1], np.ones((7, 7)), 1e-4, None, args[2])
+        layers._compiled_descent(
+            problem.gap, layers._spectra(problem.layers, 7, 1e-3)[1], np.ones((7, 7)), 1e-4, None, args[2]
+        )
         is None
     )

@@ -12,7 +12,7 @@ import pytest
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework import sweep
-from foretouch.experiments.framework.executors import run_cell
+from foretouch.experiments.framework.executors import CellResult, run_cell
 from foretouch.experiments.framework.manifest import read_results
 from foretouch.tradeoff.area import area_names, find_area
 from foretouch.tradeoff.frontier import frontier
@@ -155,6 +155,17 @@ def test_runs_of_an_idle_and_a_loaded_machine_are_kept_apart(lab: Path, monkeypa
 def test_full_says_beforehand_how_long_it_takes(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words(lab, "--preset", "full", "timing_s=0.1", "--json")) == 0
     assert capsys.readouterr().err == "about 7 minutes with 1 processes\n"
+
+
+def test_the_data_are_read_once(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For the estimate, the skills and the times; each process of cells reads them for itself."""
+    assert find_area("pi_lab.pi")
+    words_of, readings = sys.modules["pi_lab.pi"].Words, []
+    original = words_of.__init__
+    monkeypatch.setattr(words_of, "__init__", lambda self, path: readings.append(path) or original(self, path))
+    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (CellResult(cell, []) for cell in cells))
+    assert main(words(lab, "--preset", "full", "timing_s=0.1", "--json")) == 0
+    assert len(readings) == 1
 
 
 @pytest.mark.parametrize(

@@ -113,8 +113,10 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
     settings = area.resolve(arguments.preset, parse_overrides(arguments.overrides))
     workers = arguments.workers or len(os.sched_getaffinity(0))
     source = data_source(area, arguments.data)
+    read = None
     if arguments.preset != "small" and not arguments.times:
-        minutes = estimate_seconds(area, settings, arguments.out, source, workers) / 60.0
+        read = area.read(settings, source, arguments.out)
+        minutes = estimate_seconds(area, settings, arguments.out, read.values, workers) / 60.0
         print(f"about {minutes:.0f} minutes with {workers} processes", file=sys.stderr)
     with progress_bar("reading the data", hidden=arguments.json) as update:
 
@@ -132,6 +134,7 @@ def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
             workers=workers,
             progress=print_cell if arguments.json else show,
             timing_progress=lambda done, total: update(done, total, "times"),
+            read=read,
         )
     _show(area, result, arguments)
     for key, error in result.failures.items():

@@ -19,7 +19,7 @@ import numpy as np
 from foretouch.checked_files import read_json
 from foretouch.errors import FileError, ForetouchError
 from foretouch.experiments.framework import manifest as manifests
-from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.framework.experiment import ReadData, Row
 from foretouch.experiments.framework.sweep import Progress, SweepResult, run_sweep
 from foretouch.tradeoff.area import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.tradeoff.frontier import summary_tables
@@ -44,9 +44,8 @@ class TradeoffResult:
     reused: int = 0  # cells that were finished before
 
 
-def estimate_seconds(area: Area[Any, Any], settings: Any, out: Path, source: Path | None, workers: int) -> float:
-    """Time that the unfinished cells and the timings will take [s]."""
-    data = area.load(settings, area.prepare(settings, source, out))
+def estimate_seconds(area: Area[Any, Any], settings: Any, out: Path, data: Any, workers: int) -> float:
+    """Time that the unfinished cells and the timings will take [s], of data that were read."""
     cells = area.cells(settings, data)
     area.check_trainings(cells)
     done = manifests.read_cells(out, cells)
@@ -67,6 +66,7 @@ def run_tradeoff(
     workers: int = 1,
     progress: Progress | None = None,
     timing_progress: Callable[[int, int], None] = lambda *_: None,
+    read: ReadData | None = None,
 ) -> TradeoffResult:
     """Measure an area and write its folder; arguments and errors as those of `run_sweep`.
 
@@ -75,14 +75,15 @@ def run_tradeoff(
     of `out`, which may be published results without their cells, are kept.
     """
     variants = area.checked_variants(settings)
-    data = area.load(settings, area.prepare(settings, source, out))
+    read = read or area.read(settings, source, out)
+    data = read.values
     sweep = SweepResult()
     if times_only:
         manifests.require_experiment(out, area.name)
     else:
         area.check_trainings(area.cells(settings, data))
         sweep = run_sweep(
-            area, settings, out, preset=preset, source=source, resume=resume, workers=workers, progress=progress
+            area, settings, out, preset=preset, resume=resume, workers=workers, progress=progress, read=read
         )
     skills = {row["variant"]: row for row in manifests.read_results(out / manifests.RESULTS_FILE)}
     result = TradeoffResult(cells=sweep.cells, reused=sweep.reused, failures=sweep.failures)

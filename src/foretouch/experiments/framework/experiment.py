@@ -13,7 +13,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
@@ -68,6 +68,13 @@ def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
     return source
 
 
+class ReadData(NamedTuple):
+    """Data of an experiment that were read, so that its next step need not read them again."""
+
+    path: Path  # where other processes read them
+    values: Any  # as `Experiment.load` returns them
+
+
 @dataclass(frozen=True, kw_only=True)
 class Experiment(Generic[S, D]):
     """Declaration of one experiment.
@@ -118,6 +125,11 @@ class Experiment(Generic[S, D]):
             raise ConfigError(f"{self.name}: preset: {preset!r} is none of {', '.join(self.presets)}")
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
+
+    def read(self, settings: S, source: Path | None, out: Path) -> ReadData:
+        """Prepare and load the data; arguments as those of `prepare`."""
+        path = self.prepare(settings, source, out)
+        return ReadData(path, self.load(settings, path))
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw the figures of `results.csv` into a folder.

@@ -10,7 +10,7 @@ from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.executors import CellResult, Job, in_processes, on_ray
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.framework.experiment import Cell, Experiment, ReadData, Row
 
 Progress = Callable[[CellResult, int, int], None]
 
@@ -37,6 +37,7 @@ def run_sweep(
     workers: int = 1,
     address: str | None = None,
     progress: Progress | None = None,
+    read: ReadData | None = None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
 
@@ -50,6 +51,7 @@ def run_sweep(
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
         progress: Called with each result, the number of finished cells and the number of all cells.
+        read: The data, if they were read with these settings already.
 
     Returns:
         The table and the failures. A failed cell is left out of the table and is run again by the next resume.
@@ -60,8 +62,7 @@ def run_sweep(
     """
     if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
-    path = experiment.prepare(settings, source, out)
-    data = experiment.load(settings, path)
+    path, data = read or experiment.read(settings, source, out)
     cells = _cells(experiment, settings, data)
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}

@@ -50,6 +50,10 @@ _BLOCK: Final = 25
 _ENTRIES: Final = {"cpu": 2**20, "cuda": 2**27}
 """Values computed at a time: as many as a CPU's cache holds, or as a GPU's memory allows."""
 
+_BYTES: Final = 3 * 2**18
+_COLUMNS: Final = 64
+"""The compiled search computes so many features at a time that their values stay in a core's cache."""
+
 
 def pooled_affine(
     x: Tensor, weight: Tensor, bias: Tensor, precision: torch.dtype = torch.float32, *, relu: bool = True
@@ -129,12 +133,9 @@ def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -
 
 def _winners(x: Tensor, across: Tensor, compiled: Kernel | None) -> Tensor:
     clouds, size = x.shape[:2]
-    values = (x.flatten(0, 1) @ across).view(clouds, size, -1)
     if compiled:
-        winner = torch.empty((clouds, values.shape[2]), dtype=torch.int64)
-        bits = values.view(torch.int16) if values.dtype == torch.bfloat16 else values
-        compiled(bits.numpy(), *values.shape, winner.numpy())
-        return winner
+        return _compiled_winners(x, across, compiled)
+    values = (x.flatten(0, 1) @ across).view(clouds, size, -1)
     features = values.shape[2]
     blocks = size // _BLOCK
     if blocks < 2:
@@ -148,6 +149,19 @@ def _winners(x: Tensor, across: Tensor, compiled: Kernel | None) -> Tensor:
         return winner
     rest, index = values[:, whole:].max(dim=1)
     return torch.where(rest > most, whole + index, winner)
+
+
+def _compiled_winners(x: Tensor, across: Tensor, compiled: Kernel) -> Tensor:
+    rows, found = x.flatten(0, 1), []
+    at_once = max(1, _BYTES // (len(rows) * x.element_size() * _COLUMNS)) * _COLUMNS
+    room = x.new_empty(len(rows) * min(at_once, across.shape[1]))  # new memory would cost more than the product
+    for part in torch.split(across, at_once, dim=1):
+        values = torch.mm(rows, part, out=room[: len(rows) * part.shape[1]].view(len(rows), -1))
+        winner = torch.empty((len(x), part.shape[1]), dtype=torch.int64)
+        bits = values.view(torch.int16) if values.dtype == torch.bfloat16 else values
+        compiled(bits.numpy(), *x.shape[:2], part.shape[1], winner.numpy())
+        found.append(winner)
+    return torch.cat(found, dim=1) if len(found) > 1 else found[0]
 
 
 _ENOUGH_VALUES: Final = 2**19
@@ -275,8 +289,9 @@ def _pooled_from_winners(maps: Sequence[_Map], points: Tensor, precision: torch.
     """(B, F): as `pool`; a graph only through the points that win a feature, a third of them in P2's network."""
     weight, bias, relu = maps[-1]
     with torch.no_grad():  # cloud by cloud, which stays in the cache
-        hidden = (_chained(maps[:-1], cloud) for cloud in torch.split(points, 1))
-        rows = _rows(torch.cat([winners(cloud, weight, precision) for cloud in hidden]), points.shape[1])
+        coarse = weight.to(precision) if precision.itemsize < weight.dtype.itemsize else weight
+        hidden = (_chained(maps[:-1], cloud).to(coarse.dtype) for cloud in torch.split(points, 1))
+        rows = _rows(torch.cat([winners(cloud, coarse) for cloud in hidden]), points.shape[1])
         wins = torch.zeros(points.shape[0] * points.shape[1], dtype=torch.int64)
         wins[rows] = 1
         among = wins.cumsum(0).sub_(1)[rows]
