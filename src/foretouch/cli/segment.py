@@ -60,7 +60,8 @@ def _show(record: dict[str, Any]) -> None:
         [str(one["id"]), str(one["n_points"]), " ".join(f"{v:.3f}" for v in one["centroid"]), _extent_mm(one["bounds"])]
         for one in record["objects"]
     ]
-    title = f"{record['input']}: {record['status']} {record['reason']} ({record['ms']['total']:.1f} ms)"
+    state = " ".join(filter(None, (record["status"], record["reason"])))
+    title = f"{record['input']}: {state} ({record['ms']['total']:.1f} ms)"
     print_table(title, ["object", "points", "centroid [m]", "extent [mm]"], rows)
 
 
