@@ -99,9 +99,9 @@ def test_a_node_reports_its_matches_at_once(graph):
     graph.until(lambda: values()["matched_subscribers./foretouch/grasps"] == "1")
 
 
-def reported(uptime_s: float, **ends: int) -> DiagnosticArray:
+def reported(uptime_s: float, state: str = "active", **ends: int) -> DiagnosticArray:
     """As a predictor reports."""
-    values = {UPTIME: str(uptime_s), **{f"{kind}.{TOUCH}": str(count) for kind, count in ends.items()}}
+    values = {"state": state, UPTIME: str(uptime_s), **{f"{kind}.{TOUCH}": str(count) for kind, count in ends.items()}}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticArray(status=[DiagnosticStatus(name=PREDICTOR, values=pairs)])
 
@@ -132,6 +132,8 @@ def test_a_node_that_reports_must_have_reported(graph, predictor):
     matching = Matching(graph.probe, 0.0, ())
     predictor.create_publisher(DiagnosticArray, "/diagnostics", 10)
     graph.until(lambda: matching.missing() == [f"{PREDICTOR}: no report in /diagnostics"])
+    matching.receive(reported(1.0, "unconfigured"))  # it has made no publisher yet
+    assert matching.missing() == [f"{PREDICTOR}: no report in /diagnostics"]
     matching.receive(reported(1.0))
     assert matching.missing() == []
 

@@ -94,12 +94,13 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._mismatches: dict[str, str] = {}
         self.conflicts: tuple[str, ...] = ()
         self.past_conflicts: list[str] = []
+        self._report_lock = threading.Lock()
         self._last: InputSummary | None = None
         self._last_errors: Counter[str] = Counter()
         self._input_group = InputGroup()
         own_group = MutuallyExclusiveCallbackGroup()
         self._diagnostics = self.create_publisher(
-            DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_match)
+            DiagnosticArray, "/diagnostics", 10, event_callbacks=PublisherEventCallbacks(matched=self._report_now)
         )
         self.create_timer(self.config.diagnostics_period_s, self._report, callback_group=own_group)
         self.create_timer(_GRAPH_PERIOD_S, self.look_for_second_graph, callback_group=own_group)
@@ -182,7 +183,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
             QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability),
             qos_overriding_options=QoSOverridingOptions((*_OUTPUT_POLICIES, *[QoSPolicyKind.DURABILITY] * keep)),
             event_callbacks=PublisherEventCallbacks(
-                matched=self._report_match if keep else None,
+                matched=self._report_now if keep else None,
                 incompatible_qos=lambda event: self._mismatch(topic, "subscriber", event),
                 use_default_callbacks=False,  # each further event costs time at every message
             ),
@@ -292,6 +293,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         result = super().on_activate(state)
         gc.freeze()  # else all that was loaded is searched for garbage from time to time, for 0.1 s
         self.state_name = "active"
+        self._report_now()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -353,11 +355,15 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         self._mismatches[f"{topic} {other}"] = text
         self.get_logger().warning(text)
 
-    def _report_match(self, _event: Any) -> None:
-        """Report at once, since a source may wait for it."""
-        self.internal_errors.guarded("diagnostics", self._report)()
+    def _report_now(self, _event: Any = None) -> None:
+        """Report that the node is active or a match has changed, since a source may wait for it."""
+        self.internal_errors.guarded("report", self._report)()
 
     def _report(self) -> None:
+        with self._report_lock:
+            self._publish_report()
+
+    def _publish_report(self) -> None:
         now, errors = self.statistics.summary(), self.internal_errors.counts()
         recent = [f"{count} internal errors in {name}" for name, count in (errors - self._last_errors).items()]
         self._last_errors = errors

@@ -57,11 +57,11 @@ class Matching:
         self._reports: dict[str, tuple[float, dict[str, int]]] = {}  # when it began, and its matched ends
 
     def receive(self, message: DiagnosticArray) -> None:
-        """Keep the report of each node."""
+        """Keep the report of each node, once it has made its publishers."""
         own = self._names()
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            if status.name in own and UPTIME in values:
+            if status.name in own and UPTIME in values and values.get("state") != "unconfigured":
                 ends = {k: int(v) for k, v in values.items() if k.startswith((_SUBSCRIBERS, _PUBLISHERS))}
                 self.report(status.name, float(values[UPTIME]), ends)
 
