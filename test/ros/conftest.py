@@ -30,7 +30,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 
 from foretouch.ros.executables import make_nodes  # noqa: E402
 from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
-from foretouch.ros.runtime.internal_errors import InternalErrors  # noqa: E402
+from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
 _counter = itertools.count()
 
@@ -49,14 +49,16 @@ class Graph:
         rclpy.init(domain_id=self.domain)
         self.probe = Node("probe", namespace="/foretouch")
         self.nodes: list[Any] = []
-        self._executor = GraphExecutor(InternalErrors(print))
+        self._errors = InternalErrors(print)
+        self._executor = GraphExecutor(self._errors)
+        self._closing = threading.Event()
         self._executor.add_node(self.probe)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def _serve(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+            spin_on(self._executor, self._errors, self._closing.is_set, 1.0)  # as executables do
 
     def add(self, *names: str, **parameters: Any) -> list[Any]:
         """Make and start nodes; parameter names may hold dots written as two underscores."""
@@ -119,6 +121,7 @@ class Graph:
 
     def close(self) -> None:
         """Destroy all and leave the domain."""
+        self._closing.set()
         self._executor.shutdown(timeout_sec=2.0)
         self._thread.join(5.0)
         for node in (*self.nodes, self.probe):

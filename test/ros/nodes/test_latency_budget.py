@@ -94,11 +94,15 @@ def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, monkeyp
 
 
 def test_a_budget_that_nothing_meets_is_used_and_said(graph):
+    before = sys.getswitchinterval()
     (node,) = graph.add("touch_predictor", latency_budget_ms=0.01, late_after_s=0.0)
     assert sys.getswitchinterval() <= 0.0005  # another thread must not hold up an answer for a whole budget
     message = graph.call(PredictTouch, "predict_touch", request(3)).touch
     assert [one.flags[-2:] for one in message.predictions] == [["reduced", "late"]] * 3
     assert node.notes()["budget.unaffordable"] == "1"
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert sys.getswitchinterval() == before
 
 
 def test_an_answer_of_the_service_that_becomes_late_while_it_is_made_says_so(graph, monkeypatch):

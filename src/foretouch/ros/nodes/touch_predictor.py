@@ -169,6 +169,8 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             self._frame = None
         if self._threads is not None:
             self._threads.close()
+        if self._predictor is not None:
+            self._predictor.close()
         if self._keeper is not None:
             self._keeper.close()
             self._keeper = None

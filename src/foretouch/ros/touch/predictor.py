@@ -57,6 +57,7 @@ class Predictor:
         self.fault = ""
         self.flags: tuple[str, ...] = ()
         self.budget: LatencyBudget | None = None
+        self._switch_s = 0.0  # before `keep_to`
         try:
             self.model = load_model(model)
         except ForetouchError as err:
@@ -78,7 +79,8 @@ class Predictor:
 
         if self.model is None:
             return
-        sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_S))
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
         levels = levels_of(self.model)
         profile = load_profile(levels, say=say)
         cloud, grasps = profile_scene(1)
@@ -90,6 +92,11 @@ class Predictor:
             best = self.budget.affordable(count)
             name = f"none; the fastest is used, {levels[-1].name}" if best is None else best.name
             say(f"budget: {budget_ms:g} ms for {count} grasps: {name}")
+
+    def close(self) -> None:
+        """Let threads switch as before `keep_to`."""
+        if self._switch_s:
+            sys.setswitchinterval(self._switch_s)
 
     def _around(
         self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
