@@ -12,9 +12,10 @@ import pytest
 
 
 def pytest_configure() -> None:
-    """Let Ctrl-C reach the programs that tests start: in the background of a script it is ignored, which they inherit."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Let signals reach the programs that tests start: in the background they are ignored, which programs inherit."""
+    for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

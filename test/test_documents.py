@@ -32,7 +32,7 @@ MARKDOWN = sorted(
 def reference() -> Iterator[ModuleType]:
     """The generators."""
     sys.path.insert(0, str(DOCS / "_ext"))
-    yield importlib.import_module("reference")
+    yield importlib.import_module("reference_pages")
     sys.path.remove(str(DOCS / "_ext"))
 
 
@@ -116,9 +116,7 @@ def test_every_parameter_of_every_node_is_listed(reference: ModuleType) -> None:
 @pytest.mark.ros
 def test_topics_are_those_of_the_design(reference: ModuleType) -> None:
     pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
-    code = (
-        "import reference; print(reference.topics())"  # in a process of its own: it needs a context without discovery
-    )
+    code = "import reference_pages; print(reference_pages.topics())"  # in a process of its own: it needs a context without discovery
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=DOCS / "_ext", capture_output=True, text=True, check=False, timeout=100
     )

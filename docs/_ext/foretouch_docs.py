@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphinx extension: inserts what `reference` makes, and leads links to files outside of the site to the repository.
+"""Sphinx extension: inserts what `reference_pages` makes, and leads links to files outside of the site to the repository.
 
 A page asks for generated text with a fenced block, whose content is what a reader of the file itself sees::
 
@@ -14,7 +14,7 @@ import re
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from reference import GENERATORS
+from reference_pages import GENERATORS
 from sphinx.application import Sphinx
 from sphinx.util.typing import stringify_annotation
 

@@ -13,7 +13,7 @@ from foretouch.libusb import ensure_libusb
 from foretouch.simulation.objects.mesh import TriangleMesh
 from foretouch.types import Float64
 
-FORMATS: Final = (".obj", ".ply", ".stl", ".glb")
+_SUFFIXES: Final = (".obj", ".ply", ".stl", ".glb")
 _LARGEST: Final = 100_000_000  # bytes
 _MOST_FACES: Final = 1_000_000
 _UP_Y: Final = (".glb",)  # glTF has y up, all others as they were drawn: z up here
@@ -26,8 +26,8 @@ def read_mesh_file(path: str) -> tuple[TriangleMesh, str]:
         FileError: If it cannot be read, is of another format, or holds no closed mesh.
         MissingDependencyError: If Open3D is not installed.
     """
-    if Path(path).suffix.lower() not in FORMATS:
-        raise FileError(path, f"is none of {', '.join(FORMATS)}")
+    if Path(path).suffix.lower() not in _SUFFIXES:
+        raise FileError(path, f"is none of {', '.join(_SUFFIXES)}")
     sha256 = file_sha256(path)
     if Path(path).stat().st_size > _LARGEST:
         raise FileError(path, f"is larger than {_LARGEST // 1_000_000} MB")
