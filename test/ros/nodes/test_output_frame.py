@@ -130,7 +130,7 @@ def test_a_prediction_in_another_frame_than_its_cloud_is_not_drawn(graph, cloud,
     camera.publish(cloud_to_msg(cloud))
     graph.until(lambda: monitor.view().last is not None)
     assert monitor.view().answers == {"ok": 1}
-    assert monitor.last_drawable() is None
+    assert monitor.last_drawables() == []
 
 
 @pytest.fixture
