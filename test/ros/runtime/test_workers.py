@@ -139,6 +139,8 @@ def names_of(thread):
     last = Worker("last", 10, lambda item: done.append(("last", item, threading.current_thread().name)), print, thread)
     for worker in (one, last):
         worker.start()
+    while not thread._changed._waiters:  # before it waits, the thread would take what comes without being called
+        time.sleep(0.001)
     return one, last, done
 
 
