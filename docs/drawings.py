@@ -43,7 +43,7 @@ def draw_points(ax: Axes, xyz: np.ndarray, colour: str | np.ndarray, size: float
 
 def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
     """Cloud, objects, grasp, touch."""
-    figure, (seen, found, grasped, felt) = plt.subplots(
+    figure, (seen, found, grasped, predicted) = plt.subplots(
         1, 4, figsize=(12, 3.1), layout="constrained", width_ratios=(1.3, 1.3, 0.9, 1.3)
     )
     everything = thinned(cloud.xyz)
@@ -59,8 +59,8 @@ def draw_steps(cloud: Cloud, result: PipelineResult) -> None:
     draw_points(grasped, thinned(target.target.cloud.xyz), "tab:orange", 8.0)
     draw_grasp(grasped, prediction)
     grasped.set_title("3  best grasp")
-    draw_touch(felt, prediction)
-    felt.set_title("4  predicted touch")
+    draw_touch(predicted, prediction)
+    predicted.set_title("4  predicted touch")
     for ax in (seen, found, grasped):
         ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         ax.invert_yaxis()

@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.errors import ConfigError, FileError
+from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from foretouch.types import TouchPrediction
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
-_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 
 
 def answer_key(record: Mapping[str, Any]) -> str | int:
@@ -27,21 +27,15 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
     """The answers in a file, one JSON object a line; other objects, such as the counts of `run`, are left out.
 
     Raises:
-        FileError: If there is none, or a line is no JSON object.
+        FileError: As `read_bytes`; also if there is none, or a line is no JSON object.
     """
-    from foretouch.checked_files import TEXT_LIMIT, open_regular
-
-    with open_regular(path) as file:
-        text = file.read(TEXT_LIMIT + 1)
-    if len(text) > TEXT_LIMIT:
-        raise FileError(path, f"is larger than {TEXT_LIMIT} bytes")
     records = []
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(read_bytes(path, TEXT_LIMIT).splitlines(), 1):
         if not line.strip():
             continue
         try:
-            record = json.loads(line)
-        except (ValueError, RecursionError) as err:
+            record = parse_json(line)
+        except ValueError as err:
             raise FileError(path, f"is no JSON: {err}", field=f"line {number}") from err
         if not isinstance(record, dict):
             raise FileError(path, "is no JSON object", field=f"line {number}")
@@ -80,11 +74,11 @@ def prediction_from_record(record: Any) -> TouchPrediction:
         touches: dict[str, Touch | None] = {}
         for end in ("value", "lower", "upper"):
             parts = []
-            for field in _MODALITIES:
+            for field in MODALITIES:
                 part = record[field][end]
                 parts.append(None if part is None else np.atleast_1d(np.array(part, np.float64)))
             known = [part for part in parts if part is not None]
-            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(_MODALITIES) else None
+            touches[end] = Touch.from_vector(np.concatenate(known)) if len(known) == len(MODALITIES) else None
         field = "status"
         return TouchPrediction(
             grasp,

@@ -14,7 +14,7 @@ from foretouch.errors import CloudError, ForetouchError
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-    from foretouch.types import Grasp
+    from foretouch.types import Cloud, Grasp
 
 
 Record = dict[str, Any]
@@ -84,17 +84,26 @@ def target_objects(item: SourceItem, arguments: argparse.Namespace, pipeline: Pi
     Raises:
         CloudError: If a scene has no target.
     """
-    from foretouch.pipeline import FoundObject
-    from foretouch.types import ASSUMED_TABLE, Plane
-
-    if arguments.plane is not None:
-        return [FoundObject("1", item.cloud, Plane.from_coefficients(arguments.plane))]
-    if not (arguments.scene or item.cloud.organised):
-        return [FoundObject("1", item.cloud, ASSUMED_TABLE)]
+    if holds_one_object(item.cloud, arguments):
+        return [only_object(item.cloud, arguments)]
     scene = pipeline.segment(item.cloud)
     if not scene.targets:
         raise CloudError(f"{scene.status}: {scene.reason}")
     return list(scene.targets)
+
+
+def holds_one_object(cloud: Cloud, arguments: argparse.Namespace) -> bool:
+    """Whether a cloud is one object, by the rule of `target_objects`."""
+    return arguments.plane is not None or not (arguments.scene or cloud.organised)
+
+
+def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
+    """A cloud as one object, on --plane or on an assumed table."""
+    from foretouch.pipeline import FoundObject
+    from foretouch.types import ASSUMED_TABLE, Plane
+
+    table = ASSUMED_TABLE if arguments.plane is None else Plane.from_coefficients(arguments.plane)
+    return FoundObject("1", cloud, table)
 
 
 def grasp_record(grasp: Grasp) -> Record:

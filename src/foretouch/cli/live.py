@@ -12,6 +12,7 @@ from rich.text import Text
 
 from foretouch.cli.screen import FittedPanel
 from foretouch.cli.tables import FittedTable
+from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from foretouch.dataset.pairing import TouchCut
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
-_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _MAX_REASONS = 3
 _WIDEST_MM = 1e4
 _MAX_ROWS = 8  # of a table
@@ -107,7 +107,7 @@ def _predictions(predictions: Sequence[TouchPrediction], touches: int) -> Fitted
         based = Text("\n".join([reference_text(one, touches), *flags]), "yellow" if flags else "")
         rows.append([one.grasp.object_id, width, *_modalities(one), based])
     title = f"last prediction (counts){models and f' by {models}'}"
-    return _table("object", "mm", *_MODALITIES, "based on", rows=rows, title=title)
+    return _table("object", "mm", *MODALITIES, "based on", rows=rows, title=title)
 
 
 def _modalities(prediction: TouchPrediction) -> list[str]:
@@ -123,7 +123,7 @@ def _executed(prediction: TouchPrediction, readings: TouchCut) -> FittedTable:
     for name, touch in (("read", readings.touch), ("tare", readings.tare)):
         spans = [f"{e.min():.0f}–{e.max():.0f}" for e in (touch.e_th, touch.e_mf)]
         rows.append([name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans])
-    return _table("", *_MODALITIES, rows=rows, title="last grasp executed (counts)")
+    return _table("", *MODALITIES, rows=rows, title="last grasp executed (counts)")
 
 
 def _interval(interval: Interval) -> str:

@@ -20,6 +20,7 @@ from foretouch.checked_files import read_json
 from foretouch.cli import inputs
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, GraspError, TactileError
+from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
@@ -304,9 +305,6 @@ def _touched_samples(paths: Sequence[str]) -> list[GraspSample]:
     return samples
 
 
-_MODALITIES = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The common inputs, --grasp, --model, --tare and --touched."""
     inputs.add_input_arguments(parser)
@@ -481,7 +479,7 @@ def prediction_record(prediction: TouchPrediction) -> inputs.Record:
     """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
     columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
     record: inputs.Record = {"grasp": inputs.grasp_record(prediction.grasp)}
-    for name in _MODALITIES:
+    for name in MODALITIES:
         record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
     return record | {
         "reference": prediction.reference,
@@ -513,13 +511,13 @@ def _show(record: dict[str, Any]) -> None:
     rows = [
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
-            *(_text(one[name]) for name in _MODALITIES),
+            *(_text(one[name]) for name in MODALITIES),
             "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
         ]
         for one in record["predictions"]
     ]
     print_table(
-        inputs.heading(record, f" by {record['model']['name']}"), ["g1, g2 [m]", *_MODALITIES, "adapted to"], rows
+        inputs.heading(record, f" by {record['model']['name']}"), ["g1, g2 [m]", *MODALITIES, "adapted to"], rows
     )
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,7 +13,7 @@ from foretouch.checked_files import require_writable
 from foretouch.cli.inputs import four_numbers
 from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.screen import can_draw, draw_until
-from foretouch.errors import ConfigError, ForetouchError, MissingDependencyError
+from foretouch.errors import ConfigError, ForetouchError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -142,8 +141,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         read_card(find_card(arguments.model))  # so that an absent one is reported before anything starts
         nodes["touch_predictor"]["model"] = str(arguments.model)
     if arguments.serve is not None:
-        if find_spec("foxglove") is None:
-            raise MissingDependencyError("the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
+        from foretouch.ros.nodes.bridge import foxglove_sdk
+
+        foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
     live = arguments.source == "camera" or Path(arguments.source).suffix in _SCENE_FILES
     if live and (arguments.wait_for or arguments.wait_limit is not None):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.report.rerun_view import Shown
-    from foretouch.types import Cloud, Grasp, GraspSample, Plane, TouchPrediction
+    from foretouch.types import Cloud, Grasp, GraspSample, TouchPrediction
 
 
 _CANDIDATES = 10  # grasps that are planned on each cloud
@@ -180,16 +180,15 @@ class _Steps:
         return Shown(**shown, **self._predicted(prediction), candidates=plan.grasps[1:])
 
     def _of_sample(self, record: SampleRecord) -> Shown:
-        from foretouch.pipeline import FoundObject
         from foretouch.report.rerun_view import Shown
 
         sample = record.sample
-        table = self._table()
-        prediction = self._predict(FoundObject("1", sample.cloud, table), sample.grasp, sample)
+        target = inputs.only_object(sample.cloud, self._arguments)
+        prediction = self._predict(target, sample.grasp, sample)
         return Shown(
             name=sample.id,
             cloud=sample.cloud,
-            table=table,
+            table=target.plane,
             **self._predicted(prediction),
             candidates=record.candidates,
             read=sample.touch,
@@ -205,19 +204,10 @@ class _Steps:
     def _predicted(self, prediction: TouchPrediction) -> dict[str, Any]:
         return {"grasp": prediction.grasp, "prediction": prediction, "model": self._pipeline.model.name}
 
-    def _table(self) -> Plane:
-        """The table of a cloud that holds an object alone."""
-        from foretouch.types import ASSUMED_TABLE, Plane
-
-        plane = self._arguments.plane
-        return ASSUMED_TABLE if plane is None else Plane.from_coefficients(plane)
-
     def _found(self, cloud: Cloud) -> dict[str, Any]:
         """Table, objects and target of a cloud, as `predict` finds them; the target is first."""
-        from foretouch.pipeline import FoundObject
-
-        if self._arguments.plane is not None or not (self._arguments.scene or cloud.organised):
-            target = FoundObject("1", cloud, self._table())
+        if inputs.holds_one_object(cloud, self._arguments):
+            target = inputs.only_object(cloud, self._arguments)
             return {"table": target.plane, "target": target}
         scene = self._pipeline.segment(cloud)
         objects = {one.id: one.cloud for one in scene.targets[:1]}
@@ -262,7 +252,8 @@ class _Steps:
         """Cloud, table and reading of an answer."""
         sample = item.sample
         if sample is not None:
-            seen = {"cloud": sample.cloud, "table": self._table(), "read": sample.touch, "tare": sample.tare}
+            table = inputs.only_object(sample.cloud, self._arguments).plane
+            seen = {"cloud": sample.cloud, "table": table, "read": sample.touch, "tare": sample.tare}
             return {**seen, "stamp_ns": sample.stamp_ns}
         found = self._found(item.cloud)
         return {"cloud": item.cloud, "table": found["table"], "objects": found.get("objects")}

@@ -20,11 +20,10 @@ import numpy as np
 
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.report.fingers import FINGER_NAMES, electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.tactile import electrode_normals, electrode_positions
 from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
-
-FINGERS: Final = {"TH": "thumb", "MF": "middle finger"}  # in the order of g1, g2
 
 _PAD: Final = PadConfig()
 _COLOURS: Final = {"TH": (240, 115, 130), "MF": (60, 190, 205)}
@@ -136,7 +135,7 @@ class _Writer:
             self._send("/answer", texts)
             self._hands()
             self._electrodes()
-            shown = {name: self._curves(name) for name in FINGERS}
+            shown = {name: self._curves(name) for name in FINGER_NAMES}
             self._to.send_blueprint(_layout(shown, self._eye), make_active=True, make_default=True)
         return len(self._steps)
 
@@ -199,7 +198,7 @@ class _Writer:
         ends = [(np.stack([one.g1, one.g2]) - one.midpoint) @ one.rotation for one in grasps]
         self._send("/scene/hand/line", rr.LineStrips3D.columns(strips=ends).partition(there))
         self._to.log("/scene/hand/line", rr.LineStrips3D.from_fields(radii=0.0006), static=True)
-        for name, finger in FINGERS.items():
+        for name, finger in FINGER_NAMES.items():
             path = _path(finger)
             self._poses(path, found, [fingertip_pose(one, one.g1 if name == "TH" else one.g2) for one in grasps])
             skin = rr.Ellipsoids3D.columns(half_sizes=[_PAD.skin_axes] * len(grasps)).partition(there)
@@ -228,10 +227,10 @@ class _Writer:
         on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
         along, across, depth = 1e3 * electrode_positions().T
         flat = np.column_stack([np.degrees(np.arctan2(across, -depth)) * _MM_A_DEGREE, -along])
-        for name, finger in FINGERS.items():
+        for name, finger in FINGER_NAMES.items():
             levels = {
                 what: [
-                    None if touch is None else _levels(touch, step.tare if tared else None, name)
+                    None if touch is None else electrode_levels(touch, step.tare if tared else None, name)
                     for touch, step in zip(touches, self._steps, strict=True)
                 ]
                 for what, touches in rows.items()
@@ -267,7 +266,7 @@ class _Writer:
             touches = (None, None, None) if one is None else (one.value, one.lower, one.upper)
             for k, touch in enumerate((*touches, step.read)):
                 if touch is not None:
-                    rows[number, k] = finger_values(touch, name)
+                    rows[number, k] = np.hstack(finger_parts(touch, name))
         for k, (what, label) in enumerate(_CURVES.items()):
             known = np.flatnonzero(np.isfinite(rows[:, k, 0])).tolist()
             if not known:
@@ -296,12 +295,6 @@ def fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
     return contact + rotation @ [0.0, 0.0, _PAD.skin_axes[2]], rotation
 
 
-def finger_values(touch: Touch, name: str) -> Float64:
-    """(25,) float64: pressure and electrodes of `TH` or `MF` [counts]."""
-    pdc, electrodes = (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
-    return np.concatenate([[pdc], electrodes])
-
-
 def table_corners(table: Plane, points: Float32) -> Float64:
     """(4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
     first = np.eye(3)[np.argmin(np.abs(table.normal))]
@@ -324,12 +317,6 @@ def _point_of_interest(step: Shown, points: Float32) -> tuple[Float64, float]:
         return step.grasp.midpoint, max(step.grasp.width_m, _LEAST_SIZE_M)
     low, high = np.percentile(points, [5.0, 95.0], axis=0)
     return (low + high) / 2.0, max(float(np.linalg.norm(high - low)), _LEAST_SIZE_M)
-
-
-def _levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
-    """(24,) float64: what an electrode is coloured by, its drop from rest or its count."""
-    electrodes = finger_values(touch, name)[1:]
-    return electrodes if rest is None else finger_values(rest, name)[1:] - electrodes
 
 
 def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
@@ -366,10 +353,10 @@ def _text(step: Shown) -> str:
     if value is None and step.read is None:
         return "\n".join(lines)
     lines += ["| counts | predicted | read |", "|---|---|---|"]
-    for name, finger in FINGERS.items():
-        cells = ["–" if touch is None else f"{finger_values(touch, name)[0]:.0f}" for touch in (value, step.read)]
+    for name, finger in FINGER_NAMES.items():
+        cells = ["–" if touch is None else f"{finger_parts(touch, name)[0]:.0f}" for touch in (value, step.read)]
         if one is not None and one.lower is not None and one.upper is not None:
-            low, high = (finger_values(touch, name)[0] for touch in (one.lower, one.upper))
+            low, high = (finger_parts(touch, name)[0] for touch in (one.lower, one.upper))
             cells[0] += f" ({low:.0f} to {high:.0f})"
         lines.append(f"| PDC of the {finger} | {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -380,7 +367,7 @@ def _layout(electrodes: Mapping[str, int], eye: tuple[Float64, float] | None) ->
     import rerun.blueprint as rrb
 
     columns = []
-    for name, finger in FINGERS.items():
+    for name, finger in FINGER_NAMES.items():
         k, legend = electrodes[name], name == "TH"
         columns.append(
             rrb.Vertical(

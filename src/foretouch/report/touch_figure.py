@@ -15,12 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
+from foretouch.report.fingers import FINGER_NAMES, electrode_levels, finger_parts
 from foretouch.report.panels import new_figure, save
 from foretouch.tactile import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
 FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
-FINGER_NAMES = {"TH": "thumb", "MF": "middle finger"}
 _SHEET_COLUMNS = 2  # samples side by side
 _SHEET_DPI = 100
 _SHEET_ROW_INCHES = 2.6
@@ -59,7 +59,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     tared = all(one.rest is not None for one in grasps)
     limits = _limits(
         [
-            _levels(touch, one.rest if tared else None, name)
+            electrode_levels(touch, one.rest if tared else None, name)
             for one, row in zip(grasps, rows, strict=True)
             for name, _, touch in row
         ]
@@ -74,7 +74,7 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
         for panel in axes[2 + len(row) :]:
             panel.set_axis_off()
         for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
-            levels = _levels(touch, one.rest if tared else None, name)
+            levels = electrode_levels(touch, one.rest if tared else None, name)
             drawn = draw_electrodes(panel, levels, tared=tared, colour=FINGER_COLOURS[name], limits=limits)
             panel.set_title(_finger_title(one.prediction, name, what, touch), color=FINGER_COLOURS[name], fontsize=10)
         if drawn is not None and row:
@@ -118,7 +118,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
     touches = [(sample.touch, sample.tare) for sample in samples if sample.touch is not None]
     tared = all(tare is not None for _, tare in touches)
     limits = _limits(
-        [_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS]
+        [electrode_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS]
     )
     drawn: Any = None
     for k, sample in enumerate(samples):
@@ -141,11 +141,11 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, limits: tuple[floa
     drawn: Any = None
     for axes, (name, colour) in zip(fingers, FINGER_COLOURS.items(), strict=True):
         axes.set_axis_on()
-        levels = _levels(sample.touch, sample.tare if tared else None, name)
+        levels = electrode_levels(sample.touch, sample.tare if tared else None, name)
         drawn = draw_electrodes(axes, levels, tared=tared, colour=colour, limits=limits, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
         suffix = "" if force is None else f", {force:.1f} N"
-        pdc, _ = _finger(sample.touch, name)
+        pdc, _ = finger_parts(sample.touch, name)
         axes.set_title(f"{FINGER_NAMES[name]}\nPDC {pdc:.0f}{suffix}", fontsize=9, color=colour)
     return drawn
 
@@ -157,7 +157,7 @@ def _columns(one: DrawnGrasp) -> list[tuple[str, str, Touch]]:
 
 
 def _finger_title(prediction: TouchPrediction, name: str, what: str, touch: Touch) -> str:
-    pdc, _ = _finger(touch, name)
+    pdc, _ = finger_parts(touch, name)
     half = _half_width(prediction, name) if what == "predicted" else None
     return f"{FINGER_NAMES[name]} {what}\nPDC {pdc:.0f}{'' if half is None else f' ± {half:.0f}'}"
 
@@ -166,17 +166,7 @@ def _half_width(prediction: TouchPrediction, name: str) -> float | None:
     """Half width of the interval of one finger's pressure [counts]; None without a calibration."""
     if prediction.lower is None or prediction.upper is None:
         return None
-    return (_finger(prediction.upper, name)[0] - _finger(prediction.lower, name)[0]) / 2.0
-
-
-def _finger(touch: Touch, name: str) -> tuple[float, Float64]:
-    return (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
-
-
-def _levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
-    """(24,) float64: what the electrodes of a finger are coloured by, their drop from rest or their counts."""
-    electrodes = _finger(touch, name)[1]
-    return electrodes if rest is None else _finger(rest, name)[1] - electrodes
+    return (finger_parts(prediction.upper, name)[0] - finger_parts(prediction.lower, name)[0]) / 2.0
 
 
 def _limits(levels: Sequence[Float64]) -> tuple[float, float]:

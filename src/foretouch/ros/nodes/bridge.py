@@ -98,7 +98,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def setup(self) -> None:
         """Find the definitions of all messages."""
-        foxglove = _sdk()
+        foxglove = foxglove_sdk()
         self._channels_context = foxglove.Context()
         definitions = Definitions()
         for topic in self._topics():
@@ -111,7 +111,7 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
 
     def start(self) -> None:
         """Listen."""
-        foxglove, config = _sdk(), self.config
+        foxglove, config = foxglove_sdk(), self.config
         self._reports = _Reports(self)
         _listen_to_sdk(foxglove).addHandler(self._reports)
         try:
@@ -212,7 +212,12 @@ class BridgeNode(ForetouchNode[BridgeConfig]):
         self.statistics.use(arrived, 0.0)
 
 
-def _sdk() -> Any:
+def foxglove_sdk() -> Any:
+    """The package `foxglove`.
+
+    Raises:
+        MissingDependencyError: If it is not installed.
+    """
     try:
         import foxglove
     except ImportError as err:

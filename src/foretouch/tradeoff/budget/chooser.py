@@ -130,7 +130,7 @@ class LatencyBudget:
             chosen = min(max(place, size.floor), last)
             level = self._levels[chosen]
             self._last, self._overloaded = level.name, chosen > idle
-            expected_s = self._expected(count)[self._levels.index(level)]
+            expected_s = self._expected(count)[chosen]
         return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable is not None)
 
     def is_over(self, answer: Answer) -> bool:
