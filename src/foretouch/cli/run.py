@@ -310,9 +310,9 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     title = f"object {found.target.id}"
     if prediction.value is not None:
         known = (
-            "as the model does not know any (unfamiliar)"
+            "of a kind that the model does not know (unfamiliar)"
             if "unfamiliar" in prediction.flags
-            else "as the model knows some"
+            else "of a kind that the model knows"
         )
         title += f", {known}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
         title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
