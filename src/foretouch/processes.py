@@ -46,14 +46,14 @@ def process_pool(
     """
     before = set(active_children())
     pool = _Pool(workers, get_context("spawn"), initializer, initargs)
-    results = pool._result_queue  # noqa: SLF001
+    results = pool._result_queue
     try:
         yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - before:
             child.terminate()
-        results._writer.close()  # or the pool would wait for the rest of a result that a process was about to send
+        results._writer.close()  # noqa: SLF001  or the pool waits for the rest of a result that a process was sending
         raise
     finally:
         pool.shutdown()

@@ -62,15 +62,17 @@ def time_variants(
     seconds: float,
     seed: int,
     progress: Callable[[int, int], None] = lambda *_: None,
+    pause_s: float = 0.0,
 ) -> list[Row]:
     """Time every variant with every size of request, all calls in one random order.
 
     Args:
         timed: By name.
         requests: Sizes, ascending. One that would take a variant longer than 3 s is left out.
-        seconds: Time of all calls together; each variant and size gets the same share, and at least 5 calls [s].
+        seconds: Time of all calls and pauses; each variant and size gets the same share, and at least 5 calls [s].
         seed: Of the order.
         progress: Called with the number of calls done and of all.
+        pause_s: Time asleep before each call: a process that waits for its input finds the processor's caches cold [s].
 
     Returns:
         For each variant and size: `variant`, `request`, `calls`, wall times `ms_p50`, `ms_p95`, `ms_p99` and the median
@@ -78,13 +80,14 @@ def time_variants(
     """
     calls = [call for name, one in timed.items() for call in _first_calls(name, one, requests)]
     share = seconds / max(len(calls), 1)
-    counts = [int(np.clip(share / call.seconds, _FEWEST, _MOST)) for call in calls]
+    counts = [int(np.clip(share / (call.seconds + pause_s), _FEWEST, _MOST)) for call in calls]
     order = np.random.default_rng(seed).permutation(np.repeat(np.arange(len(calls)), counts))
     wall: list[list[float]] = [[] for _ in calls]
     cpu: list[list[float]] = [[] for _ in calls]
     for done, k in enumerate(order):
         call = calls[k]
         answer = timed[call.variant].answer
+        time.sleep(pause_s)
         start, start_cpu = time.perf_counter(), time.process_time()
         answer(call.request)
         wall[k].append(time.perf_counter() - start)

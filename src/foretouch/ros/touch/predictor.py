@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # loaded only for a budget
     from foretouch.tradeoff.budget import Answer, LatencyBudget
 
 _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
+_TIMINGS: Final = 5  # of each
 _SWITCH_S: Final = 5e-4  # after which a thread gives way to another; Python's 5 ms may be the whole budget
 
 
@@ -102,18 +104,21 @@ class Predictor:
         self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
     ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
+        from foretouch.tradeoff.budget.profile import PAUSE_S
+
         cloud, grasps = scene
         target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}
         for count in _COUNTS:
-            whole, inner = [], []
-            for _ in range(3):
+            beyond = []
+            for _ in range(_TIMINGS):
+                time.sleep(PAUSE_S)
                 start = time.thread_time()
                 model.predict(cloud, grasps[:count], limits=config.limits, reach=config)
+                time.sleep(PAUSE_S)
                 middle = time.thread_time()
                 _made(self.array([target], messages[:count], Header(), config, model=model), encoded=True)
-                whole.append(time.thread_time() - middle)
-                inner.append(middle - start)
-            around[count] = max(0.0, min(whole) - min(inner))
+                beyond.append(time.thread_time() - middle - (middle - start))
+            around[count] = max(0.0, statistics.median(beyond))
         return around
 
     def begin(self, count: int, arrived: float) -> Answer | None:

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choose a level for each request: down at once where the machine does not keep up, and back up with hysteresis.
 
-The expected time of a level is that of its profile, plus what the caller needs around the prediction, times how much
-slower than that the latest answers were. The first level that meets what is left of the budget is chosen. If that is
-less than an idle machine would choose, the machine is overloaded, and no better level is chosen for requests of about as
-many grasps until one has met the budget with a margin for a second. The least time between receipt and choice so far, among requests of about as many
-grasps, is that of an idle machine: the rest was spent in a queue.
+The expected time of a level is that of its profile, plus what the caller needs around the prediction. The latest answers
+took more or less than expected: had they been made by another level, how many would have been late? The best level is
+chosen with which few more would have been than with the fastest one, so that a delay that no level avoids costs no
+skill. If an idle machine would choose a better level, the machine is overloaded, and none is chosen for requests of
+about as many grasps until it would have met the budget with a margin for a second. The least time between receipt and
+choice so far, among requests of about as many grasps, is that of an idle machine: the rest was spent in a queue.
 """
 
 from __future__ import annotations
 
-import statistics
 import threading
 import time
+from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,16 +24,17 @@ import numpy as np
 from foretouch.tradeoff.budget.levels import Level
 from foretouch.tradeoff.budget.profile import Profile
 
-_MARGIN: Final = 1.1  # of the expected time, a p95
-_MARGIN_UP: Final = 1.3  # the same, to return to a better level
+_MARGIN: Final = 1.2  # of the expected time, a p95
+_MARGIN_UP: Final = 1.4  # the same, to return to a better level
 _HOLD_S: Final = 1.0  # for which a better level must meet the budget before it is chosen
-_WINDOW: Final = 100  # latest answers from which the slowdown is estimated
-_LATEST: Final = 3  # of them whose median is its least value, so that an overload is noticed at once
-_QUANTILE: Final = 0.95
+_LATEST: Final = 8  # answers of any size, from which a change is noticed at once...
+_LATEST_MORE: Final = 1  # ...if more than so many of them would be late by a level, but not by the fastest
+_PAST_S: Final = 3.0  # from which answers of about as many grasps tell how much times vary
+_PAST: Final = 100  # of them at most
+_PAST_MORE: Final = 2  # as of the latest
 _GUARD_S: Final = 2e-4  # before the end of the budget, from which an answer counts as late: until it is handed over
 _WAITS: Final = 10  # requests, before which the least wait says nothing
-_REGULAR_S: Final = 1e-3  # what a change of threads may cost, however short a prediction is
-_SLOWDOWNS: Final = (0.5, 100.0)
+_ADDED_S: Final = 2e-3  # to all times that are compared: delays are neither a factor nor a term, but between the two
 _KNOWN: Final = 10_000  # numbers of grasps whose times are kept
 
 
@@ -49,22 +51,34 @@ class Answer:
     affordable: bool  # whether a level meets the budget on the machine as it was profiled
 
 
+@dataclass(frozen=True)
+class _Slowness:
+    """Of an answer."""
+
+    at: float  # when it ended [s]
+    ratio: float  # its time over the expected, with `_ADDED_S` to both
+
+
 @dataclass
 class _Size:
     """What is known of requests of about as many grasps: many may need a cheaper level where few do not."""
 
     waits: list[float] = field(default_factory=list)  # the first ones, and the least [s]
+    past: deque[_Slowness] = field(default_factory=lambda: deque(maxlen=_PAST))  # the latest
     floor: int = 0  # place of the best level that may be chosen
     better_since: float | None = None  # when a better level began to meet the budget with a margin [s]
+    better: int = 0  # the worst place since then
 
     def rise(self, better: int, now: float) -> None:
         """A better level would do now; it is allowed once that has been so for long enough."""
         if better >= self.floor:
             self.better_since = None
         elif self.better_since is None:
-            self.better_since = now
+            self.better_since, self.better = now, better
         elif now - self.better_since >= _HOLD_S:
-            self.floor, self.better_since = self.floor - 1, None
+            self.floor, self.better_since = max(better, self.better), None
+        else:
+            self.better = max(better, self.better)
 
 
 class LatencyBudget:
@@ -92,7 +106,7 @@ class LatencyBudget:
         self._around = dict(around or {1: 0.0})
         self._now = now
         self._lock = threading.Lock()
-        self._ratios: deque[float] = deque(maxlen=_WINDOW)
+        self._latest: deque[_Slowness] = deque(maxlen=_LATEST)
         self._sizes: dict[int, _Size] = {}  # by digits of the number of grasps
         self._overloaded = False
         self._known: dict[int, tuple[float, ...]] = {}
@@ -119,18 +133,18 @@ class LatencyBudget:
             size.waits.append(began - arrived)
             if len(size.waits) > _WAITS:
                 size.waits.remove(max(size.waits))
-            slow = self._slowdown()
             affordable = self._first(count, _MARGIN, self._left_if_idle(count))
-            idle = self._place(count, _MARGIN, 0.0) if affordable is None else affordable
-            place = max(idle, self._place(count, _MARGIN * slow, left))
+            expected = self._expected(count)
+            idle = expected.index(min(expected)) if affordable is None else affordable
+            place = max(idle, self._place(count, _MARGIN, left))
             if place > max(idle, size.floor):
                 size.floor, size.better_since = place, None
             elif size.floor > idle:
-                size.rise(self._place(count, _MARGIN_UP * slow, left), began)
+                size.rise(self._place(count, _MARGIN_UP, left), began)
             chosen = min(max(place, size.floor), last)
             level = self._levels[chosen]
             self._last, self._overloaded = level.name, chosen > idle
-            expected_s = self._expected(count)[chosen]
+            expected_s = expected[chosen]
         return Answer(level, level is not self._levels[0], count, arrived, began, expected_s, affordable is not None)
 
     def is_over(self, answer: Answer) -> bool:
@@ -141,7 +155,9 @@ class LatencyBudget:
         """Note the end of an answer, right before it is published, and whether it is late as by `is_over`."""
         late, ended = self.is_over(answer), self._now()
         with self._lock:
-            self._ratios.append((ended - answer.began + _REGULAR_S) / (answer.expected_s + _REGULAR_S))
+            slowness = _Slowness(ended, (ended - answer.began + _ADDED_S) / (answer.expected_s + _ADDED_S))
+            self._latest.append(slowness)
+            self._sizes[len(str(answer.count))].past.append(slowness)
             self._counts[answer.level.name] += 1
             self._counts["answered"] += 1
             self._counts["late"] += late
@@ -152,12 +168,12 @@ class LatencyBudget:
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
         with self._lock:
-            counts, slow, overloaded = dict(self._counts), self._slowdown(), self._overloaded
+            counts, slow, overloaded = dict(self._counts), [one.ratio for one in self._latest], self._overloaded
         return {
             "budget_ms": f"{self.budget_s * 1e3:g}",
             "budget.level": self._last or "none yet",
             "budget.overloaded": str(overloaded).lower(),
-            "budget.slowdown": f"{slow:.2f}",
+            "budget.slowdown": f"{np.median(slow or 1.0):.2f}",
             **{f"budget.{name}": str(counts.get(name, 0)) for name in ("answered", "late", "reduced", "unaffordable")},
             **{f"budget.by.{one.name}": str(counts[one.name]) for one in self._levels if one.name in counts},
             "budget.profile": f"{self._profile.origin} ({self._profile.state})",
@@ -182,19 +198,23 @@ class LatencyBudget:
         return next((k for k, seconds in enumerate(self._expected(count)) if factor * seconds <= left), None)
 
     def _place(self, count: int, factor: float, left: float) -> int:
-        """The first level that takes no longer than what is left; the fastest for so many grasps if none does."""
-        place = self._first(count, factor, left)
-        if place is not None:
-            return place
+        """The best level with which few more of the latest answers would have been late than with the fastest."""
         expected = self._expected(count)
-        return expected.index(min(expected))
-
-    def _slowdown(self) -> float:
-        if not self._ratios:
-            return 1.0
-        latest = [self._ratios[-k] for k in range(1, _LATEST + 1)] if len(self._ratios) >= _LATEST else [1.0]
-        ordered = sorted(self._ratios)
-        place, rest = divmod(_QUANTILE * (len(ordered) - 1), 1.0)  # as np.quantile, whose call costs more than all else
-        above = ordered[min(int(place) + 1, len(ordered) - 1)]
-        high = ordered[int(place)] + rest * (above - ordered[int(place)])
-        return min(max(high, statistics.median(latest), _SLOWDOWNS[0]), _SLOWDOWNS[1])
+        fastest = expected.index(min(expected))
+        bounds = [(left + _ADDED_S) / (factor * seconds + _ADDED_S) for seconds in expected]  # of what is in time
+        since = self._now() - _PAST_S
+        latest, past = (
+            sorted(one.ratio for one in answers if one.at >= since)
+            for answers in (self._latest, self._sizes[len(str(count))].past)
+        )
+        in_time = bisect_right(latest, bounds[fastest])
+        if bounds[fastest] < 1.0 or 2 * in_time < len(latest):  # nothing helps, except to have done with it
+            return fastest
+        enough, enough_past = in_time - _LATEST_MORE, bisect_right(past, bounds[fastest]) - _PAST_MORE
+        return next(
+            place
+            for place, bound in enumerate(bounds)
+            if (bound >= 1.0 or place == fastest)
+            and bisect_right(latest, bound) >= enough
+            and bisect_right(past, bound) >= enough_past
+        )

