@@ -6,10 +6,11 @@ With one thread, sums keep their order, and processes leave the cores to each ot
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
 from foretouch.interrupts import uninterrupted
@@ -46,20 +47,24 @@ def process_pool(
     """
     before = set(active_children())
     pool = _Pool(workers, get_context("spawn"), initializer, initargs)
-    results = pool._result_queue
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(active_children()) - before:
-            child.terminate()
-        results._writer.close()  # noqa: SLF001  or the pool waits for the rest of a result that a process was sending
+        pool.terminate(set(active_children()) - before)
         raise
     finally:
         pool.shutdown()
 
 
 class _Pool(ProcessPoolExecutor):
+    def terminate(self, children: Iterable[BaseProcess]) -> None:
+        """End now, with the processes."""
+        results: Any = self._result_queue
+        self.shutdown(wait=False, cancel_futures=True)
+        for child in children:
+            child.terminate()
+        results._writer.close()  # noqa: SLF001  or it waits for the rest of a result that a process was sending
+
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Start processes with SIGINT blocked: from their first moment, in which an initializer does not run yet."""
         with uninterrupted():  # or a process would miss what it is to do
