@@ -5,7 +5,7 @@ A real node over DDS; another process publishes clouds with 1, 10 or 100 grasps 
 receipt of a request to the call that publishes its answer is measured around the node, not by it, and compared with
 the flags of the published message. Half a period after each request, a bare node of rclpy gets the same one and only
 publishes a prepared answer: what it takes is the machine's own. The load is busy processes, twice as many as cores, for
-two seconds of each four.
+two seconds of each four; the last rows are measured with real-time priority of the node under this load.
 """
 
 from __future__ import annotations
@@ -53,6 +53,8 @@ from foretouch.types import ASSUMED_TABLE, Touch, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import GraspArray, TouchPredictionArray  # noqa: E402
 
 HERE = Path(__file__).parent
+LOADS = "none", "comes and goes", "comes and goes, real-time priority"  # of the machine, and how the node withstands it
+REALTIME = 10  # priority, of 1 to 99
 COUNTS, SHARES = (1, 10, 100), (0.6, 0.35, 0.05)
 PERIOD_S = 2.0  # of the load, on and off
 PREDICTOR, ECHO = "/foretouch", "/echo"
@@ -155,6 +157,7 @@ def echo(domain: int, results: multiprocessing.queues.Queue, end: multiprocessin
 
 def burn(on: multiprocessing.synchronize.Event, end: multiprocessing.synchronize.Event) -> None:
     """Use a core while `on` is set."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # not that of the parent
     while not end.is_set():
         if on.wait(0.05):
             stop = time.monotonic() + 0.01
@@ -233,7 +236,7 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
 
 
 def measure(
-    budget_ms: float, number: int, rate_hz: float, *, loaded: bool
+    budget_ms: float, number: int, rate_hz: float, load_name: str
 ) -> tuple[list[Seen], list[float], list[tuple[float, float]], str]:
     """One node, one budget; its answers, the times of the echo [s], the spans of the load, and the state of the profile."""
     domain = 1 + os.getpid() % 80
@@ -245,6 +248,8 @@ def measure(
     ]
     for one in others:
         one.start()
+    if load_name == LOADS[2]:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REALTIME))  # the threads that follow inherit it
     rclpy.init(domain_id=domain)
     overrides = [Parameter("latency_budget_ms", value=budget_ms), Parameter("late_after_s", value=0.0)]
     (node,) = make_nodes("touch_predictor", parameter_overrides=overrides)
@@ -254,7 +259,7 @@ def measure(
         time.sleep(0.05)
     raw: list[tuple[Any, ...]] = []
     watch(node, raw)
-    with Load(active=loaded) as load:
+    with Load(active=load_name != LOADS[0]) as load:
         begin.set()
         others[0].join(60.0 + 3.0 * number / rate_hz)
     end.set()
@@ -269,6 +274,7 @@ def measure(
                          skill if best is None else best.skill, best is not None))  # fmt: skip
     rclpy.try_shutdown()
     thread.join(10.0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return seen, echoed, load.spans, budget.notes()["budget.profile"].rpartition("(")[2].rstrip(")")
 
 
@@ -278,7 +284,7 @@ def serve(node: Any) -> None:
         spin([node])
 
 
-def summarise(budget_ms: float, seen: list[Seen], echoed: list[float], sent: int, *, loaded: bool) -> dict[str, Any]:
+def summarise(budget_ms: float, seen: list[Seen], echoed: list[float], sent: int, load_name: str) -> dict[str, Any]:
     """One row of the table."""
     took, echo_ms = (np.array([*values, np.nan]) * 1e3 for values in ([one.seconds for one in seen], echoed))
     took = took[:-1]
@@ -293,7 +299,7 @@ def summarise(budget_ms: float, seen: list[Seen], echoed: list[float], sent: int
     levels = {name: sum(one.level == name for one in seen) for name in dict.fromkeys(one.level for one in seen)}
     return {
         "budget_ms": budget_ms,
-        "load": "comes and goes" if loaded else "none",
+        "load": load_name,
         "answers": len(seen),
         "dropped": sent - len(seen),
         "affordable": int(could.sum()),
@@ -381,7 +387,7 @@ def main() -> None:
     parser.add_argument("--count", "--number", type=int, default=1000, help="requests of each run; 100 take 6 s")
     parser.add_argument("--rate-hz", type=float, default=40.0)
     parser.add_argument(
-        "--load", choices=("none", "both"), default="both", help="`none` leaves out the runs under load"
+        "--loads", choices=LOADS, nargs="+", default=LOADS, help="real-time priority needs the right to it, as of root"
     )
     parser.add_argument("--resume", action="store_true", help="keep the rows that are there, and measure the others")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results")
@@ -399,15 +405,15 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.resume and file.exists():
         rows = list(csv.DictReader(file.open(encoding="utf-8")))
     kept = {(float(row["budget_ms"]), row["load"]) for row in rows}
-    for loaded, budget_ms in itertools.product((False, True)[: 1 + (arguments.load == "both")], arguments.budgets):
-        if (budget_ms, "comes and goes" if loaded else "none") in kept:
+    for load_name, budget_ms in itertools.product(arguments.loads, arguments.budgets):
+        if (budget_ms, load_name) in kept:
             continue
         gc.collect()  # the participants of the last row would stay until then, and answer to announcements
         machine, children, began = MachineLoad(), children_s(), time.monotonic()
-        seen, echoed, spans, profile = measure(budget_ms, arguments.count, arguments.rate_hz, loaded=loaded)
+        seen, echoed, spans, profile = measure(budget_ms, arguments.count, arguments.rate_hz, load_name)
         own = (children_s() - children) / (time.monotonic() - began)
         others = round(max(0.0, float(machine.row()["other_cores"]) - own), 2)
-        row = summarise(budget_ms, seen, echoed, arguments.count, loaded=loaded) | {
+        row = summarise(budget_ms, seen, echoed, arguments.count, load_name) | {
             "number": arguments.count,
             "rate_hz": arguments.rate_hz,
             "profile": profile,
@@ -418,7 +424,7 @@ def run(arguments: argparse.Namespace) -> None:
         rows.append(row)
         write(rows, arguments.out)
         print({key: row[key] for key in list(row)[:-2]}, flush=True)
-        if loaded and budget_ms == 10.0:
+        if load_name == LOADS[1] and budget_ms == 10.0:
             draw(seen, spans, budget_ms, arguments.out / "budget.png")
 
 

@@ -64,7 +64,20 @@ def test_waiting_counts(make, clock):
     budget = make(10)
     assert answer(budget, clock)[0] == "model"
     assert answer(budget, clock, waited=0.0075)[0] == "half"
+    assert answer(budget, clock)[0] == "model"  # it was that request alone
     assert answer(budget, clock, waited=0.02) == ("mean", True)
+
+
+def test_a_queue_steps_down_until_it_is_gone(make, clock):
+    budget = make(10)
+    for _ in range(20):
+        answer(budget, clock)
+    names = [answer(budget, clock, waited=0.0075)[0] for _ in range(10)]
+    assert names == ["half"] * 10
+    assert budget.notes()["budget.overloaded"] == "true"
+    names = [answer(budget, clock)[0] for _ in range(60)]
+    assert names[0] == "half"
+    assert names[-1] == "model"
 
 
 def test_what_every_request_waits_is_no_overload(make, clock):

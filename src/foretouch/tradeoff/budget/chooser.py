@@ -4,9 +4,10 @@
 The expected time of a level is that of its profile, plus what the caller needs around the prediction. The latest answers
 took more or less than expected: had they been made by another level, how many would have been late? The best level is
 chosen with which few more would have been than with the fastest one, so that a delay that no level avoids costs no
-skill. If an idle machine would choose a better level, the machine is overloaded, and none is chosen for requests of
-about as many grasps until it would have met the budget with a margin for a second. The least time between receipt and
-choice so far, among requests of about as many grasps, is that of an idle machine: the rest was spent in a queue.
+skill. If an idle machine would choose a better level after the usual wait, the machine is overloaded, and none is chosen
+for requests of about as many grasps until it would have met the budget with a margin for a second; a request that
+waited unusually long is answered faster alone. The least time between receipt and choice so far, among requests of
+about as many grasps, is that of an idle machine: the rest was spent in a queue.
 """
 
 from __future__ import annotations
@@ -64,10 +65,19 @@ class _Size:
     """What is known of requests of about as many grasps: many may need a cheaper level where few do not."""
 
     waits: list[float] = field(default_factory=list)  # the first ones, and the least [s]
+    waited: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST))  # the latest [s]
     past: deque[_Slowness] = field(default_factory=lambda: deque(maxlen=_PAST))  # the latest
     floor: int = 0  # place of the best level that may be chosen
     better_since: float | None = None  # when a better level began to meet the budget with a margin [s]
     better: int = 0  # the worst place since then
+
+    def wait(self, waited: float) -> float:
+        """Note how long a request waited; how long the latest did in the median [s]."""
+        self.waits.append(waited)
+        if len(self.waits) > _WAITS:
+            self.waits.remove(max(self.waits))
+        self.waited.append(waited)
+        return sorted(self.waited)[(len(self.waited) - 1) // 2]
 
     def rise(self, better: int, now: float) -> None:
         """A better level would do now; it is allowed once that has been so for long enough."""
@@ -126,22 +136,23 @@ class LatencyBudget:
     def begin(self, count: int, arrived: float) -> Answer:
         """Choose the level of a request of so many grasps that arrived at a time [s]."""
         began = self._now()
-        left = self.budget_s - (began - arrived)
-        last = len(self._levels) - 1
+        waited = began - arrived
         with self._lock:
             size = self._sizes.setdefault(len(str(count)), _Size())
-            size.waits.append(began - arrived)
-            if len(size.waits) > _WAITS:
-                size.waits.remove(max(size.waits))
+            usual = size.wait(waited)
             affordable = self._first(count, _MARGIN, self._left_if_idle(count))
             expected = self._expected(count)
             idle = expected.index(min(expected)) if affordable is None else affordable
-            place = max(idle, self._place(count, _MARGIN, left))
-            if place > max(idle, size.floor):
-                size.floor, size.better_since = place, None
+            answered = self._since(began - _PAST_S, size)
+            place, steady, better = (
+                max(idle, _place(expected, answered, factor, self.budget_s - wait))
+                for factor, wait in ((_MARGIN, waited), (_MARGIN, usual), (_MARGIN_UP, usual))
+            )
+            if steady > max(idle, size.floor):
+                size.floor, size.better_since = steady, None
             elif size.floor > idle:
-                size.rise(self._place(count, _MARGIN_UP, left), began)
-            chosen = min(max(place, size.floor), last)
+                size.rise(better, began)
+            chosen = min(max(place, size.floor), len(self._levels) - 1)
             level = self._levels[chosen]
             self._last, self._overloaded = level.name, chosen > idle
             expected_s = expected[chosen]
@@ -197,24 +208,29 @@ class LatencyBudget:
     def _first(self, count: int, factor: float, left: float) -> int | None:
         return next((k for k, seconds in enumerate(self._expected(count)) if factor * seconds <= left), None)
 
-    def _place(self, count: int, factor: float, left: float) -> int:
-        """The best level with which few more of the latest answers would have been late than with the fastest."""
-        expected = self._expected(count)
-        fastest = expected.index(min(expected))
-        bounds = [(left + _ADDED_S) / (factor * seconds + _ADDED_S) for seconds in expected]  # of what is in time
-        since = self._now() - _PAST_S
+    def _since(self, time_s: float, size: _Size) -> tuple[list[float], list[float]]:
+        """How slow the latest answers were, and those of about as many grasps, since a time; each ascending."""
         latest, past = (
-            sorted(one.ratio for one in answers if one.at >= since)
-            for answers in (self._latest, self._sizes[len(str(count))].past)
+            sorted(one.ratio for one in answers if one.at >= time_s) for answers in (self._latest, size.past)
         )
-        in_time = bisect_right(latest, bounds[fastest])
-        if bounds[fastest] < 1.0 or 2 * in_time < len(latest):  # nothing helps, except to have done with it
-            return fastest
-        enough, enough_past = in_time - _LATEST_MORE, bisect_right(past, bounds[fastest]) - _PAST_MORE
-        return next(
-            place
-            for place, bound in enumerate(bounds)
-            if (bound >= 1.0 or place == fastest)
-            and bisect_right(latest, bound) >= enough
-            and bisect_right(past, bound) >= enough_past
-        )
+        return latest, past
+
+
+def _place(
+    expected: Sequence[float], answered: tuple[Sequence[float], Sequence[float]], factor: float, left: float
+) -> int:
+    """The best level with which few more of the latest answers would have been late than with the fastest."""
+    fastest = expected.index(min(expected))
+    bounds = [(left + _ADDED_S) / (factor * seconds + _ADDED_S) for seconds in expected]  # of what is in time
+    latest, past = answered
+    in_time = bisect_right(latest, bounds[fastest])
+    if bounds[fastest] < 1.0 or 2 * in_time < len(latest):  # nothing helps, except to have done with it
+        return fastest
+    enough, enough_past = in_time - _LATEST_MORE, bisect_right(past, bounds[fastest]) - _PAST_MORE
+    return next(
+        place
+        for place, bound in enumerate(bounds)
+        if (bound >= 1.0 or place == fastest)
+        and bisect_right(latest, bound) >= enough
+        and bisect_right(past, bound) >= enough_past
+    )
