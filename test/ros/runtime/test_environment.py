@@ -38,7 +38,7 @@ def test_what_the_user_has_set_stays(bare, name):
         assert not any(other in os.environ for other in PROFILE_VARIABLES if other != name)
 
 
-@pytest.mark.parametrize(("package", "name"), zip(("fastdds", "fastrtps"), PROFILE_VARIABLES, strict=True))
+@pytest.mark.parametrize(("package", "name"), list(zip(("fastdds", "fastrtps"), PROFILE_VARIABLES, strict=True)))
 def test_the_profile_is_named_where_the_installed_fast_dds_reads_it(bare, tmp_path, package, name):
     (tmp_path / "ros" / "share" / package).mkdir(parents=True)
     bare.setenv("AMENT_PREFIX_PATH", os.pathsep.join((str(tmp_path / "workspace"), str(tmp_path / "ros"))))
