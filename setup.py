@@ -45,7 +45,7 @@ setup(
     ],
     entry_points={
         "console_scripts": [
-            "foretouch = foretouch.cli.main:main",
+            "foretouch = foretouch.__main__:main",
             *(f"foretouch_{node} = foretouch.ros.executables:{node}" for node in NODES),
         ]
     },

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).parents[1]
 CODE = """
 import os, signal, sys, time
 from foretouch.interrupts import raise_interrupts, uninterrupted, end_at_once, signal_number
@@ -102,3 +104,38 @@ def test_processes_of_a_pool_end_silently_with_it(number: int, tmp_path: Path) -
     out, err = process.communicate(timeout=60)
     assert (out, err) == (f"{number}\n", "")
     assert time.monotonic() - began < 30.0
+
+
+EARLY = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "foretouch.cli.main":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+{before}
+from {module} import main
+sys.argv = ["foretouch", "--version"]
+sys.exit(main())
+"""
+
+
+def _entry_point() -> str:
+    (line,) = re.findall(r'"foretouch = (\S+):main"', (ROOT / "setup.py").read_text(encoding="utf-8"))
+    return line
+
+
+def _interrupted_early(before: str = "") -> subprocess.CompletedProcess[str]:
+    code = EARLY.format(before=before, module=_entry_point())
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback() -> None:
+    done = _interrupted_early()
+    assert (done.stdout, done.stderr, done.returncode) == ("", "", -signal.SIGINT)
+
+
+def test_a_ctrl_c_that_the_parent_ignores_stays_ignored() -> None:
+    done = _interrupted_early("signal.signal(signal.SIGINT, signal.SIG_IGN)")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith("foretouch ")

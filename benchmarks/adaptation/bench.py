@@ -149,7 +149,7 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
         cut = cut_touch(hand.buffer, interval, settings.pairing)
         estimate = partial(model.estimate_executed, cloud, [grasp])
         matched.append((spent_ms(estimate), spent_ms(adapter.process_touches)))
-        add = partial(alone_memory.add, cloud, grasp, cut.touch, cut.tare, 0.0, settings.same_object_m)
+        add = partial(alone_memory.add, cloud, grasp, cut.touch, cut.tare, settings.same_object_m)
         added.append((spent_ms(estimate), spent_ms(add)))
     require_equal(model.predict(cloud, asked, **basis()), ask(), adapter)
     _, *with_touches = in_turn(ask_model, ask, rounds)

@@ -77,9 +77,11 @@ def _count(node: object, kind: str) -> int:
 
 def measure(discovery: str, profile: Path, late: str, runs: int) -> list[float]:
     """The times of one row [s]."""
+    from foretouch.ros.runtime.environment import profile_variable
+
     plain = {name: value for name, value in os.environ.items() if "PROFILES_FILE" not in name}
     plain |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery, "AMENT_PREFIX_PATH": sys.prefix}
-    environ = {"publisher": {**plain, "FASTDDS_DEFAULT_PROFILES_FILE": str(profile)}, "subscriber": plain}
+    environ = {"publisher": {**plain, profile_variable(): str(profile)}, "subscriber": plain}
     early = "subscriber" if late == "publisher" else "publisher"
     me = [sys.executable, __file__]
     with subprocess.Popen([*me, "--keep", early], env=environ[early], stdout=subprocess.PIPE, text=True) as kept:

@@ -81,9 +81,41 @@ def test_an_attachment_and_the_manifest_are_verified(dataset: Path, tmp_path: Pa
     Store(tmp_path / "store").verify()
 
 
+def test_sessions_of_one_object_in_several_datasets_are_numbered_on(tmp_path: Path) -> None:
+    for name, count, first in (("monday", 2, 0), ("tuesday", 3, 2), ("friday", 1, 5)):
+        write_dataset(tmp_path / name, count, first=first)
+    days = [tmp_path / name for name in ("monday", "tuesday", "friday")]
+    result = build_store(days, tmp_path / "store")
+    store = Store(tmp_path / "store")
+    assert [sample.id for sample in store] == [f"ball/{number:06d}" for number in range(1, 7)]
+    for stored, made in zip(store, [one for day in days for one in records(day)], strict=True):
+        assert_same_sample(stored, replace(made.sample, id=stored.id))
+    assert result.renumbered == 4
+    assert [source.get("renumbered") for source in store.manifest["about"]["sources"]] == [
+        None,
+        {"ball/000001": "ball/000003", "ball/000002": "ball/000004", "ball/000003": "ball/000005"},
+        {"ball/000001": "ball/000006"},
+    ]
+    again = build_store([tmp_path / "monday", tmp_path / "friday"], tmp_path / "other")
+    assert [facts.id for facts in again.samples] == [f"ball/{number:06d}" for number in (1, 2, 3)]
+
+
+def test_a_sample_that_two_sources_hold_is_refused(dataset: Path, tmp_path: Path) -> None:
+    write_dataset(tmp_path / "later", 2, first=7)
+    build_store([tmp_path / "later", dataset], tmp_path / "both")
+    for sources, id_in_last, holder in (
+        ([dataset, dataset], "ball/000001", dataset),
+        ([dataset, tmp_path / "both"], "ball/000003", dataset),
+        ([tmp_path / "both", dataset], "ball/000001", tmp_path / "both"),
+        ([dataset, tmp_path / "later", tmp_path / "both"], "ball/000001", tmp_path / "later"),
+    ):
+        with pytest.raises(DatasetError) as refusal:
+            build_store(sources, tmp_path / "store")
+        assert str(refusal.value) == f"{sources[-1]}: {id_in_last}: is in {holder} too; build from one of both"
+    assert not (tmp_path / "store").exists()
+
+
 def test_a_build_that_fails_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="holds this id already"):
-        build_store([dataset, dataset], tmp_path / "store")
     file = dataset / "session-0001.mcap"
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1

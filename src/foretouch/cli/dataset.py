@@ -4,6 +4,7 @@
 import argparse
 from pathlib import Path
 
+from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.dataset.formats import export_formats, readable_formats
 from foretouch.tactile.messages import TACTILE_TYPES
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC, full_name
@@ -58,7 +59,7 @@ def _add_repair(parser: argparse.ArgumentParser) -> None:
 def _add_build(parser: argparse.ArgumentParser) -> None:
     _dataset_argument(parser, "sources", "IN", nargs="+")
     _out_argument(parser, "STORE", "training store to create; must not exist")
-    parser.add_argument("--seed", type=int, default=0, help="random seed of the splits")
+    parser.add_argument("--seed", type=seed_number, default=0, help="random seed of the splits")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -95,7 +96,11 @@ def _add_show(parser: argparse.ArgumentParser) -> None:
     _dataset_argument(parser, "source", "DS")
     _out_argument(parser, "F.png", "image file")
     parser.add_argument(
-        "-n", "--count", type=int, default=_SHEET_SAMPLES, help="number of samples, evenly spaced over the dataset"
+        "-n",
+        "--count",
+        type=positive_number,
+        default=_SHEET_SAMPLES,
+        help="number of samples, evenly spaced over the dataset",
     )
     parser.add_argument("--id", action="append", metavar="ID", help="id of a sample to draw, instead of --count")
 

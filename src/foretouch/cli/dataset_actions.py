@@ -220,6 +220,7 @@ def _build(arguments: argparse.Namespace) -> int:
         "samples": len(result.samples),
         "labelled": sum(sample.labelled for sample in result.samples),
         "left_out": dict(result.left_out),
+        "renumbered": result.renumbered,
         "sha256": result.sha256,
         "seed": splits["seed"],
         "splits": {kind: [part["name"] for part in parts] for kind, parts in splits["splits"].items()},

@@ -5,6 +5,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
+from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DATASET",
         help="with --prequential: further readings of the same sensors, which are not scored",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the baselines")
+    parser.add_argument("--seed", type=seed_number, default=0, help="seed of the baselines")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     slide = parser.add_mutually_exclusive_group()
     slide_help = "shift the grasp plane along the object's axis by this distance [m]"
     slide.add_argument("--slide-m", type=float, default=0.0, metavar="δ", help=slide_help)
-    slide.add_argument("--vary", type=int, metavar="SEED", help="shift it by a random distance for each cloud")
+    slide.add_argument(
+        "--vary", type=inputs.seed_number, metavar="SEED", help="shift it by a random distance for each cloud"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -49,9 +50,27 @@ def six_numbers(text: str) -> list[float]:
 
 def positive_number(text: str) -> int:
     """A positive whole number for argparse."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return _whole_number(text, 1)
+
+
+def seed_number(text: str) -> int:
+    """A whole number of 0 or more for argparse."""
+    return _whole_number(text, 0)
+
+
+def positive_value(text: str) -> float:
+    """A finite number above 0 for argparse, such as a rate or a time."""
+    value = _finite_value(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def waiting_time(text: str) -> float:
+    """A finite number of 0 or more for argparse [s]."""
+    value = _finite_value(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not 0 or more")
     return value
 
 
@@ -163,6 +182,26 @@ def _refuse(name: str, err: ForetouchError, *, as_json: bool) -> None:
     if as_json:
         print_json({"input": name, "status": "refused", "reason": reason})
     warn(reason if name in reason else f"{name}: {reason}")
+
+
+def _whole_number(text: str, minimum: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if value < minimum:
+        raise argparse.ArgumentTypeError(f"{value} is not {minimum} or more")
+    return value
+
+
+def _finite_value(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
 
 
 def _numbers(text: str, count: int) -> list[float]:

@@ -320,7 +320,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_adaptation_arguments(parser)
     parser.add_argument(
         "--budget-ms",
-        type=_positive,
+        type=inputs.positive_value,
         metavar="T",
         help="predict the grasps of each object within this time, by a cheaper form of the model where it is needed, which is flagged",
     )
@@ -376,13 +376,6 @@ def run(arguments: argparse.Namespace) -> int:
             }
 
     return inputs.process_inputs(arguments, answer, _show)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
 
 
 def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:

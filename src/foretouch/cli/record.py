@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import RenderableType
 from rich.text import Text
 
+from foretouch.cli.inputs import positive_number, positive_value
 from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import FittedPanel, can_draw, draw_until
@@ -136,8 +137,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="assign contacts without a report to the best grasp of the last cloud before them",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
-    parser.add_argument("--samples", type=int, metavar="N", help="end after this number of labelled samples")
+    parser.add_argument("--seconds", type=positive_value, metavar="S", help="end after this time")
+    parser.add_argument(
+        "--samples", type=positive_number, metavar="N", help="end after this number of labelled samples"
+    )
     parser.add_argument("--params", metavar="YAML", help="ROS parameter file")
     parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")

@@ -3,7 +3,7 @@
 
 import argparse
 
-from foretouch.cli.inputs import four_numbers
+from foretouch.cli.inputs import four_numbers, positive_value
 from foretouch.cli.output import print_json, warn
 from foretouch.cli.run import add_wait_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.errors import ForetouchError
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", metavar="PATH", help="a recording, a folder of clouds or samples, or a file")
     parser.add_argument("--topic", help="topic of the clouds in a recording")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="clouds per second (default: recorded times; 10 for files)"
+        "--rate", type=positive_value, metavar="HZ", help="clouds per second (default: recorded times; 10 for files)"
     )
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")

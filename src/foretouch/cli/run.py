@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from foretouch.checked_files import require_writable
-from foretouch.cli.inputs import four_numbers
+from foretouch.cli.inputs import four_numbers, positive_number, positive_value, waiting_time
 from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.screen import can_draw, draw_until
 from foretouch.errors import ConfigError, ForetouchError
@@ -51,15 +51,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--serial", help="serial number of the camera")
     parser.add_argument(
         "--rate",
-        type=float,
+        type=positive_value,
         metavar="HZ",
         help="clouds per second (default: recorded times; files one by one; scenes at 5)",
     )
     parser.add_argument(
-        "--dwell", type=float, metavar="S", help="time that each object of a scene stays on the table (default: 3)"
+        "--dwell",
+        type=positive_value,
+        metavar="S",
+        help="time that each object of a scene stays on the table (default: 3)",
     )
     add_wait_arguments(parser)
-    parser.add_argument("--count", type=int, metavar="N", help="end after N answered clouds")
+    parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
     parser.add_argument(
         "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
     )
@@ -99,7 +102,7 @@ def add_wait_arguments(parser: argparse.ArgumentParser) -> None:
         " (repeatable)",
     )
     parser.add_argument(
-        "--wait-limit", type=float, metavar="S", help="longest wait for subscribers to be matched (default: 10)"
+        "--wait-limit", type=waiting_time, metavar="S", help="longest wait for subscribers to be matched (default: 10)"
     )
 
 

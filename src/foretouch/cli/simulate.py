@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch import __version__
-from foretouch.cli.inputs import positive_number
+from foretouch.cli.inputs import positive_number, seed_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.config import load_yaml, parse_overrides
 from foretouch.errors import ConfigError, FileError
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
     parser.add_argument("-n", "--count", type=positive_number, metavar="N", help="how many samples")
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="the data set; must not exist")
-    parser.add_argument("--seed", type=int, help="in place of the scene's")
+    parser.add_argument("--seed", type=seed_number, help="in place of the scene's")
     parser.add_argument(
         "--workers", type=positive_number, help="processes (default: one a core); the samples do not depend on it"
     )

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.evaluate import show_scores
+from foretouch.cli.inputs import positive_number
 from foretouch.cli.output import print_json, print_table, progress_bar
 from foretouch.errors import ConfigError
 
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="continue the run in RUN, if there is one")
     parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes for cross-validation and calibration"
+        "--workers", type=positive_number, default=1, metavar="N", help="processes for cross-validation and calibration"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per epoch, and the result")
 

@@ -111,6 +111,17 @@ def check_name(name: str, what: str) -> str:
     return name
 
 
+def numbered_id(label: str, number: int) -> str:
+    """The id of a sample that was given none: `<object>/<number>`."""
+    return f"{label}/{number:06d}"
+
+
+def id_number(sample_id: str) -> int:
+    """The number in an id of `numbered_id`, else 0; names of 10 digits are unix times."""
+    name = sample_id.rpartition("/")[2]
+    return int(name) if 6 <= len(name) <= 9 and name.isdecimal() and name.isascii() else 0
+
+
 def check_id(sample_id: str, label: str) -> None:
     """Check that an id is `<object>/<name>` for the object `label`.
 

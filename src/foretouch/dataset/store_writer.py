@@ -10,7 +10,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, Self
@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from foretouch import __version__
-from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.record import DISCARDED, id_number, numbered_id
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest, seal_manifest
 from foretouch.errors import DatasetError, FileError
@@ -179,6 +179,7 @@ class BuildResult:
     sha256: str = ""  # content hash
     samples: list[SampleFacts] = field(default_factory=list)  # the samples in order
     left_out: Counter[str] = field(default_factory=Counter)  # counts of samples left out, by reason
+    renumbered: int = 0  # samples whose id a source before had; both ids are in the manifest
 
 
 def build_store(
@@ -190,6 +191,9 @@ def build_store(
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
 
+    A sample whose id is that of a sample of a source before gets the number after the highest so far, as in a
+    recording that is continued; `about.sources` in the manifest lists the new ids by the old ones.
+
     Args:
         sources: Datasets in any readable format.
         out: The store; must not exist.
@@ -198,13 +202,16 @@ def build_store(
 
     Raises:
         FileError: If `out` exists, or a source is no dataset or damaged.
-        DatasetError: If two samples have the same id, or a number is not finite.
+        DatasetError: If two sources hold the same sample, two samples of one source have the same id, or a number is
+            not finite.
     """
     result = BuildResult()
     origins: list[dict[str, Any]] = []
     about: dict[str, Any] = {"made_by": f"foretouch {__version__} dataset build", "sources": origins}
+    ids = _UniqueIds()
     with StoreWriter(out, about) as writer:
         for source in sources:
+            renumbered = ids.begin(str(source))
             with open_samples(source) as samples:
                 identity = {"hand": dict(samples.identity.hand), "camera": dict(samples.identity.camera)}
                 origins.append({"name": samples.path.name, "kind": samples.kind, "samples": len(samples), **identity})
@@ -213,15 +220,57 @@ def build_store(
                     if DISCARDED in record.flags:
                         result.left_out[DISCARDED] += 1
                         continue
-                    sample = only_finite(record.sample)
+                    sample = ids.with_own_id(only_finite(record.sample))
                     writer.write(sample)
                     labelled = sample.touch is not None
                     result.samples.append(SampleFacts(sample.id, sample.object, sample.stamp_ns, labelled))
+            if renumbered:
+                origins[-1]["renumbered"] = renumbered
+                result.renumbered += len(renumbered)
         writer.about |= _shared_identity(origins)
         for name, text in (attach(result.samples) if attach else {}).items():
             writer.attach(name, text)
         result.sha256 = writer.sha256
     return result
+
+
+class _UniqueIds:
+    """The ids of a store that is built from several sources."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()  # by the sources before, and by samples that were renumbered
+        self._holders: dict[bytes, str] = {}  # source before of each sample, by a hash of all but its id
+        self._last = 0
+        self._source = ""
+        self._own: list[tuple[bytes, str]] = []  # hash and id of the samples of the current source
+        self._renumbered: dict[str, str] = {}
+
+    def begin(self, source: str) -> Mapping[str, str]:
+        """Begin the next source; gives its new ids by the old ones, which are added later."""
+        self._taken.update(sample_id for _, sample_id in self._own)
+        self._holders |= {content: self._source for content, _ in self._own}
+        self._own, self._renumbered, self._source = [], {}, source
+        return self._renumbered
+
+    def with_own_id(self, sample: GraspSample) -> GraspSample:
+        """The sample with an id that no source before and no sample renumbered so far has.
+
+        Raises:
+            DatasetError: If it is the same sample as one of a source before, whatever the ids.
+        """
+        content = sample_digest(replace(sample, id=""))
+        if content in self._holders:
+            raise DatasetError(
+                f"{self._source}: {sample.id}: is in {self._holders[content]} too; build from one of both"
+            )
+        if sample.id in self._taken and sample.id not in self._renumbered:
+            new = numbered_id(sample.object, self._last + 1)
+            self._renumbered[sample.id] = new
+            self._taken.add(new)
+            sample = replace(sample, id=new)
+        self._own.append((content, sample.id))
+        self._last = max(self._last, id_number(sample.id))
+        return sample
 
 
 def _shared_identity(origins: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

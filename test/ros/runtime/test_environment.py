@@ -4,12 +4,14 @@ import platform
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import pytest
 
-from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, prepare_environment
+from foretouch.ros.runtime.environment import SHARED_MEMORY_PROFILE, prepare_environment, profile_variable
 
-NAMES = ("AMENT_PREFIX_PATH", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", "OMP_NUM_THREADS")
+PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+NAMES = ("AMENT_PREFIX_PATH", *PROFILE_VARIABLES, "OMP_NUM_THREADS")
 
 
 @pytest.fixture
@@ -23,7 +25,7 @@ def bare(monkeypatch):
 def test_what_is_missing_is_set(bare):
     prepare_environment()
     assert os.environ["AMENT_PREFIX_PATH"] == sys.prefix
-    assert os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] == str(SHARED_MEMORY_PROFILE)
+    assert [os.environ.get(name) for name in PROFILE_VARIABLES].count(str(SHARED_MEMORY_PROFILE)) == 1
     assert os.environ["OMP_NUM_THREADS"] == "1"
 
 
@@ -32,8 +34,32 @@ def test_what_the_user_has_set_stays(bare, name):
     bare.setenv(name, "mine")
     prepare_environment()
     assert os.environ[name] == "mine"
-    if name == "FASTRTPS_DEFAULT_PROFILES_FILE":
-        assert "FASTDDS_DEFAULT_PROFILES_FILE" not in os.environ
+    if name in PROFILE_VARIABLES:
+        assert not any(other in os.environ for other in PROFILE_VARIABLES if other != name)
+
+
+@pytest.mark.parametrize(("package", "name"), list(zip(("fastdds", "fastrtps"), PROFILE_VARIABLES, strict=True)))
+def test_the_profile_is_named_where_the_installed_fast_dds_reads_it(bare, tmp_path, package, name):
+    (tmp_path / "ros" / "share" / package).mkdir(parents=True)
+    bare.setenv("AMENT_PREFIX_PATH", os.pathsep.join((str(tmp_path / "workspace"), str(tmp_path / "ros"))))
+    assert profile_variable() == name
+    prepare_environment()
+    assert os.environ[name] == str(SHARED_MEMORY_PROFILE)
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no /dev/shm")
+def test_the_segment_of_a_started_process_is_as_large_as_the_profile_says(bare):
+    code = (
+        "import os; from foretouch.ros.runtime.environment import start_rclpy\n"
+        "sizes = lambda: {one.name: one.stat().st_size for one in os.scandir('/dev/shm')}\n"
+        "before = sizes(); start_rclpy([]); import rclpy; node = rclpy.create_node('alone')\n"
+        "print(max(size for name, size in sizes().items() if name not in before))\n"
+        "node.destroy_node(); rclpy.shutdown()"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(result.stdout) > 64 * 1024 * 1024
+    assert not result.stderr
 
 
 def test_the_profile_offers_64_mb_and_still_reaches_other_machines():

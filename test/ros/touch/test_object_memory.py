@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 import pytest
 from calibrated_models import REST, save_calibrated_network
 
 from foretouch.errors import TactileError
 from foretouch.models import TouchModel, load_model
-from foretouch.models.hand_history import Extent
+from foretouch.models.hand_history import Extent, HandHistory
 from foretouch.models.touch_model import ObjectResiduals
-from foretouch.ros.touch.tactile_state import ObjectMemory
+from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.types import Cloud, Grasp, Touch
 
 NEAR_M = 0.02
@@ -35,7 +37,7 @@ def touch(shift: float = 0.0) -> Touch:
 @pytest.fixture
 def memory(model: TouchModel) -> ObjectMemory:
     one = ObjectMemory(model)
-    one.add(can(), GRASP, touch(-40.0), None, 100.0, NEAR_M)
+    one.add(can(), GRASP, touch(-40.0), None, NEAR_M)
     return one
 
 
@@ -64,25 +66,36 @@ def test_a_point_whose_square_no_float32_holds_makes_another_object(memory: Obje
 
 
 def test_a_touch_of_another_object_begins_anew(memory: ObjectMemory) -> None:
-    memory.add(can(0.01), GRASP, touch(-40.0), None, 101.0, NEAR_M)
+    memory.add(can(0.01), GRASP, touch(-40.0), None, NEAR_M)
     assert memory.count == 2
-    memory.add(can(0.3), GRASP, touch(-40.0), None, 102.0, NEAR_M)
+    memory.add(can(0.3), GRASP, touch(-40.0), None, NEAR_M)
     assert memory.count == 1
     assert memory.of(can(), NEAR_M) is None
 
 
-def test_it_is_forgotten_by_age_or_by_word(memory: ObjectMemory) -> None:
-    memory.expire(150.0, 60.0)
-    assert memory.count == 1
-    memory.expire(161.0, 60.0)
-    assert memory.count == 0
-    assert memory.of(can(), NEAR_M) is None
+def clocked_memories(model: TouchModel) -> Iterator[tuple[ObjectMemory | HandMemory, Callable[[float], None]]]:
+    """Both kinds, each with a function that advances its clock [s]."""
+    seconds, stamp = [100.0], [1_800_000_000_000_000_000]
+    yield ObjectMemory(model, lambda: seconds[0]), lambda by: seconds.append(seconds.pop() + by)
+    history = HandHistory(load_model("default"))
+    yield HandMemory(history, lambda: stamp[0]), lambda by: stamp.append(stamp.pop() + round(by * 1e9))
+
+
+def test_an_object_is_forgotten_by_the_clock_of_its_memory(model: TouchModel) -> None:
+    for memory, advance in clocked_memories(model):
+        memory.add(can(), GRASP, touch(-40.0), None, same_object_m=NEAR_M)
+        advance(50.0)
+        memory.expire(after_s=60.0)
+        assert memory.count == 1
+        advance(11.0)
+        memory.expire(after_s=60.0)
+        assert memory.count == 0
 
 
 def test_later_readings_are_moved_to_the_first_tare(model: TouchModel) -> None:
     drifting, still = ObjectMemory(model), ObjectResiduals(model, touch())
     for drift in (0.0, 25.0, 50.0):
-        drifting.add(can(), GRASP, touch(drift - 40.0), touch(drift), 100.0, NEAR_M)
+        drifting.add(can(), GRASP, touch(drift - 40.0), touch(drift), NEAR_M)
         still.add(can(), GRASP, touch(-40.0))
     leaned = drifting.of(can(), NEAR_M)
     assert leaned is not None
@@ -94,7 +107,7 @@ def test_later_readings_are_moved_to_the_first_tare(model: TouchModel) -> None:
 
 def test_a_refused_reading_leaves_the_memory_as_it_was(memory: ObjectMemory) -> None:
     with pytest.raises(TactileError, match="pdc_th"):
-        memory.add(can(0.5), GRASP, Touch(-22072.0, 1700.0, REST[2:26], REST[26:]), None, 101.0, NEAR_M)
+        memory.add(can(0.5), GRASP, Touch(-22072.0, 1700.0, REST[2:26], REST[26:]), None, NEAR_M)
     assert memory.count == 1
     assert memory.of(can(), NEAR_M) is not None
 

@@ -32,7 +32,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, Final, Self
 
-from foretouch.dataset.record import Identity, SampleRecord, check_name
+from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
 from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write, session_files
 from foretouch.dataset.recording.mcap_file import McapMessage
 from foretouch.dataset.recording.message_counts import MessageCounts
@@ -341,7 +341,7 @@ class _SampleIds:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._taken = {sample_id for file in session_files(path) for sample_id in sample_ids(file)}
-        self._last = max(map(_number, self._taken), default=0)
+        self._last = max(map(id_number, self._taken), default=0)
 
     def with_id(self, record: SampleRecord) -> SampleRecord:
         """The record with its id; an empty one becomes `<object>/<number>`, one above the highest.
@@ -352,7 +352,7 @@ class _SampleIds:
         sample = record.sample
         check_name(sample.object, "object")
         if not sample.id:
-            sample = replace(sample, id=f"{sample.object}/{self._last + 1:06d}")
+            sample = replace(sample, id=numbered_id(sample.object, self._last + 1))
         if sample.id in self._taken:
             raise DatasetError(f"{self._path}: id {sample.id} is taken")
         return replace(record, sample=sample)
@@ -360,10 +360,4 @@ class _SampleIds:
     def add(self, sample_id: str) -> None:
         """Mark an id as used."""
         self._taken.add(sample_id)
-        self._last = max(self._last, _number(sample_id))
-
-
-def _number(sample_id: str) -> int:
-    """The number in an id that a writer assigned, else 0; names of 10 digits are unix times."""
-    name = sample_id.rpartition("/")[2]
-    return int(name) if 6 <= len(name) <= 9 and name.isdecimal() and name.isascii() else 0
+        self._last = max(self._last, id_number(sample_id))

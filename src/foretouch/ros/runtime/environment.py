@@ -21,8 +21,8 @@ SHARED_MEMORY_PROFILE = Path(__file__).with_name("fastdds_shared_memory.xml")
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # parameters of glibc's `mallopt`
 _KEPT_MB = {_M_MMAP_THRESHOLD: 32, _M_TRIM_THRESHOLD: 128}  # the former at its maximum
+_PROFILE_VARIABLES = {"fastdds": "FASTDDS_DEFAULT_PROFILES_FILE", "fastrtps": "FASTRTPS_DEFAULT_PROFILES_FILE"}
 _PARAMETER_FILE = "NODE: {ros__parameters: {NAME: VALUE}}"
-_PROFILE_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
 def prepare_environment() -> None:
@@ -33,11 +33,18 @@ def prepare_environment() -> None:
     """
     if "AMENT_PREFIX_PATH" not in os.environ:  # wheels of PyPI install into the Python prefix
         os.environ["AMENT_PREFIX_PATH"] = sys.prefix
-    if not any(name in os.environ for name in _PROFILE_VARIABLES):
-        os.environ[_PROFILE_VARIABLES[0]] = str(SHARED_MEMORY_PROFILE)
+    if not any(name in os.environ for name in _PROFILE_VARIABLES.values()):
+        os.environ[profile_variable()] = str(SHARED_MEMORY_PROFILE)
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     _keep_large_blocks()
+
+
+def profile_variable() -> str:
+    """The environment variable that names the profile: Fast DDS 2 (Jazzy) ignores that of 3, and 3 warns of that of 2."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
+    is_old = any(Path(prefix, "share", "fastrtps").is_dir() for prefix in prefixes)
+    return _PROFILE_VARIABLES["fastrtps" if is_old else "fastdds"]
 
 
 def start_rclpy(arguments: Sequence[str]) -> None:

@@ -178,7 +178,7 @@ class OnlineAdapter:
         """Add the touches that are complete by now to the memory, and forget touches that are too old."""
         config, now_s = self._config(), time.monotonic()
         with self._memory_lock:
-            self._memory.expire(now_s, config.forget_after_s)
+            self._memory.expire(config.forget_after_s)
             with self._input_lock:
                 results = self._assembler.poll(now_s) if self._assembler.pending else []
             for result in results:
@@ -241,13 +241,7 @@ class OnlineAdapter:
         tare = cut.tare if config.use_tare else None
         try:
             self._memory.add(
-                sample.cloud,
-                sample.grasp,
-                cut.touch,
-                tare,
-                now_s=time.monotonic(),
-                same_object_m=config.same_object_m,
-                limits=config.limits,
+                sample.cloud, sample.grasp, cut.touch, tare, same_object_m=config.same_object_m, limits=config.limits
             )
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}

@@ -14,6 +14,7 @@ the same position cannot be distinguished: after changing the object, call `forg
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -121,10 +122,12 @@ class ObjectMemory:
 
     Args:
         model: Its predictions are compared with the readings.
+        now_s: Gives the time of a clock that never goes back [s].
     """
 
-    def __init__(self, model: TouchModel) -> None:
+    def __init__(self, model: TouchModel, now_s: Callable[[], float] = time.monotonic) -> None:
         self._model = model
+        self._now_s = now_s
         self._memory: ObjectResiduals | None = None
         self._extent: Extent | None = None
         self._touched_s = 0.0
@@ -140,7 +143,6 @@ class ObjectMemory:
         grasp: Grasp,
         reading: Touch,
         tare: Touch | None,
-        now_s: float,
         same_object_m: float,
         limits: ObjectLimits = DEFAULT_LIMITS,
     ) -> None:
@@ -151,7 +153,6 @@ class ObjectMemory:
             grasp: The executed grasp.
             reading: Tactile reading in contact [counts].
             tare: Tactile reading before contact; None to compare readings without a tare.
-            now_s: Time of a clock that never goes back [s].
             same_object_m: See above [m].
             limits: Range and size of objects.
 
@@ -166,7 +167,7 @@ class ObjectMemory:
         elif memory.tare is not None and tare is not None:
             reading = restore(offsets(reading, tare), memory.tare)  # as the sensors read when the first one was taken
         memory.add(cloud, grasp, reading, limits)
-        self._memory, self._extent, self._touched_s = memory, extent, now_s
+        self._memory, self._extent, self._touched_s = memory, extent, self._now_s()
 
     def basis(self, cloud: Cloud, tare: Touch | None, same_object_m: float) -> dict[str, Any]:
         """What predictions on a cloud adapt to, as arguments of `TouchModel.predict`."""
@@ -179,9 +180,9 @@ class ObjectMemory:
             return None
         return self._memory if Extent.of(cloud).is_near(self._extent, same_object_m) else None
 
-    def expire(self, now_s: float, after_s: float) -> None:
+    def expire(self, after_s: float) -> None:
         """Forget the touches if the last one is older than this [s]."""
-        if self._memory is not None and now_s - self._touched_s > after_s:
+        if self._memory is not None and self._now_s() - self._touched_s > after_s:
             self.forget()
 
     def forget(self) -> None:
@@ -218,12 +219,10 @@ class HandMemory:
         grasp: Grasp,
         reading: Touch,
         tare: Touch | None,
-        now_s: float,
         same_object_m: float,
         limits: ObjectLimits = DEFAULT_LIMITS,
     ) -> None:
         """As `ObjectMemory.add`; what touches of another object before it say about the sensors is kept."""
-        del now_s
         now_ns = self._now_ns()
         if tare is not None:
             self.history.add_tare(now_ns, tare)
@@ -238,9 +237,8 @@ class HandMemory:
         same = self.history.is_current(cloud, same_object_m)
         return {"history": self.history.at(now_ns, same_object=same, tare=tare is not None)}
 
-    def expire(self, now_s: float, after_s: float) -> None:
+    def expire(self, after_s: float) -> None:
         """Forget the object if its last touch is older than this [s]."""
-        del now_s
         age_s = self.history.tracker.evidence(self._now_ns()).touch_age_s
         if age_s is not None and age_s > after_s:
             self.forget()
