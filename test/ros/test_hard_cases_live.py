@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -193,7 +192,7 @@ def life(module_graph: Any) -> Iterator[Life]:
     one = Life(graph, heard, talk, client)
     touched = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0)])
     cloud = Cloud((ball() + AWAY).astype(np.float32), frame_id=FRAME)  # so that each cloud is compared with it
-    nodes[2]._adapter._memory.add(cloud, across(), Touch.from_vector(touched), None, time.monotonic(), 0.02)
+    nodes[2]._adapter._memory.add(cloud, across(), Touch.from_vector(touched), None, 0.02)
     one.good = one.answer_good()
     yield one
     graph.until(lambda: reports)
