@@ -53,7 +53,11 @@ from foretouch.types import ASSUMED_TABLE, Touch, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import GraspArray, TouchPredictionArray  # noqa: E402
 
 HERE = Path(__file__).parent
-LOADS = "none", "comes and goes", "comes and goes, real-time priority"  # of the machine, and how the node withstands it
+LOADS = IDLE, LOADED, PRIORITISED = (
+    "none",
+    "comes and goes",
+    "comes and goes, real-time priority",
+)  # the node's, in the last
 REALTIME = 10  # priority, of 1 to 99
 COUNTS, SHARES = (1, 10, 100), (0.6, 0.35, 0.05)
 PERIOD_S = 2.0  # of the load, on and off
@@ -248,7 +252,7 @@ def measure(
     ]
     for one in others:
         one.start()
-    if load_name == LOADS[2]:
+    if load_name == PRIORITISED:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REALTIME))  # the threads that follow inherit it
     rclpy.init(domain_id=domain)
     overrides = [Parameter("latency_budget_ms", value=budget_ms), Parameter("late_after_s", value=0.0)]
@@ -259,7 +263,7 @@ def measure(
         time.sleep(0.05)
     raw: list[tuple[Any, ...]] = []
     watch(node, raw)
-    with Load(active=load_name != LOADS[0]) as load:
+    with Load(active=load_name != IDLE) as load:
         begin.set()
         others[0].join(60.0 + 3.0 * number / rate_hz)
     end.set()
@@ -424,7 +428,7 @@ def run(arguments: argparse.Namespace) -> None:
         rows.append(row)
         write(rows, arguments.out)
         print({key: row[key] for key in list(row)[:-2]}, flush=True)
-        if load_name == LOADS[1] and budget_ms == 10.0:
+        if load_name == LOADED and budget_ms == 10.0:
             draw(seen, spans, budget_ms, arguments.out / "budget.png")
 
 

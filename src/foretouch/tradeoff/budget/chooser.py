@@ -83,12 +83,12 @@ class _Size:
         """A better level would do now; it is allowed once that has been so for long enough."""
         if better >= self.floor:
             self.better_since = None
-        elif self.better_since is None:
+            return
+        if self.better_since is None:
             self.better_since, self.better = now, better
-        elif now - self.better_since >= _HOLD_S:
-            self.floor, self.better_since = max(better, self.better), None
-        else:
-            self.better = max(better, self.better)
+        self.better = max(self.better, better)
+        if now - self.better_since >= _HOLD_S:
+            self.floor, self.better_since = self.better, None
 
 
 class LatencyBudget:
@@ -142,7 +142,7 @@ class LatencyBudget:
             usual = size.wait(waited)
             affordable = self._first(count, _MARGIN, self._left_if_idle(count))
             expected = self._expected(count)
-            idle = expected.index(min(expected)) if affordable is None else affordable
+            idle = _fastest(expected) if affordable is None else affordable
             answered = self._since(began - _PAST_S, size)
             place, steady, better = (
                 max(idle, _place(expected, answered, factor, self.budget_s - wait))
@@ -152,7 +152,7 @@ class LatencyBudget:
                 size.floor, size.better_since = steady, None
             elif size.floor > idle:
                 size.rise(better, began)
-            chosen = min(max(place, size.floor), len(self._levels) - 1)
+            chosen = max(place, size.floor)
             level = self._levels[chosen]
             self._last, self._overloaded = level.name, chosen > idle
             expected_s = expected[chosen]
@@ -216,11 +216,15 @@ class LatencyBudget:
         return latest, past
 
 
+def _fastest(expected: Sequence[float]) -> int:
+    return expected.index(min(expected))
+
+
 def _place(
     expected: Sequence[float], answered: tuple[Sequence[float], Sequence[float]], factor: float, left: float
 ) -> int:
     """The best level with which few more of the latest answers would have been late than with the fastest."""
-    fastest = expected.index(min(expected))
+    fastest = _fastest(expected)
     bounds = [(left + _ADDED_S) / (factor * seconds + _ADDED_S) for seconds in expected]  # of what is in time
     latest, past = answered
     in_time = bisect_right(latest, bounds[fastest])
