@@ -49,6 +49,23 @@ def test_a_failed_cell_is_exit_status_1(call, tmp_path, numbers) -> None:
     assert answer.records[-1]["rows"] == 2
 
 
+def test_an_unfinished_sweep_says_so_in_its_tables(call, tmp_path, numbers) -> None:
+    words = ["experiment", OWN, "-o", tmp_path / "out", "--data", numbers]
+    assert call(*words, "cells=2", "--workers", "1").status == 0
+    summary = tmp_path / "out/summary.md"
+    assert "are finished" not in summary.read_text()
+    answer = call(*words, "cells=3", "--finished")
+    assert answer.status == 0, answer.err
+    assert "2 of 3 cells (2 reused)" in answer.out
+    sentence = "**2 of 3 cells are finished.** The tables contain these alone."
+    assert sentence in summary.read_text()
+    summary.unlink()
+    call("experiment", OWN, "-o", tmp_path / "out", "--redraw")
+    assert sentence in summary.read_text()
+    assert call(*words, "cells=3", "--resume", "--workers", "1").status == 0
+    assert "are finished" not in summary.read_text()
+
+
 def test_what_is_wrong_is_told_in_one_line(call, tmp_path, numbers, monkeypatch) -> None:
     monkeypatch.delenv("FORETOUCH_DATA", raising=False)
     out = ["-o", tmp_path / "out"]

@@ -105,6 +105,25 @@ def test_more_cells_keep_those_that_are_finished(tmp_path, numbers) -> None:
     assert json.loads((out / "manifest.json").read_text())["settings"]["cells"] == 3
 
 
+def test_the_table_of_the_finished_cells_of_an_interrupted_sweep(tmp_path, numbers, trace) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(FileError, match=r"contains no manifest\.json: no sweep was started there"):
+        sweep(out, numbers, only_finished=True)
+    assert not out.exists()
+    hurt = {"trace": str(trace), "broken": (1,)}
+    sweep(out, numbers, settings={"cells": 3, **hurt})
+    before = starts(trace)
+    result = sweep(out, numbers, settings={"cells": 5, **hurt}, only_finished=True)
+    assert starts(trace) == before
+    assert (result.cells, result.finished, result.failures) == (5, 2, {"cell1": "cell 1: is broken"})
+    assert sorted({row["number"] for row in read_results(out / "results.csv")}) == [0, 2]
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["cells"] == {"all": 5, "finished": 2, "failed": result.failures}
+    assert len(manifest["sessions"]) == 1
+    rest = sweep(out, numbers, settings={"cells": 5, "trace": str(trace)} | {"broken": (1,)}, resume=True)
+    assert (rest.reused, rest.finished) == (2, 4)
+
+
 def test_data_that_change_meanwhile_fail_the_cell(tmp_path, numbers) -> None:
     from foretouch.experiments.framework.executors import Job, run_cell
 

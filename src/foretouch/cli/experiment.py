@@ -42,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR, if there is one")
     parser.add_argument(
+        "--finished", action="store_true", help="run nothing: write tables and figures of the finished cells in DIR"
+    )
+    parser.add_argument(
         "--workers",
         type=positive_number,
         help="number of processes (default: one per core); does not change the results",
@@ -117,6 +120,7 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             preset=arguments.preset,
             source=data_source(experiment, arguments.data),
             resume=arguments.resume,
+            only_finished=arguments.finished,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
             progress=print_cell if arguments.json else show,
@@ -126,6 +130,7 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
         "experiment": experiment.name,
         "cells": result.cells,
         "reused": result.reused,
+        "finished": result.finished,
         "failed": result.failures,
         "rows": len(result.rows),
         "figures": _report(experiment, result.rows, arguments.out),
@@ -156,7 +161,10 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
         for note in table.notes:
             print_text(f"  {note}")
     failed = f", {len(summary['failed'])} failed" if summary["failed"] else ""
-    print(f"{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/results.csv", end="")
+    cells = "" if summary["finished"] == summary["cells"] else f"{summary['finished']} of "
+    print(
+        f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/results.csv", end=""
+    )
     print("".join(f", {name}" for name in summary["figures"]))
 
 

@@ -90,6 +90,16 @@ def open_folder(
     return {**manifest, **fixed}
 
 
+def require_sweep(out: Path) -> None:
+    """Refuse a folder in which no sweep was started.
+
+    Raises:
+        FileError: If there is no manifest.
+    """
+    if not (out / MANIFEST_FILE).exists():
+        raise FileError(out, f"contains no {MANIFEST_FILE}: no sweep was started there")
+
+
 def require_experiment(out: Path, name: str) -> None:
     """Refuse the folder of another experiment; one without a manifest is accepted.
 
@@ -167,12 +177,15 @@ def read_results(path: Path) -> list[Row]:
 
 
 def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
-    """Write tables and their notes to `summary.md`.
+    """Write tables and their notes to `summary.md`, and how many cells they lack.
 
     Raises:
         OSError: If it cannot be written.
+        FileError: If the manifest is damaged.
     """
     lines = [f"# {title}", ""]
+    if missing := _missing_cells(out):
+        lines += [missing, ""]
     for table in tables:
         lines += [f"## {table.title}", ""]
         if table.rows:
@@ -182,6 +195,15 @@ def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
         lines += [f"- {note}" for note in table.notes]
         lines += [""] * bool(table.notes)
     (out / SUMMARY_FILE).write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+
+
+def _missing_cells(out: Path) -> str:
+    """A sentence if the manifest in a folder lists unfinished cells, else an empty text."""
+    file = out / MANIFEST_FILE
+    cells = _read_mapping(file).get("cells", {}) if file.exists() else {}
+    if not cells or cells["finished"] == cells["all"]:
+        return ""
+    return f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
 
 
 def _parsed(text: str | None) -> Any:

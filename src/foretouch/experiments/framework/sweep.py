@@ -22,6 +22,7 @@ class SweepResult:
     rows: list[Row] = field(default_factory=list)  # rows of `results.csv`
     cells: int = 0  # number of cells
     reused: int = 0  # number of cells that were finished before
+    finished: int = 0  # number of cells in the table
     failures: dict[str, str] = field(default_factory=dict)  # reasons of failed cells by key
     data_sha256: str = ""  # hash of the data
 
@@ -34,6 +35,7 @@ def run_sweep(
     preset: str = "",
     source: Path | None = None,
     resume: bool = False,
+    only_finished: bool = False,
     workers: int = 1,
     address: str | None = None,
     progress: Progress | None = None,
@@ -48,6 +50,7 @@ def run_sweep(
         preset: Name of the preset, for the manifest.
         source: Path of the data, as the experiment's `prepare` takes it.
         resume: Continue the sweep in `out`, if there is one.
+        only_finished: Run no cell, and write the table of those that an interrupted sweep has finished.
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
         progress: Called with each result, the number of finished cells and the number of all cells.
@@ -57,9 +60,12 @@ def run_sweep(
         The table and the failures. A failed cell is left out of the table and is run again by the next resume.
 
     Raises:
-        FileError: If `out` exists and `resume` is off, or cannot be written.
+        FileError: If `out` exists and `resume` is off, or cannot be written; with `only_finished`, if it holds no sweep.
         ConfigError: If the sweep in `out` has other settings or data, or two cells have the same key.
     """
+    if only_finished:
+        manifests.require_sweep(out)
+        resume = True
     if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
     path, data = read or experiment.read(settings, source, out)
@@ -69,12 +75,17 @@ def run_sweep(
     try:
         manifest = manifests.open_folder(out, fixed, experiment.settings, resume=resume, free=experiment.free)
         done = manifests.read_cells(out, cells)
-        manifest["preset"] = preset
-        manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
-        manifests.write_manifest(out, manifest)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
-        job = Job.make(experiment, plain, path.absolute(), data.sha256)
+        manifest["preset"] = preset
         open_cells = [cell for cell in cells if cell.key not in done]
+        if only_finished:
+            failed = manifest.get("cells", {}).get("failed", {})
+            result.failures = {cell.key: failed[cell.key] for cell in open_cells if cell.key in failed}
+            open_cells = []
+        else:
+            manifest["sessions"].append(manifests.environment(workers, address) | {"cells_before": len(done)})
+            manifests.write_manifest(out, manifest)
+        job = Job.make(experiment, plain, path.absolute(), data.sha256)
         for number, cell_result in enumerate(_run(job, open_cells, workers, address), len(done) + 1):
             if cell_result.rows is None:
                 result.failures[cell_result.cell.key] = cell_result.error
@@ -83,6 +94,7 @@ def run_sweep(
             if progress is not None:
                 progress(cell_result, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
+        result.finished = len(finished)
         result.rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
         manifests.write_results(out, result.rows)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
