@@ -354,7 +354,9 @@ class _SampleIds:
         if not sample.id:
             sample = replace(sample, id=numbered_id(sample.object, self._last + 1))
         if sample.id in self._taken:
-            raise DatasetError(f"{self._path}: id {sample.id} is taken")
+            raise DatasetError(
+                f"{self._path}: id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
+            )
         return replace(record, sample=sample)
 
     def add(self, sample_id: str) -> None:
