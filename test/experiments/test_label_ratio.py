@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from foretouch.errors import ConfigError, DatasetError
+from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.experiments import Cell, find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch.experiments.label_ratio.data import RatioDataSettings, load_frozen, split_at
@@ -103,6 +103,32 @@ def test_the_printed_recipe_is_that_of_p2(data: SimulatedGrasps, reading: str) -
         0.1,
         0.0,
     )
+
+
+def test_the_network_sees_as_many_different_points_as_it_takes() -> None:
+    experiment = find_experiment("label_ratio")
+    for name in experiment.presets:
+        settings = experiment.resolve(name, {})
+        assert settings.stock >= settings.model.n_points
+    with pytest.raises(ConfigError, match=r"LabelRatioSettings\.stock: 512 points are fewer than the network's 750"):
+        experiment.resolve("p2_as_printed", {"stock": 512})
+
+
+def test_a_run_may_be_extended_but_not_by_other_trials(store: Path, tmp_path: Path) -> None:
+    experiment = find_experiment("label_ratio")
+    words = {"source": store, "resume": True}
+    one = experiment.resolve("smoke", {**TINY, "seeds": [0], "ratios": [90], **_trials(1)})
+    assert run_sweep(experiment, one, tmp_path / "out", **words).finished == 3
+    more = run_sweep(experiment, experiment.resolve("smoke", {**TINY, "seeds": [0]}), tmp_path / "out", **words)
+    assert (more.reused, more.finished) == (3, 6)
+    other = experiment.resolve("smoke", {**TINY, "seeds": [0], "pointnet.pressure": ["rate 0.003"] * 2})
+    with pytest.raises(FileError, match=r"T50\+PDC_TH\+pointnet\+0\.json: was run with other values"):
+        run_sweep(experiment, other, tmp_path / "out", **words)
+
+
+def _trials(ratios: int) -> dict[str, Any]:
+    chosen = find_experiment("label_ratio").presets["smoke"]
+    return {f"{model}.{kind}": trials[-ratios:] for model in MODELS for kind, trials in chosen[model].items()}
 
 
 def test_the_printed_recipe_runs(data: SimulatedGrasps) -> None:

@@ -36,6 +36,7 @@ from foretouch.tactile import MODALITIES, columns
 __all__ = ["EXPERIMENT", "QUICK", "SMOKE", "ChosenTrials", "LabelRatioSettings", "NetworkSettings", "run_network"]
 
 QUICK: Final[dict[str, Any]] = {
+    "stock": 512,
     "updates": 960,
     "model": {
         "n_points": 64,
@@ -69,6 +70,12 @@ class NetworkSettings(RatioDataSettings):
     )
     model: ModelConfig = ModelConfig(channels="xyz+normals")
     training: SrganConfig = SrganConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        taken = max(self.model.n_points, self.training.points or 0)
+        if self.stock < taken:
+            raise ConfigError(f"{type(self).__name__}.stock: {self.stock} points are fewer than the network's {taken}")
 
 
 @dataclass(frozen=True, kw_only=True)

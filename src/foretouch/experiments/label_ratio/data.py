@@ -34,7 +34,11 @@ class RatioDataSettings(SimulatedSettings):
         "db79f5dd4379f4293d1bc390690fb94f61cba827eb42fd4f5fd58ce6e58f7c5b",
         "Hash of the required scene, config/scenes/deformables.sha256; null accepts any scene",
     )
-    stock: int = setting(512, "Points kept of each cloud, drawn once; training draws from these each time", minimum=32)
+    stock: int = setting(
+        2048,
+        "Points kept of each cloud, drawn once; training draws from these each time. At least as many as the network takes",
+        minimum=32,
+    )
 
 
 @dataclass(frozen=True, eq=False)

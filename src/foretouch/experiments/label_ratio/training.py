@@ -10,9 +10,8 @@ Departures from P2, equal for both models, each an option in the settings:
 - An update takes `batch_size` samples of each kind, and the number of updates is the same at every ratio in `quick`:
   P2's 30 epochs over all labelled samples would give T10 nine times the updates of T90.
 - AdamW with a cosine schedule instead of Adam at a constant 0.01, labels standardised instead of scaled by their
-ranges,
-  the radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not converge on
-  touch.
+  ranges, the radius of the cloud and the width of the grasp as further inputs: with P2's recipe a PointNet does not
+  converge on touch.
 - No early stopping: no held-out samples are used in training, and the last weights are evaluated.
 """
 
