@@ -190,6 +190,18 @@ def test_the_presets_hold_what_tuning_chose(preset: str) -> None:
             assert list(getattr(getattr(settings, model), kind)) == wanted
 
 
+@pytest.mark.parametrize("name", ["label_ratio", "label_ratio_tuning"])
+def test_the_trials_keep_the_recipe_they_were_chosen_with_at_the_size_of_p2(name: str) -> None:
+    small, large = (find_experiment(name).resolve(preset, {}) for preset in ("quick", "paper"))
+    for key in ("optimiser", "learning_rate", "weight_decay", "schedule", "target_scaling", "batch_norm", "loss"):
+        assert getattr(large.training, key) == getattr(small.training, key)
+    assert (large.training.optimiser, large.training.schedule) == ("adamw", "cosine")
+    assert large.model.metric_inputs
+    assert small.model.metric_inputs
+    assert (large.model.n_points, large.model.feature_size, large.model.tnet) == (750, 1024, True)
+    assert (large.training.batch_size, large.training.epochs) == (10, 30)
+
+
 def test_a_trial_for_each_ratio_is_wanted() -> None:
     with pytest.raises(ConfigError, match=r"LabelRatioSettings.srgan.electrodes: 1 trials are not one for each of 5"):
         find_experiment("label_ratio").resolve("quick", {"srgan": {"electrodes": ["0.3/1/1"]}})

@@ -33,7 +33,22 @@ from foretouch.learning.training.srgan import SrganConfig
 from foretouch.models.network.config import ModelConfig
 from foretouch.tactile import MODALITIES, columns
 
-__all__ = ["EXPERIMENT", "QUICK", "SMOKE", "ChosenTrials", "LabelRatioSettings", "NetworkSettings", "run_network"]
+__all__ = [
+    "EXPERIMENT",
+    "PAPER",
+    "QUICK",
+    "SMOKE",
+    "ChosenTrials",
+    "LabelRatioSettings",
+    "NetworkSettings",
+    "run_network",
+]
+
+_RECIPE: Final = {"optimiser": "adamw", "learning_rate": 3e-3, "schedule": "cosine", "target_scaling": "standardised"}
+"""The trials are changes of this recipe, so their rates and weight decays belong to it."""
+
+PAPER: Final[dict[str, Any]] = {"model": {"metric_inputs": True}, "training": _RECIPE}
+"""P2's sizes, epochs and batches of its SR-GAN, with the recipe of the trials and the size of the object as input."""
 
 QUICK: Final[dict[str, Any]] = {
     "stock": 512,
@@ -46,14 +61,7 @@ QUICK: Final[dict[str, Any]] = {
         "trunk_widths": [32, 64],
         "head_widths": [64, 32],
     },
-    "training": {
-        "batch_size": 16,
-        "optimiser": "adamw",
-        "learning_rate": 3e-3,
-        "schedule": "cosine",
-        "target_scaling": "standardised",
-        "generator": {"noise_length": 1, "widths": [16], "stride": 8},
-    },
+    "training": {**_RECIPE, "batch_size": 16, "generator": {"noise_length": 1, "widths": [16], "stride": 8}},
 }
 """64 of 750 points, features of 64 instead of 1024 values, no T-Net, a generator of 64 points."""
 
@@ -212,7 +220,7 @@ EXPERIMENT = Experiment(
     order=110,
     settings=LabelRatioSettings,
     presets={
-        "paper": _chosen(RATIOS),
+        "paper": {**PAPER, **_chosen(RATIOS)},
         "p2_as_printed": _as_printed("as_printed"),
         "p2_as_printed_contrast": _as_printed("contrast"),
         "p2_as_printed_srgan": _as_printed("srgan"),

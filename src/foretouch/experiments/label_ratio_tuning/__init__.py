@@ -15,7 +15,7 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.label_ratio import QUICK, SMOKE, NetworkSettings, run_network
+from foretouch.experiments.label_ratio import PAPER, QUICK, SMOKE, NetworkSettings, run_network
 from foretouch.experiments.label_ratio.data import load_frozen
 from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, prepare_simulated
@@ -109,7 +109,7 @@ EXPERIMENT = Experiment(
     order=120,
     settings=LabelRatioTuningSettings,
     presets={
-        "paper": {},
+        "paper": PAPER,
         "quick": {**QUICK, "modalities": ["PDC_MF", "E_TH"]},
         "smoke": {**SMOKE, "samples": 400, "ratios": [50]},
     },
