@@ -170,6 +170,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
         "difference of the SR-GAN's RMSE from the PointNet's [95 % interval]",
         "`>` SR-GAN significantly better, `<` significantly worse, `=` no significant difference",
         *tally(rows),
+        _against_mean(rows),
     ]
     errors = Table(
         "RMSE in counts, PointNet / SR-GAN, mean ± standard deviation over the runs",
@@ -192,11 +193,18 @@ def tally(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Wins, ties and losses by interval, and by mean error alone, as P2 counts."""
     verdicts = [row["verdict"] for row in rows]
     counts = ", ".join(f"{verdicts.count(name)} {plural}" for name, plural in _PLURALS.items())
+    counts += f"; {verdicts.count(None)} with a single run" if None in verdicts else ""
     lower = sum(row["change"] < 0.0 for row in rows)
     return [
         f"SR-GAN by 95 % interval: {counts}",
         f"by mean error the SR-GAN is better in {lower} of {len(rows)} cells (P2: {sum(P2_AVERAGES.values())} of 20)",
     ]
+
+
+def _against_mean(rows: Sequence[Row]) -> str:
+    lower = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model, *_ in _MODELS]
+    cells = len(rows)
+    return f"mean error below that of the mean of the labels: PointNet in {lower[0]} of {cells} cells, SR-GAN in {lower[1]}"
 
 
 _PLURALS: Final = {_WIN: "wins", _TIE: "ties", _LOSS: "losses"}
