@@ -17,6 +17,7 @@ from foretouch.experiments.label_ratio.results import (
     draw_changes,
     draw_errors,
     draw_label_ratio_figure,
+    draw_panels,
     summarise,
     tally,
 )
@@ -142,16 +143,21 @@ def test_bars_are_as_high_as_the_errors_in_order_of_the_ratios() -> None:
     assert axes.get_ylim()[0] == 0.0
 
 
-def test_zero_is_always_seen() -> None:
+def test_ticks_name_the_ratios() -> None:
     axes = Figure().subplots()
     draw_changes(axes, ROWS)
-    low, high = axes.get_ylim()
-    assert low < -7.0
-    assert high >= 5.0
     assert [label.get_text().split("\n")[0] for label in axes.get_xticklabels()] == ["T90", "T10"]
 
 
-def test_a_file_is_written(tmp_path: Path) -> None:
-    (path,) = draw_label_ratio_figure(ROWS, tmp_path)
+@pytest.mark.parametrize("largest", [-1.0, 24.8])
+def test_the_differences_of_all_modalities_and_zero_are_within_the_axes(largest: float, tmp_path: Path) -> None:
+    other = {**ROWS[0], "modality": "E_MF", "change": largest, "change_low": None, "change_high": None, "verdict": None}
+    (path,) = draw_label_ratio_figure([*ROWS, other], tmp_path)
     assert path.name == "figure.png"
     assert path.stat().st_size > 5000
+    panels = draw_panels([*ROWS, other]).axes[2:]
+    assert len(panels) == 2
+    for axes in panels:
+        low, high = axes.get_ylim()
+        assert low < -7.0
+        assert high >= max(5.0, largest)

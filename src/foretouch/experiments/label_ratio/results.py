@@ -32,6 +32,7 @@ from foretouch.types import Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 TREES: Final = "geometry_trees"
@@ -241,7 +242,12 @@ def _rounded(value: float | None) -> float | None:
 
 
 def draw_label_ratio_figure(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `figure.png`: P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
+    """Draw `figure.png`."""
+    return [save(draw_panels(rows), folder / "figure.png")]
+
+
+def draw_panels(rows: Rows) -> Figure:
+    """Draw P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
     names = list(dict.fromkeys(row["modality"] for row in rows))
     figure = new_figure(3.6 * len(names) + 0.6, 7.2)
     above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
@@ -250,11 +256,13 @@ def draw_label_ratio_figure(rows: Rows, folder: Path) -> list[Path]:
         draw_errors(top, subset)
         draw_changes(bottom, subset)
         top.set_title(name)
+    low, high = below[0].get_ylim()  # shared by the panels, so it is widened after all are drawn
+    below[0].set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
     above[0].set_ylabel("RMSE [% of the range]\nmean ± standard deviation of the runs")
     below[0].set_ylabel("difference of the SR-GAN's RMSE [%]\n95 % interval")
     figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=5)
     figure.suptitle("; ".join(tally(rows)), fontsize=10)
-    return [save(figure, folder / "figure.png")]
+    return figure
 
 
 def draw_errors(axes: Axes, rows: Rows) -> None:
@@ -262,7 +270,7 @@ def draw_errors(axes: Axes, rows: Rows) -> None:
     for side, (model, letter, colour) in zip((-0.5, 0.5), _MODELS, strict=True):
         x = [k + side * _HALF for k in range(len(rows))]
         heights = [row[f"{model}_percent"] for row in rows]
-        widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or 0.0) for row in rows]
+        widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or np.nan) for row in rows]
         label = f"{letter}: {'SR-GAN' if model == 'srgan' else 'PointNet'}"
         axes.bar(x, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
     for name, label, colour in _BASELINES:
@@ -284,8 +292,6 @@ def draw_changes(axes: Axes, rows: Rows) -> None:
         if row["change_low"] is not None:
             axes.plot([x, x], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
     axes.axhline(0.0, color="black", linewidth=0.8)
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
     axes.margins(x=0.15)
     published = ["–" if row["p2_change"] is None else f"{row['p2_change']:+.1f}" for row in rows]
     _ticks(axes, rows, published)
