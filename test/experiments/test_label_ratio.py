@@ -121,6 +121,10 @@ def test_a_run_may_be_extended_but_not_by_other_trials(store: Path, tmp_path: Pa
     assert run_sweep(experiment, one, tmp_path / "out", **words).finished == 3
     more = run_sweep(experiment, experiment.resolve("smoke", {**TINY, "seeds": [0]}), tmp_path / "out", **words)
     assert (more.reused, more.finished) == (3, 6)
+    both = experiment.resolve("smoke", {**TINY, "seeds": [0], "modalities": ["PDC_TH", "E_MF"]})
+    rows = run_sweep(experiment, both, tmp_path / "out", **words).rows
+    assert [(row["modality"], row["ratio"]) for row in rows] == [(m, r) for m in ("PDC_TH", "E_MF") for r in (50, 90)]
+    assert all(row["trees_rmse"] is not None for row in rows)
     other = experiment.resolve("smoke", {**TINY, "seeds": [0], "pointnet.pressure": ["rate 0.003"] * 2})
     with pytest.raises(FileError, match=r"T50\+PDC_TH\+pointnet\+0\.json: was run with other values"):
         run_sweep(experiment, other, tmp_path / "out", **words)

@@ -170,14 +170,17 @@ def _run(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> lis
 
 
 def _run_trees(cell: Cell, settings: LabelRatioSettings, data: SimulatedGrasps) -> list[Row]:
-    """Trees that are trained on the labelled samples alone, for all modalities at once."""
+    """Trees that are trained on the labelled samples alone.
+
+    For all modalities at once, also those that are not asked for: a run may be extended by further ones.
+    """
     samples = data.collection.samples
     split = split_at(data.collection, cell.values["ratio"])
     train, test = ([samples[k] for k in index] for index in (split.train, split.test))
     predicted = geometry_trees(train, labels_of(train), test, cell.values["seed"])
     objects = [sample.object for sample in test]
     rows = []
-    for name in settings.modalities:
+    for name in MODALITIES:
         inputs = prepared(data, settings.model.replace(outputs=(name,)), settings.stock)
         rows.append({"modality": name, **error_row(inputs, split, predicted[:, columns([name])], objects)})
     return rows
