@@ -565,6 +565,36 @@ CLAIMS: Sequence[tuple[str, str, Callable[[], Sequence[str] | bool]]] = [
         "In 16 of the 20 cells it is significantly better, in 4 there is no significant difference, and in none is it significantly worse",
         lambda: sorted(row["verdict"] for row in rows("label_ratio")) == ["tie"] * 4 + ["win"] * 16,
     ),
+    (
+        RESULTS,
+        "At T90, three runs, no difference between the models is significant, and the SR-GAN's mean error is above that of the mean of the labels in every modality. Of T50 one modality was run once, with the same outcome",
+        lambda: (
+            [row["verdict"] for row in rows("label_ratio_p2", ratio=90)] == ["tie"] * 4
+            and {row["runs"] for row in rows("label_ratio_p2", ratio=90)} == {"3"}
+            and [row["runs"] for row in rows("label_ratio_p2", ratio=50)] == ["1"]
+            and all(float(row["srgan_rmse"]) > float(row["mean_rmse"]) for row in rows("label_ratio_p2"))
+        ),
+    ),
+    (
+        "docs/results/label_ratio_p2/README.md",
+        "Trees on geometry with the same 320 labels have errors that are {} % below those of the mean of the labels",
+        lambda: [
+            "{:.0f} to {:.0f}".format(
+                *sorted(
+                    100.0 * (1.0 - float(row["trees_rmse"]) / float(row["mean_rmse"]))
+                    for row in rows("label_ratio_p2", ratio=90)
+                )[::3]
+            )
+        ],
+    ),
+    (
+        "docs/results/label_ratio_p2/README.md",
+        "P2 has -31.5 % for E_MF at T90; here it is {} % [{}, {}]",
+        lambda: [
+            f"{float(rows('label_ratio_p2', ratio=90, modality='E_MF')[0][column]):+.1f}"
+            for column in ("change", "change_low", "change_high")
+        ],
+    ),
     *(
         (
             file,
