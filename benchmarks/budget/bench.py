@@ -53,11 +53,11 @@ from foretouch.types import ASSUMED_TABLE, Touch, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import GraspArray, TouchPredictionArray  # noqa: E402
 
 HERE = Path(__file__).parent
-LOADS = IDLE, LOADED, PRIORITISED = (
+IDLE, LOADED, PRIORITISED = LOADS = (
     "none",
     "comes and goes",
     "comes and goes, real-time priority",
-)  # the node's, in the last
+)  # the node's priority
 REALTIME = 10  # priority, of 1 to 99
 COUNTS, SHARES = (1, 10, 100), (0.6, 0.35, 0.05)
 PERIOD_S = 2.0  # of the load, on and off
