@@ -112,8 +112,13 @@ _LEANED = "simulated new objects: what is leaned on"
 CLAIMS: Sequence[tuple[str, str, Callable[[], Sequence[str] | bool]]] = [
     # The front page.
     *(
-        ("README.md", f"`{name}`{{}} | {{}} | {{}} | {{}} |", lambda name=name: _front_row(name))
+        ("README.md", f"`{name}`{{}} | {{}} | {{}} | {{}} | {{}} ms | {{}} ms |", lambda name=name: _front_row(name))
         for name in ("contact-v2", "contact-v1", "touchnet-v1")
+    ),
+    (
+        "README.md",
+        "in which the four separate networks of the papers took {} ms for one grasp",
+        lambda: ["{:.0f}".format(float(_timed("papers' four networks", 1)["cpu_ms"]))],
     ),
     (
         "README.md",
@@ -689,7 +694,19 @@ def _front_row(name: str) -> list[str]:
     (line,) = (line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith(f"| `{name}`"))
     words = line.removeprefix(f"| `{name}`").split(" | ")[0]
     skills = [[one["skill"] for one in card(name)["skill"][split].values()] for split in ("random", "time", "object")]
-    return [words, *(f"{np.mean(four) + 0.0:.2f}".replace("-0.00", "0.00") for four in skills)]
+    times = [float(_timed(name, count)["cpu_ms"]) for count in (1, 100)]
+    return [
+        words,
+        *(f"{np.mean(four) + 0.0:.2f}".replace("-0.00", "0.00") for four in skills),
+        *(f"{one:.1f}" if one < 10.0 else f"{one:.0f}" for one in times),
+    ]
+
+
+def _timed(variant: str, request: int) -> dict[str, str]:
+    """The row of a model and a number of grasps in the committed comparison of models."""
+    with (ROOT / "docs/results/tradeoff/model/tradeoff.csv").open(encoding="utf-8") as file:
+        (found,) = (row for row in csv.DictReader(file) if (row["variant"], row["request"]) == (variant, str(request)))
+    return found
 
 
 def _campaign(folder: str, method: str) -> str:
