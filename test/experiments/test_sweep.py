@@ -13,7 +13,7 @@ from own_experiments.counting import EXPERIMENT, CountingSettings
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Cell, run_sweep
-from foretouch.experiments.framework.manifest import read_results, write_results
+from foretouch.experiments.framework.manifest import read_results, require_experiment, write_results, write_summary
 
 TESTS = Path(__file__).parents[1]
 
@@ -149,6 +149,33 @@ def test_folders_of_something_else_are_left_alone(tmp_path, numbers) -> None:
         (tmp_path / "new/cells/cell0.json").write_text(text)
         with pytest.raises(FileError, match=rf"cell0.json: .*{rule}"):
             sweep(tmp_path / "new", numbers, settings={"cells": 1}, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("sessions", None),
+        ("sessions", 5),
+        ("cells", []),
+        ("cells", 5),
+        ("cells", {"all": 1}),
+        ("cells", {"all": "1"}),
+        ("cells", {"all": 1, "finished": 1, "failed": []}),
+    ],
+)
+def test_a_damaged_manifest_is_refused_by_file_and_field(tmp_path, numbers, name, value) -> None:
+    out = tmp_path / "out"
+    sweep(out, numbers, settings={"cells": 1})
+    file = out / "manifest.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), name: value}))
+    for use in (
+        lambda: sweep(out, numbers, settings={"cells": 1}, resume=True),
+        lambda: sweep(out, numbers, settings={"cells": 1}, only_finished=True),
+        lambda: write_summary(out, "title", []),
+        lambda: require_experiment(out, "counting"),
+    ):
+        with pytest.raises(FileError, match=rf"manifest\.json: {name}: "):
+            use()
 
 
 def test_presets_and_their_errors() -> None:

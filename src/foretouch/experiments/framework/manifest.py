@@ -82,7 +82,7 @@ def open_folder(
         return {**fixed, "sessions": []}
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
-    manifest = _read_mapping(file)
+    manifest = _read_manifest(file)
     before = {**manifest, "settings": _completed(manifest.get("settings"), kind)}
     for name in _FIXED:
         _require_same(_without(before.get(name), free), _without(fixed[name], free), name, file)
@@ -108,7 +108,7 @@ def require_experiment(out: Path, name: str) -> None:
         FileError: If the manifest is damaged.
     """
     file = out / MANIFEST_FILE
-    if file.exists() and (found := _read_mapping(file).get("experiment")) != name:
+    if file.exists() and (found := _read_manifest(file).get("experiment")) != name:
         raise ConfigError(f"{file}: experiment: {found!r} is not {name!r}")
 
 
@@ -200,7 +200,7 @@ def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
 def _missing_cells(out: Path) -> str:
     """A sentence if the manifest in a folder lists unfinished cells, else an empty text."""
     file = out / MANIFEST_FILE
-    cells = _read_mapping(file).get("cells", {}) if file.exists() else {}
+    cells = _read_manifest(file).get("cells", {}) if file.exists() else {}
     if not cells or cells["finished"] == cells["all"]:
         return ""
     return f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
@@ -228,6 +228,18 @@ def _read_mapping(file: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise FileError(file, "contains no mapping")
     return record
+
+
+def _read_manifest(file: Path) -> dict[str, Any]:
+    """A manifest whose sessions can be continued and whose cells, if it was once written to the end, are counted."""
+    manifest = _read_mapping(file)
+    if not isinstance(manifest.get("sessions"), list):
+        raise FileError(file, "sessions: is no list")
+    cells = manifest.get("cells", {})
+    counts = [cells.get(name) for name in ("all", "finished")] if isinstance(cells, dict) else [None]
+    if cells != {} and not (all(isinstance(count, int) for count in counts) and isinstance(cells.get("failed"), dict)):
+        raise FileError(file, "cells: holds no counts `all` and `finished` and no mapping `failed`")
+    return manifest
 
 
 def _completed(settings: Any, kind: type[Settings]) -> Any:
