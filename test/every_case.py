@@ -24,7 +24,7 @@ def every_case(cases: Mapping[str, Any] | Iterable[Any], check: Callable[..., ob
     for number, (name, case) in enumerate(named):
         try:
             check(*case) if isinstance(case, tuple) else check(case)
-        except (Exception, pytest.fail.Exception, pytest.skip.Exception) as err:
+        except (Exception, pytest.fail.Exception, pytest.skip.Exception) as err:  # noqa: BLE001
             failures[f"{number} {name}"] = err
     if failures:
         lines = [f"  {name}: {_line(err)}" for name, err in failures.items()]
