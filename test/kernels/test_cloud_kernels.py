@@ -8,12 +8,13 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 import pytest
+from corpus.clouds import MANY, object_cases, scene_cases
 
 from foretouch import kernels
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
-from foretouch.selftest.clouds import MANY, object_cases, scene, scene_cases
+from foretouch.selftest import table_scene
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud, Float32, Plane
 
@@ -89,7 +90,7 @@ def test_damaged_pixels_within_the_objects_are_counted_equally(rng: np.random.Ge
 
 
 def test_an_image_that_is_not_contiguous_is_segmented_equally() -> None:
-    xyz = scene()
+    xyz = table_scene()
     wide = np.full((xyz.shape[0], 2 * xyz.shape[1], 3), np.nan, np.float32)
     part: Float32 = wide[:, : xyz.shape[1]]
     part[:] = xyz

@@ -7,6 +7,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 import pytest
+from corpus.clouds import object_cases
 
 from foretouch import kernels
 from foretouch.cloud.geometry import pcl_filters
@@ -20,7 +21,7 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 from foretouch.grasp.preprocessing import _canonical_order
 from foretouch.kernels import Kernel
-from foretouch.selftest.clouds import object_cases, scene
+from foretouch.selftest import table_scene
 from foretouch.types import Float32
 
 _MOST = 6000  # points of a case; the NumPy forms take seconds of more
@@ -41,7 +42,7 @@ def _hard_clouds() -> Iterator[tuple[str, Float32]]:
         if 2 <= len(xyz) <= _MOST and np.abs(xyz).max() < 1e9:  # plan_grasps refuses others, whose squares overflow
             yield case.name, xyz
     rng = np.random.default_rng(0)
-    image = scene()[80:160, 120:200].reshape(-1, 3)
+    image = table_scene()[80:160, 120:200].reshape(-1, 3)
     image = image[np.isfinite(image).all(axis=1)]
     far = np.concatenate([image, rng.normal(0.0, 300.0, (40, 3)).astype(np.float32)])
     yield "part of an image", image
