@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from corpus.clouds import object_cases
 from every_case import every_case
 from kernels.references import points as reference
 
@@ -19,7 +20,7 @@ from foretouch.cloud.geometry.pcl_filters import (
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, axis, plan_grasps, preprocessing, ranking, stable
 from foretouch.grasp import geograsp as geograsp_module
-from foretouch.selftest.clouds import object_cases, scene
+from foretouch.selftest import table_scene
 from foretouch.types import Cloud, Float32, Plane
 
 _MOST = 6000  # points of a case; the references take seconds of more
@@ -33,7 +34,7 @@ def _hard_clouds() -> Iterator[tuple[str, Float32]]:
         if 2 <= len(xyz) <= _MOST and np.abs(xyz).max() < 1e9:  # plan_grasps refuses others, whose squares overflow
             yield case.name, xyz
     rng = np.random.default_rng(0)
-    image = scene()[80:160, 120:200].reshape(-1, 3)
+    image = table_scene()[80:160, 120:200].reshape(-1, 3)
     image = image[np.isfinite(image).all(axis=1)]
     far = np.concatenate([image, rng.normal(0.0, 300.0, (40, 3)).astype(np.float32)])
     yield "part of an image, shuffled, with far points", rng.permutation(far)

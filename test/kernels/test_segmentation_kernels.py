@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from corpus.clouds import scene_cases
 from every_case import every_case
 from kernels.references import segmentation as reference
 
@@ -12,7 +13,7 @@ from foretouch.cloud.segmentation import clusters, objects, plane
 from foretouch.cloud.segmentation import segment as segment_module
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
-from foretouch.selftest.clouds import scene, scene_cases
+from foretouch.selftest import table_scene
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud, Float32
 
@@ -87,7 +88,7 @@ def test_damaged_pixels_within_the_objects_are_counted(rng: np.random.Generator)
 
 
 def test_an_image_that_is_not_contiguous() -> None:
-    xyz = scene()
+    xyz = table_scene()
     wide = np.full((xyz.shape[0], 2 * xyz.shape[1], 3), np.nan, np.float32)
     part: Float32 = wide[:, : xyz.shape[1]]
     part[:] = xyz
