@@ -21,7 +21,6 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import TYPE_CHECKING, Literal
 
-from foretouch import kernels
 from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
 
 if TYPE_CHECKING:
@@ -181,13 +180,13 @@ def _ros() -> Iterator[Finding]:
 
 
 def _kernels() -> Finding:
-    """The package gives the same answers without its compiled functions, but later."""
-    name = "compiled kernels"
-    if kernels.why_absent:
-        return Finding(
-            name, "mismatch", f"NumPy runs instead: {kernels.why_absent}", "install gcc, then foretouch again"
-        )
-    return Finding(name, "ok", "loaded")
+    from foretouch.errors import MissingDependencyError
+
+    try:
+        import foretouch.kernels  # noqa: F401
+    except MissingDependencyError as err:
+        return Finding("compiled kernels", "mismatch", str(err), "apt install gcc, then install foretouch again")
+    return Finding("compiled kernels", "ok", "loaded")
 
 
 def _shared_memory() -> Finding:

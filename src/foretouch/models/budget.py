@@ -27,7 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from foretouch import __version__, kernels
+from foretouch import __version__
 from foretouch.checked_files import read_json
 from foretouch.errors import FileError
 from foretouch.models.card import write_text
@@ -144,7 +144,6 @@ def load_profile(
         "foretouch": __version__,
         "python": platform.python_version(),
         **{name: importlib.metadata.version(name) for name in _LIBRARIES},
-        "compiled kernels": not kernels.why_absent,
         "model": levels[0].model.sha256,
         "levels": [level.name for level in levels],
     }
