@@ -22,6 +22,7 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.dataset.vision2tactile import read_sample, sample_folders
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
@@ -106,6 +107,11 @@ def write_grasps(path: Path) -> None:
                     sample = replace(sample, touch=None, tare=None)
                 flags = (DISCARDED,) if one is samples[5] else ()
                 writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
+def read_folder(path: Path) -> list[GraspSample]:
+    """All samples in folders of vision2tactile."""
+    return [read_sample(folder) for folder in sample_folders(path)]
 
 
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:

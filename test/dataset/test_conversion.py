@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
+from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.dataset.formats import export_formats
@@ -21,7 +21,6 @@ from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
-from foretouch.dataset.vision2tactile import read_folder
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import GraspSample
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
@@ -66,17 +65,11 @@ class SampleSet:
 
 @dataclass(kw_only=True)
 class ExportResult:
-    """Counts of an export.
+    """Counts of an export."""
 
-    Attributes:
-        written: Samples written.
-        left_out: Samples that the format cannot hold, by reason.
-        lost: Fields that the format cannot hold, by name, with the number of samples that had them.
-    """
-
-    written: int = 0
-    left_out: Counter[str] = field(default_factory=Counter)
-    lost: Counter[str] = field(default_factory=Counter)
+    written: int = 0  # samples
+    left_out: Counter[str] = field(default_factory=Counter)  # samples that the format cannot hold, by reason
+    lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 
 
 def _not_supported(*_: Any) -> Any:
@@ -105,12 +98,8 @@ def _functions(entry: formats.FormatEntry) -> DatasetFormat:
 
 
 def _format_of(path: Path) -> DatasetFormat | None:
-    for entry in formats.FORMATS:
-        if entry.may_hold(path):
-            functions = _functions(entry)
-            if functions.recognise(path):
-                return functions
-    return None
+    candidates = (_functions(entry) for entry in formats.FORMATS if entry.may_hold(path))
+    return next((functions for functions in candidates if functions.recognise(path)), None)
 
 
 def is_sample_set(path: str | Path) -> bool:
@@ -137,11 +126,8 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
 
 def only_finite(sample: GraspSample) -> GraspSample:
     """The sample with an unorganised cloud, without points that have no depth."""
-    cloud = sample.cloud
-    finite: npt.NDArray[np.bool_] = np.asarray(np.isfinite(cloud.xyz).all(axis=-1))
-    if not cloud.organised and finite.all():
-        return sample
-    return replace(sample, cloud=cloud.take(finite))
+    finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
+    return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))
 
 
 def export_samples(

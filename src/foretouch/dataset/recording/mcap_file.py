@@ -58,18 +58,11 @@ class McapFile:
         """Its size so far [bytes]."""
         return self._output.size
 
-    def declare(self, topic: str, type_name: str, definition: str, qos: str = "") -> None:
-        """Declare a topic in the next chunk.
-
-        Args:
-            topic: Its name.
-            type_name: Such as `std_msgs/msg/String`.
-            definition: The message definition in the format `ros2msg`.
-            qos: The offered QoS profiles as rosbag2 writes them, YAML.
-        """
+    def declare(self, topic: str, type_name: str, definition: str) -> None:
+        """Declare a topic of messages such as `std_msgs/msg/String`, with their definition as `ros2msg`."""
         if type_name not in self._schemas:
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": qos}
+        metadata = {"offered_qos_profiles": ""}
         self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[type_name], metadata)
         self.types[topic] = type_name
 

@@ -143,8 +143,7 @@ class _Repair:
                 continue
             self._topics[number] = channel.topic
             if channel.topic not in self._file.types:
-                qos = channel.metadata.get("offered_qos_profiles", "")
-                self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"), qos)
+                self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
 
     def _add(self, item: Record | Damage) -> None:
         if isinstance(item, Damage):
