@@ -259,10 +259,10 @@ def test_the_400_real_grasps_come_in_quickly_and_out_equal(real_data: Path, tmp_
 
 
 def test_the_exported_bag_names_its_types(dataset: Path, tmp_path: Path) -> None:
-    from foretouch.dataset.bag import list_topics
+    from foretouch.dataset.bag import Recording
 
     export_samples(dataset, tmp_path / "bag", "rosbag2")
-    kinds = {topic.name: (topic.type, topic.count) for topic in list_topics(tmp_path / "bag")}
+    kinds = {topic.name: (topic.type, topic.count) for topic in Recording(tmp_path / "bag").topics}
     assert kinds == {
         "/foretouch/samples": (SAMPLE_TYPE, 4),
         "/foretouch/object_cloud": ("sensor_msgs/msg/PointCloud2", 4),

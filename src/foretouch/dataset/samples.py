@@ -20,31 +20,18 @@ from foretouch.types import GraspSample
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """The samples of a dataset in order, read on demand and as often as needed; a context manager.
+    """The samples of a dataset in order, read on demand and as often as needed; a context manager."""
 
-    Attributes:
-        path: The dataset.
-        kind: Name of its format.
-        size: Number of samples, including discarded ones.
-        record: Reads one sample by its number; raises `FileError` with file and position.
-        name: Where a sample is stored, for messages.
-        identity: Hand and camera, as far as they are known.
-        close: Closes the files.
-        unfinished: Recordings that were cut off, if those may be read.
-        message_counts: Reads the message counts by topic, in plain types; empty for formats without messages.
-        edits: Descriptions of later changes.
-    """
-
-    path: Path
-    kind: str
-    size: int
-    record: Callable[[int], SampleRecord]
-    name: Callable[[int], str]
-    identity: Identity = field(default_factory=Identity)
-    close: Callable[[], None] = lambda: None
-    unfinished: tuple[Path, ...] = ()
-    message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict
-    edits: tuple[str, ...] = ()
+    path: Path  # the dataset
+    kind: str  # name of its format
+    size: int  # number of samples, including discarded ones
+    record: Callable[[int], SampleRecord]  # reads one sample by its number; raises `FileError` with file and position
+    name: Callable[[int], str]  # where a sample is stored, for messages
+    identity: Identity = field(default_factory=Identity)  # hand and camera, as far as they are known
+    close: Callable[[], None] = lambda: None  # closes the files
+    unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
+    message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
+    edits: tuple[str, ...] = ()  # descriptions of later changes
 
     def __enter__(self) -> Self:
         return self
