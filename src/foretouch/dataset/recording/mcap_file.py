@@ -34,7 +34,6 @@ class McapFile:
 
     Attributes:
         types: Type of the messages, by declared topic.
-        message_count: Messages written so far.
 
     Raises:
         FileError: If the path exists or cannot be written. So do all methods that write; what they were to write is then
@@ -44,7 +43,6 @@ class McapFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.types: dict[str, str] = {}
-        self.message_count = 0
         with disk_errors(self.path):
             self._output = _Output(os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644))
         self._schemas: dict[str, int] = {}
@@ -80,7 +78,6 @@ class McapFile:
         for one in messages:
             self._add(one)
         self._commit()
-        self.message_count += len(messages)
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append named texts; of several with the same name the last is valid."""
