@@ -31,6 +31,7 @@ from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import ExternalShutdownException  # noqa: E402
+from rclpy.logging import LoggingSeverity  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -71,6 +72,7 @@ class Graph:
         self._alone = alone
         self.domain = open_domain(new=alone)
         self.probe = Node("probe", namespace="/foretouch")
+        self.probe.get_logger().set_level(LoggingSeverity.FATAL)
         self.nodes: list[Any] = []
         self._processes: list[subprocess.Popen[str]] = []
         self._errors = InternalErrors(print)

@@ -128,6 +128,7 @@ def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
             return any(one.values.get("slow_clients") == "1" for one in slow_ones)
 
         graph.until(is_reported)
+    graph.until(lambda: not bridge.notes()["topics"])
 
 
 def test_the_layout_in_the_repository_is_the_one_that_is_made():

@@ -3,6 +3,7 @@
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header
@@ -92,6 +93,7 @@ def reported(uptime_s, state="active", **ends):
 def predictor(graph):
     """A node that stands for the predictor of another process, with a volatile publisher."""
     node = Node("touch_predictor", namespace="/foretouch")
+    node.get_logger().set_level(LoggingSeverity.FATAL)  # it would warn of incompatible QoS
     node.create_publisher(TouchPredictionArray, "touch", 10)
     graph.serve(node)
     return node
