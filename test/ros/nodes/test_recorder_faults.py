@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
+from recording_builders import fail_writes
 from robot_builders import FRAME, MS, QUICK, Robot, accounts, start
 
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
@@ -105,15 +106,7 @@ def test_a_disk_that_fails_ends_the_recording_with_the_reason(graph, tmp_path, m
     node, robot, statuses = start(graph, tmp_path / "set")
     robot.grasp("g-0", 0)
     graph.until(lambda: node.status().samples == 1)
-    real, broken = os.writev, []
-
-    def failing(fd, buffers):
-        if not broken:  # once: what follows are the last accounts, for which there is room
-            broken.append(fd)
-            raise OSError(code, os.strerror(code))
-        return real(fd, buffers)
-
-    monkeypatch.setattr(os, "writev", failing)
+    fail_writes(monkeypatch, 1, code)  # what follows are the last counts, for which there is room
     robot.feel(REST, 30)
     graph.until(lambda: not node.in_session)
     monkeypatch.undo()
