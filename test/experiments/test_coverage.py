@@ -77,6 +77,7 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 
 
 @pytest.mark.real_data
+@pytest.mark.usefixtures("in_this_process")
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # in which the scene is not
     experiment = find_experiment("coverage")
