@@ -24,7 +24,7 @@ REST = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0
 
 
 def make_calibration(seed: int = 0) -> Calibration:
-    """A calibration whose four groups all differ, and in which all values are correlated."""
+    """A calibration whose groups differ, and in which all values are correlated."""
     rng = np.random.default_rng(seed)
     groups = {}
     for k, name in enumerate(GROUPS, 1):
@@ -41,9 +41,10 @@ def make_calibration(seed: int = 0) -> Calibration:
 def make_tracked_calibration() -> Calibration:
     """The same with the parameters of a tracker, whose sensors drift by as much as objects differ."""
     calibration = make_calibration()
-    parameters = calibration.tracker_parameters()
-    lasting = parameters.object[0]
-    tracker = replace(parameters, slow=lasting, fast=0.2 * lasting, alarm=np.full((2, 2), 1e6))
+    parameters = calibration.tracker_parameters
+    lasting = parameters.object[0] + parameters.slow
+    objects = np.array([lasting, parameters.object[1]])
+    tracker = replace(parameters, slow=lasting, fast=0.2 * lasting, object=objects, alarm=np.full((2, 2), 1e6))
     return replace(calibration, tracker=tracker)
 
 

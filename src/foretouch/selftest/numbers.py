@@ -308,18 +308,19 @@ def calibration_cases() -> Iterator[HardCase]:
 
 
 def _calibrated(predicted: Float64, labels: Float64, names: list[str]) -> list[Any]:
-    """Adapted predictions and half widths for 0 to 1000 touches, of a calibration that was written and read."""
+    """Adapted predictions and half widths for 0 to 100 touches, of a calibration that was written and read."""
+    from foretouch.learning.evaluation.prequential import Recording, predict_after
     from foretouch.learning.training.calibration import HeldOutPredictions, make_calibration
     from foretouch.models.calibration import Calibration
 
     held_out = HeldOutPredictions(predicted, labels, np.array(names, np.str_), np.array(names, np.str_))
     made, _ = make_calibration(np.full(TOUCH_SIZE, 2500.0), {"known": held_out, "new": held_out})
     calibration = Calibration.from_tensors(made.to_tensors())
+    every = Recording(np.arange(1, 1 + len(labels)), held_out.objects, labels, predicted)
     found: list[Any] = []
-    for count in (0, 1, 1000):
-        touched = (predicted[0], labels[0]) if count else None
-        found += calibration.adapt(
-            predicted[:3], np.array([True, False, True])[: len(predicted)], tare=False, touched=touched, count=count
+    for count in (0, 1, 100):
+        found += predict_after(
+            calibration, every.take(np.zeros(count, np.intp)), every.take(np.arange(len(labels))[:3])
         )
     return found
 

@@ -6,6 +6,7 @@ A few of each, for the user's machine: other libraries or instructions of the pr
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Any
@@ -126,13 +127,17 @@ def _scores() -> float:
 
 def _adaptation() -> float:
     """Adaptation to touches with independent values, against b r / (b + w / n)."""
-    from foretouch.models.calibration import CalibrationGroup
+    from foretouch.models.state_space import TrackerParameters
+    from foretouch.models.tracker import SensorTracker
 
     rng = np.random.default_rng(10)
-    between, within, residual = rng.uniform(1.0, 1e4, (3, TOUCH_SIZE))
-    group = CalibrationGroup(np.diag(between), within, np.ones(TOUCH_SIZE), between + within, np.ones(TOUCH_SIZE))
-    zeros = np.zeros(TOUCH_SIZE)
-    found = group.counts_after(zeros[None], zeros, residual, 3)[0]
+    between, within, residual = rng.uniform(1.0, 4e3, (3, TOUCH_SIZE))
+    zeros, ones = np.zeros(TOUCH_SIZE), np.ones(TOUCH_SIZE)
+    parameters = TrackerParameters.from_calibration((np.diag(between),) * 2, (within,) * 2, (ones,) * 2, np.ones(4))
+    tracker = SensorTracker(replace(parameters, alarm=np.full_like(parameters.alarm, 1e6)))
+    for _ in range(3):
+        tracker.add_touch(1, residual, zeros)
+    found = tracker.predict(1, zeros[None])[0][0]
     exact = np.array(
         [
             float(Fraction(b) * Fraction(r) / (Fraction(b) + Fraction(w) / 3))

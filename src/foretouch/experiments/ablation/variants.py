@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from foretouch.learning.data import Fold, Indices, labels_of
 from foretouch.learning.evaluation.baselines import geometry_features
+from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, thinned_samples
 from foretouch.models.calibration import Calibration, CalibrationGroup
@@ -103,21 +104,16 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
 class ModelVariant:
     """A variant of the contact model with its predictions for the test samples."""
 
-    expected: Float64  # (S, 50) predictions before any touch, at the rest level of training [counts]
-    familiar: npt.NDArray[np.bool_]  # (S,) whether each object is in the training distribution
-    labels: Float64  # (S, 50) labels [counts]
-    shifts: Float64  # (S, 50) differences of the tares from the rest level; zeros without tares [counts]
-    calibration: Calibration | None  # its calibration, if one was made
+    recording: Recording  # of the test samples, with its predictions by sight
+    calibration: Calibration | None  # without a fit to the order of time, so that edits of its groups count
 
     def predict(self, index: Indices, touched: Indices, *, tare: bool) -> Float64:
-        """(K, 50) predictions as those of `ContactPredictor.predict_after` [counts]; touches need a calibration."""
-        shifts = self.shifts if tare else np.zeros_like(self.shifts)
-        counts = self.expected[index]
-        if self.calibration is not None and len(touched):
-            means = self.expected[touched].mean(axis=0), (self.labels - shifts)[touched].mean(axis=0)
-            count = len(touched)
-            counts, _ = self.calibration.adapt(counts, self.familiar[index], tare=tare, touched=means, count=count)
-        return counts + shifts[index]
+        """(K, 50) predictions [counts], after touches or with tares only if it is calibrated."""
+        if self.calibration is None:
+            return self.recording.expected[index]
+        used = self.recording if tare else replace(self.recording, tares=None)
+        earlier = touched[np.argsort(used.stamps_ns[touched], kind="stable")]
+        return predict_after(self.calibration, used.take(earlier), used.take(index))[0]
 
 
 def fit_variants(
@@ -136,7 +132,8 @@ def fit_variants(
         for variant, combine in COMBINATIONS.items() if name == FULL else [(name, COMBINATIONS[FULL])]:
             calibration = model.calibrate(combine, held_out) if held_out else None
             counts, familiar = combine(components), components.in_distribution >= IN_DISTRIBUTION
-            result[variant] = ModelVariant(counts, familiar, labels_of(test), model.shifts(test), calibration)
+            recording = Recording.of_samples(test, labels_of(test), counts, model.rest, familiar)
+            result[variant] = ModelVariant(recording, calibration)
     full = result[FULL]
     if full.calibration is not None:
         for variant, edit in GROUP_EDITS.items():
@@ -152,9 +149,9 @@ class _ComponentModel:
         self, train: Sequence[GraspSample], config: ContactConfig, describe: Callable[[Sequence[GraspSample]], Float64]
     ) -> None:
         self._train, self._config, self._describe = list(train), config, describe
-        self._rest, _ = rest_level(train)
+        self.rest, _ = rest_level(train)
         self._labels = labels_of(train)
-        self._resting = resting_labels(train, self._labels, self._rest)
+        self._resting = resting_labels(train, self._labels, self.rest)
         self._objects = np.array([sample.object for sample in train])
         self._rows = describe(train)
         copies = thinned_samples(train, config)
@@ -163,10 +160,6 @@ class _ComponentModel:
 
     def predict(self, samples: Sequence[GraspSample]) -> Components:
         return Components.predict(self._estimator, self._describe(samples))
-
-    def shifts(self, samples: Sequence[GraspSample]) -> Float64:
-        tares = [self._rest if sample.tare is None else sample.tare.vector() for sample in samples]
-        return np.array(tares) - self._rest
 
     def held_out(self) -> dict[str, tuple[Components, npt.NDArray[np.str_]]]:
         """Predictions for held-out training samples, and the sessions of these, by calibration group."""
@@ -180,7 +173,7 @@ class _ComponentModel:
     ) -> Calibration:
         """Calibration of one combination of the components."""
         predicted = {name: (combine(components), sessions) for name, (components, sessions) in held_out.items()}
-        return calibrate(self._train, self._labels, predicted)[0]
+        return replace(calibrate(self._train, self._labels, predicted)[0], tracker=None)
 
     def _without(self, fold: Fold) -> Components:
         return Components.predict(self._fit(fold.train), self._rows[fold.test])
