@@ -100,7 +100,7 @@ def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], ou
 
     if not rows:
         return []
-    write_summary(out, experiment.question, experiment.summarise(rows))
+    write_summary(out, experiment, experiment.summarise(rows))
     return [path.name for path in experiment.draw(rows, out)]
 
 

@@ -116,7 +116,7 @@ def report(area: Area[Any, Any], out: Path) -> list[str]:
         raise FileError(out / TABLE_FILE, "contains no row")
     manifest = out / manifests.MANIFEST_FILE
     skipped = read_json(manifest).get("skipped", {}) if manifest.exists() else {}
-    manifests.write_summary(out, area.question, summary_tables(area, rows, skipped))
+    manifests.write_summary(out, area, summary_tables(area, rows, skipped))
     return [path.name for path in (*draw_tradeoff(area, rows, out), *area.draw(rows, out))]
 
 

@@ -165,6 +165,6 @@ EXPERIMENT = Experiment(
     summarise=tables.ablation_tables,
     figure=tables.draw_ablation_figure,
     prepare=prepare_both,
-    free=("grounds", "seeds", "divisions", "bootstrap"),
+    resumable_settings=("grounds", "seeds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -171,6 +171,6 @@ EXPERIMENT = Experiment(
     summarise=coverage_tables,
     figure=draw_coverage_figure,
     prepare=prepare_both,
-    free=("grounds", "divisions", "bootstrap"),
+    resumable_settings=("grounds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -199,6 +199,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=_summarise,
     figure=_draw,
-    free=real_grasps.FREE,
+    resumable_settings=real_grasps.RESUMABLE,
     data_folder="vision2tactile",
 )

@@ -73,7 +73,7 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = manifests.open_folder(out, fixed, experiment.settings, resume=resume, free=experiment.free)
+        manifest = manifests.open_folder(out, fixed, resume=resume, resumable=experiment.resumable_settings)
         done = manifests.read_cells(out, cells)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset
@@ -95,8 +95,8 @@ def run_sweep(
                 progress(cell_result, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
-        result.rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
-        manifests.write_results(out, result.rows)
+        rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
+        result.rows = manifests.write_results(out, rows)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
         manifests.write_manifest(out, manifest)
     except OSError as err:

@@ -215,6 +215,6 @@ EXPERIMENT = Experiment(
     summarise=_summarise,
     figure=_draw,
     prepare=prepare_both,
-    free=("grounds", "predictors", "seeds", "grasps", "objects", "bootstrap"),
+    resumable_settings=("grounds", "predictors", "seeds", "grasps", "objects", "bootstrap"),
     data_folder="vision2tactile",
 )

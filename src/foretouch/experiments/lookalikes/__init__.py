@@ -16,7 +16,7 @@ from foretouch.config import setting
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.shared.predictors import find_predictor
-from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, FREE, labelled, score_table, seeded_predictors
+from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, RESUMABLE, labelled, score_table, seeded_predictors
 from foretouch.experiments.shared.simulated_data import (
     SimulatedGrasps,
     SimulatedSettings,
@@ -152,5 +152,5 @@ EXPERIMENT = Experiment(
     summarise=_summarise,
     figure=_draw,
     prepare=prepare_simulated,
-    free=FREE,
+    resumable_settings=RESUMABLE,
 )

@@ -147,5 +147,5 @@ EXPERIMENT = Experiment(
     summarise=ceiling_tables,
     figure=draw_ceiling_figure,
     prepare=prepare_simulated,
-    free=("predictors", "draws"),
+    resumable_settings=("predictors", "draws"),
 )

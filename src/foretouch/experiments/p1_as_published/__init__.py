@@ -241,6 +241,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=_summarise,
     figure=_draw,
-    free=("modalities",),
+    resumable_settings=("modalities",),
     data_folder="vision2tactile",
 )

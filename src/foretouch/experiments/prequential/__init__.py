@@ -128,6 +128,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=summarise_prequential,
     figure=draw_prequential,
-    free=("predictors", "jump", "jump_after", "tares", "bootstrap"),
+    resumable_settings=("predictors", "jump", "jump_after", "tares", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -87,7 +87,7 @@ def split_experiment(*, name: str, question: str, module: str, split: str, order
         tabulate=real_grasps.score_table,
         summarise=skill_tables,
         figure=draw_skill_figure,
-        free=real_grasps.FREE,
+        resumable_settings=real_grasps.RESUMABLE,
         data_folder="vision2tactile",
     )
 

@@ -58,7 +58,7 @@ PRESETS: Final[dict[str, dict[str, Any]]] = {
     "smoke": {"seeds": [0], "effort": 0.1},
 }
 
-FREE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
+RESUMABLE: Final = ("predictors", "seeds", "network_seeds", "references", "bootstrap")
 """Settings that no cell depends on; its predictor and seed are among its values."""
 
 

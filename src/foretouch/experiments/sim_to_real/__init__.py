@@ -27,7 +27,7 @@ from foretouch.config import setting
 from foretouch.experiments import unseen_object
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.predictors import PREDICTORS, Fit, find_predictor, with_offset_correction
-from foretouch.experiments.shared.real_grasps import FREE, labelled
+from foretouch.experiments.shared.real_grasps import RESUMABLE, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
 from foretouch.learning.evaluation.baselines import TREES, Baseline, geometry_trees
 from foretouch.tactile import MODALITIES, columns
@@ -153,6 +153,6 @@ EXPERIMENT = Experiment(
     summarise=unseen_object.summarise_touches,
     figure=unseen_object.draw_touches,
     prepare=prepare_both,
-    free=FREE,
+    resumable_settings=RESUMABLE,
     data_folder="vision2tactile",
 )

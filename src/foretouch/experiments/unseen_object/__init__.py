@@ -234,6 +234,6 @@ EXPERIMENT = Experiment(
     tabulate=tabulate_touches,
     summarise=summarise_touches,
     figure=draw_touches,
-    free=real_grasps.FREE,
+    resumable_settings=real_grasps.RESUMABLE,
     data_folder="vision2tactile",
 )
