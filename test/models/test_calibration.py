@@ -21,9 +21,7 @@ Change = Callable[[np.ndarray], np.ndarray | None]
 
 
 def group_of(between: np.ndarray, within: np.ndarray, worth: float) -> CalibrationGroup:
-    return CalibrationGroup(
-        between, within, np.full(SIZE, worth), np.diag(between) + within, np.full(SIZE, 100.0)
-    )
+    return CalibrationGroup(between, within, np.full(SIZE, worth), np.diag(between) + within, np.full(SIZE, 100.0))
 
 
 def full(rng: np.random.Generator) -> np.ndarray:
@@ -124,9 +122,9 @@ def test_damage_is_refused_by_name() -> None:
             ("known/worth", lambda a: None, "known/worth: is missing"),
             ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
             ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
-            ("known/within", changed(0, 0.0), "known/within: .* not finite and above 0"),
-            ("new/spread", changed(0, -1.0), "new/spread: .* not finite and above 0"),
-            ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and above 0"),
+            ("known/within", changed(0, 5e-324), "known/within: .* not finite and at least 1e-09"),
+            ("new/spread", changed(0, -1.0), "new/spread: .* not finite and at least 1e-09"),
+            ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and at least 1e-09"),
             ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
             ("new/between", lambda a: -a, "new/between: is no covariance"),
             ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
@@ -138,22 +136,11 @@ def test_damage_is_refused_by_name() -> None:
     )
 
 
-def test_a_calibration_that_amplifies_or_is_singular_is_refused(rng) -> None:
-    factors = rng.normal(size=(SIZE, 1))
-    opposed = np.eye(SIZE)
-    opposed[:2, :2] = [[1e9, 3.16e3], [3.16e3, 1e-2]]
-
-    def check(_name: str, between: np.ndarray, within: float) -> None:
-        tensors = make_calibration().to_tensors()
-        tensors["new/between"], tensors["new/within"] = between, np.full(SIZE, within)
-        with pytest.raises(ModelError, match=r"^between, within: no tracker can be made of them"):
-            Calibration.from_tensors(tensors)
-
-    every_case(
-        [
-            ("W vanishes, and B has no part of its own", 300.0 * factors @ factors.T, 1e-300),
-            ("both vanish", np.zeros((SIZE, SIZE)), 5e-324),
-            ("a channel without noise stands for one of a million times its size", opposed, 1e-4),
-        ],
-        check,
-    )
+def test_a_calibration_that_amplifies_is_refused() -> None:
+    """A channel almost without noise stands for one of ten thousand times its size."""
+    tensors = make_calibration().to_tensors()
+    tensors["new/between"] = np.eye(SIZE)
+    tensors["new/between"][:2, :2] = [[1e6, 9.9e1], [9.9e1, 1e-2]]
+    tensors["new/within"] = np.r_[1e6, 1e-3, np.ones(SIZE - 2)]
+    with pytest.raises(ModelError, match=r"^between, within: no tracker can be made of them: .* 10 is allowed"):
+        Calibration.from_tensors(tensors)

@@ -34,6 +34,7 @@ GROUPS: Final = ("known", "new")
 _POSITIVE: Final = ("within", "spread", "half_width")
 _FALLBACK: Final = "fallback/"
 _TRACKER: Final = "tracker/"
+_MIN_VALUE: Final = 1e-9  # [counts²] of a variance; that of rounding is 0.08
 _MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
 
 
@@ -99,12 +100,13 @@ class Calibration:
         new, known = self.groups["new"], self.groups["known"]
         ratio = new.half_width / np.sqrt(new.spread)
         try:
-            found = TrackerParameters.from_calibration(
-                (new.between, known.between),
-                (new.within, known.within),
-                (new.worth, known.worth),
-                np.array([ratio[columns([name])].mean() for name in MODALITIES]),
-            )
+            with np.errstate(all="ignore"):  # what is not finite is refused below
+                found = TrackerParameters.from_calibration(
+                    (new.between, known.between),
+                    (new.within, known.within),
+                    (new.worth, known.worth),
+                    np.array([ratio[columns([name])].mean() for name in MODALITIES]),
+                )
             sensors = found.object.min(axis=0)
             found = replace(found, slow=sensors, object=found.object - sensors)
             return TrackerParameters.from_tensors(found.to_tensors())
@@ -154,8 +156,10 @@ def _check_array(name: str, array: npt.NDArray[Any]) -> None:
     if array.shape != shape:
         raise ModelError(f"{name}: shape {array.shape} is not {shape}")
     positive = name in _POSITIVE
-    if not np.isfinite(array).all() or (positive and not (array > 0.0).all()):
-        raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
+    if not np.isfinite(array).all() or (positive and not (array >= _MIN_VALUE).all()):
+        raise ModelError(
+            f"{name}: holds a value that is not finite{f' and at least {_MIN_VALUE:g}' if positive else ''}"
+        )
 
 
 def add_calibration(

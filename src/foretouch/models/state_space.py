@@ -101,7 +101,7 @@ class TrackerParameters(TensorRecord):
         empirical Bayes estimate [Efron and Morris 1973].
 
         The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are
-        used.
+        used. Variances beyond their bounds, as of a model without errors, are set to these.
 
         Args:
             between: B of new and of known objects, (50, 50) each [counts²].
@@ -120,8 +120,8 @@ class TrackerParameters(TensorRecord):
             slow_time_s=np.full(TOUCH_SIZE, SLOW_TIME_S),
             fast=np.zeros(TOUCH_SIZE),
             fast_time_s=np.full(TOUCH_SIZE, FAST_TIME_S),
-            object=np.maximum([values, known_object], 0.0),
-            noise=np.array([np.ones(TOUCH_SIZE), known_noise]),
+            object=np.clip([values, known_object], *_BOUNDS["object"]),
+            noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_BOUNDS["noise"]),
             tare_noise=np.full(TOUCH_SIZE, TARE_NOISE),
             worth=np.array(worth),
             factor=factor,
