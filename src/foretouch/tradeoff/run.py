@@ -21,10 +21,11 @@ from foretouch.errors import FileError, ForetouchError
 from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.experiment import ReadData, Row
 from foretouch.experiments.framework.sweep import Progress, SweepResult, run_sweep
+from foretouch.timing import MachineLoad
 from foretouch.tradeoff.area import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.tradeoff.frontier import summary_tables
 from foretouch.tradeoff.picture import draw_tradeoff
-from foretouch.tradeoff.timing import MachineLoad, largest_difference, peak_memory_mb, time_variants
+from foretouch.tradeoff.timing import largest_difference, peak_memory_mb, time_variants
 
 TABLE_FILE: Final = "tradeoff.csv"
 

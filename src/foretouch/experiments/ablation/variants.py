@@ -19,10 +19,11 @@ from foretouch.learning.evaluation.baselines import geometry_features
 from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, thinned_samples
-from foretouch.models.calibration import Calibration, CalibrationGroup
+from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, by_modality
 from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 from foretouch.models.novelty import IN_DISTRIBUTION
+from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -75,11 +76,25 @@ COMBINATIONS: Final[dict[str, Combination]] = {
 }
 """By name of the variant, (S, 50) predictions before any touch [counts]."""
 
-GROUP_EDITS: Final[dict[str, Callable[[CalibrationGroup], CalibrationGroup]]] = {
-    "no worth": lambda group: replace(group, worth=np.ones(TOUCH_SIZE)),
-    "diagonal B": lambda group: replace(group, between=np.diag(np.diag(group.between))),
+
+def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
+    """The same variance of each value, without covariances."""
+    squared = parameters.basis**2
+    scale = squared @ parameters.noise[NEW]
+    per_value = {
+        name: (getattr(parameters, name) @ squared.T) / scale
+        for name in ("slow", "fast", "object", "noise", "tare_noise")
+    }
+    share = squared / squared.sum(axis=1, keepdims=True)
+    times = {name: share @ getattr(parameters, name) for name in ("slow_time_s", "fast_time_s")}
+    return replace(parameters, basis=np.diag(np.sqrt(scale)), **per_value, **times)
+
+
+TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
+    "no worth": lambda parameters: replace(parameters, worth=np.ones((2, TOUCH_SIZE))),
+    "diagonal B": _diagonal,
 }
-"""By name of the variant, changes of the full model's calibration groups that only matter after touches."""
+"""By name of the variant, changes of the full model's tracker, which only matter after touches."""
 
 
 def _without_slopes(samples: Sequence[GraspSample]) -> Float64:
@@ -105,7 +120,7 @@ class ModelVariant:
     """A variant of the contact model with its predictions for the test samples."""
 
     recording: Recording  # of the test samples, with its predictions by sight
-    calibration: Calibration | None  # without a fit to the order of time, so that edits of its groups count
+    calibration: Calibration | None  # its calibration, if one was made
 
     def predict(self, index: Indices, touched: Indices, *, tare: bool) -> Float64:
         """(K, 50) predictions [counts], after touches or with tares only if it is calibrated."""
@@ -119,7 +134,7 @@ class ModelVariant:
 def fit_variants(
     train: Sequence[GraspSample], test: Sequence[GraspSample], config: ContactConfig, *, calibrated: bool
 ) -> dict[str, ModelVariant]:
-    """Fit all variants to labelled samples and predict others; those of `GROUP_EDITS` only if calibrated.
+    """Fit all variants to labelled samples and predict others; those of `TRACKER_EDITS` only if calibrated.
 
     Raises:
         DatasetError: If a label is missing, or there are too few training samples.
@@ -136,9 +151,9 @@ def fit_variants(
             result[variant] = ModelVariant(recording, calibration)
     full = result[FULL]
     if full.calibration is not None:
-        for variant, edit in GROUP_EDITS.items():
-            groups = {name: edit(group) for name, group in full.calibration.groups.items()}
-            result[variant] = replace(full, calibration=replace(full.calibration, groups=groups))
+        for variant, edit in TRACKER_EDITS.items():
+            tracker = edit(full.calibration.tracker_parameters)
+            result[variant] = replace(full, calibration=replace(full.calibration, tracker=tracker))
     return result
 
 
@@ -173,7 +188,7 @@ class _ComponentModel:
     ) -> Calibration:
         """Calibration of one combination of the components."""
         predicted = {name: (combine(components), sessions) for name, (components, sessions) in held_out.items()}
-        return replace(calibrate(self._train, self._labels, predicted)[0], tracker=None)
+        return calibrate(self._train, self._labels, predicted)[0]
 
     def _without(self, fold: Fold) -> Components:
         return Components.predict(self._fit(fold.train), self._rows[fold.test])

@@ -91,6 +91,7 @@ class Experiment(Generic[S, D]):
             sweep is resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
         order: Position in lists of experiments; equal ones are sorted by name.
+        results: Name of the table's file.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Experiment(Generic[S, D]):
     resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
     order: int = 1000
+    results: str = "results.csv"
 
     @property
     def command(self) -> str:
@@ -129,6 +131,25 @@ class Experiment(Generic[S, D]):
         """Prepare and load the data; arguments as those of `prepare`."""
         path = self.prepare(settings, source, out)
         return ReadData(path, self.load(settings, path))
+
+    def finish(
+        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
+    ) -> list[Row]:
+        """Complete the rows of `tabulate` in this process, once all cells have run: here, with nothing.
+
+        Args:
+            settings: Settings of the sweep.
+            data: Data of the sweep.
+            rows: The rows.
+            out: Folder of the sweep.
+            progress: Called with the number of steps done and of all.
+        """
+        del settings, data, out, progress
+        return rows
+
+    def tables(self, rows: Sequence[Row]) -> list[Table]:
+        """Tables of `results.csv` for the terminal and `summary.md`; none without rows."""
+        return list(self.summarise(rows)) if rows else []
 
     def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
         """Draw the figures of `results.csv` into a folder; none without rows or without a `figure`."""

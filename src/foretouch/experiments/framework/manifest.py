@@ -30,6 +30,7 @@ from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.models.card import write_text
+from foretouch.timing import cpu_name
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"
@@ -50,7 +51,7 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
         "python": platform.python_version(),
         "libraries": {name: version for name in _LIBRARIES if (version := _version(name))},
         "platform": platform.platform(),
-        "cpu": _cpu(),
+        "cpu": cpu_name(),
         "cores": len(os.sched_getaffinity(0)),
         "gpu": _gpus(),
         "workers": workers,
@@ -301,12 +302,6 @@ def _git_commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None
-
-
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
-    return names[0] if names else platform.processor()
 
 
 def _gpus() -> list[str]:

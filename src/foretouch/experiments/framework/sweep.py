@@ -39,6 +39,7 @@ def run_sweep(
     workers: int = 1,
     address: str | None = None,
     progress: Progress | None = None,
+    finishing: Callable[[int, int], None] = lambda *_: None,
     read: ReadData | None = None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
@@ -54,6 +55,7 @@ def run_sweep(
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
         progress: Called with each result, the number of finished cells and the number of all cells.
+        finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
         read: The data, if they were read with these settings already.
 
     Returns:
@@ -96,7 +98,8 @@ def run_sweep(
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
         rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
-        result.rows = manifests.write_results(out, rows)
+        rows = experiment.finish(settings, data, rows, out, finishing)
+        result.rows = manifests.write_results(out, rows, experiment.results)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
         manifests.write_manifest(out, manifest)
     except OSError as err:

@@ -18,7 +18,7 @@ closed form. A thick layer answers like a half-space, whose mean stiffness under
 the footprint shrinks from all cells that overlap (bed) to half that depth (Hertz), and the profile
 turns from linear in the overlap to its square root.
 
-`Descent` minimises under the bound p >= 0 (their steps 1 to 8). With K the influence of pressure on displacement,
+The descent (`kernels/layer.c`) minimises under the bound p >= 0 (their steps 1 to 8). With K the influence of pressure on displacement,
 the pressure solves
 
     p >= 0,   r = K p + g - d >= 0,   p r = 0,
@@ -52,9 +52,7 @@ _WAVES = 30.0  # t beyond which M - 1 is below 1e-20
 _GAUSS = 3  # points a side that average the smooth part over a cell
 _CACHED = 64  # spectra kept, 130 kB each at N = 64
 
-_layer_descent = Kernel(
-    "layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2
-)  # `Descent`, with its own FFT
+_layer_descent = Kernel("layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2)
 
 
 def layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
@@ -162,93 +160,6 @@ def _smooth_table(poisson: float) -> tuple[Float64, Any]:
     integrand = weights * _WAVES / 2.0 * (layer_transfer(t, poisson) - 1.0)
     rho = np.linspace(0.0, _FAR, _TABLE)
     return rho, j0(np.outer(rho, t)) @ integrand
-
-
-_TINY = float(np.finfo(np.float64).tiny)
-
-
-class Descent:
-    """The pressure on its way to contact.
-
-    Where neither clipping nor new cells disturb a step, K p follows from K t of the step instead of a
-    second convolution.
-
-    Args:
-        gap: (N, N) float64, finite [m].
-        spectrum: Of the influence coefficients.
-        start: (N, N) float64 [Pa], at least 0 and somewhere above.
-        depth: Approach [m], or None if `total` is given.
-        total: Σ pressure over the cells [Pa], or None if `depth` is given.
-
-    Attributes:
-        pressure: (N, N) float64 [Pa].
-        depth: The given approach, or the one that the present pressure means [m].
-        iterations: Steps taken.
-        residual: Change of pressure in the last step over the pressure, both summed.
-    """
-
-    def __init__(
-        self, gap: Float64, spectrum: Complex128, start: Float64, *, depth: float | None, total: float | None
-    ) -> None:
-        self._gap = gap
-        self._spectrum = spectrum
-        self._safe_length = 1.0 / float(np.abs(spectrum).max())  # below 2 / (largest eigenvalue of K)
-        self._given_depth = depth
-        self._total = total
-        self.pressure = start if total is None else start * (total / float(start.sum()))
-        self._displacement = convolve(self.pressure, spectrum)
-        self._direction = np.zeros_like(gap)
-        self._last_squares = math.inf  # the first direction is the gradient itself
-        self.iterations = 0
-        self.residual = math.inf
-
-    @property
-    def depth(self) -> float:
-        """The approach [m]: at a given force, the mean that the cells in contact ask for."""
-        return self._depth(self.pressure > 0.0)
-
-    def step(self) -> float:
-        """Take one step; returns `residual`."""
-        wet = self.pressure > 0.0
-        r = self._displacement + self._gap
-        r -= self._depth(wet)
-        g = r * wet
-        squares = float(np.vdot(g, g))
-        t = g + (squares / self._last_squares) * (self._direction * wet)
-        q = convolve(t, self._spectrum)
-        bend = float(np.vdot(t, q))
-        if self._total is not None:  # the depth is free: only what departs from the mean counts
-            bend -= float(t.sum()) * float(np.vdot(q, wet)) / max(int(np.count_nonzero(wet)), 1)
-        length = float(np.vdot(g, t)) / bend if bend > 0.0 else self._safe_length
-        self._direction, self._last_squares = t, squares if squares > 0.0 else math.inf
-        self._apply(length, t, q, r, wet)
-        return self.residual
-
-    def _depth(self, wet: npt.NDArray[np.bool_]) -> float:
-        if self._given_depth is not None:
-            return self._given_depth
-        return float(np.vdot(self._displacement + self._gap, wet)) / int(np.count_nonzero(wet))
-
-    def _apply(self, length: float, t: Float64, q: Float64, r: Float64, wet: npt.NDArray[np.bool_]) -> None:
-        old = self.pressure
-        new = old - length * t
-        negative = new < 0.0
-        overlap = (r < 0.0) & ~wet
-        grown = bool(overlap.any())
-        if grown:  # cells that overlap join, by a step that cannot overshoot, and the directions start anew
-            new[overlap] -= min(length, self._safe_length) * r[overlap]
-            self._last_squares = math.inf
-        if negative.any():
-            new[negative] = 0.0
-            grown = True
-        self._displacement = convolve(new, self._spectrum) if grown else self._displacement - length * q
-        total = float(new.sum())
-        if self._total is not None and total > 0.0:
-            new *= self._total / total
-            self._displacement *= self._total / total
-        self.pressure = new
-        self.iterations += 1
-        self.residual = float(np.abs(new - old).sum()) / max(total, _TINY)
 
 
 @dataclass
@@ -402,36 +313,19 @@ def _descend(
     start: Float64,
 ) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
-    total = None if command.force_n is None else command.force_n / problem.cell_m2
     spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
-    if _layer_descent:
-        end = _compiled_descent(gap, spectrum, start, command.depth_m, total, config)
-        if end is not None:
-            return end
-    descent = Descent(gap, spectrum, start, depth=command.depth_m, total=total)
-    while descent.iterations < config.max_iterations and descent.step() >= config.tolerance:
-        pass
-    return _End(descent.pressure, descent.depth, descent.iterations, descent.residual)
-
-
-def _compiled_descent(
-    gap: Float64,
-    spectrum: Complex128,
-    start: Float64,
-    depth: float | None,
-    total: float | None,
-    config: problems.ContactConfig,
-) -> _End | None:
-    """As `Descent`; None where the number of cells has a factor other than 2, 3 and 5."""
-    given = depth if total is None else total
-    if given is None:
-        return None
-    pressure = start.copy() if total is None else start * (total / float(start.sum()))
-    safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)
+    if command.force_n is None:
+        pressure, given = start.copy(), float(command.depth_m or 0.0)
+    else:
+        given = command.force_n / problem.cell_m2
+        pressure = start * (given / float(start.sum()))
+    safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
     limits = safe_length, config.tolerance, config.max_iterations
-    n, by_force = gap.shape[0], int(total is not None)
+    n, by_force = gap.shape[0], int(command.force_n is not None)
     _layer_descent(np.ascontiguousarray(gap), spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
-    return _End(pressure, float(end[0]), int(end[1]), float(end[2])) if end[3] else None
+    if not end[3]:
+        raise MemoryError("layer_descent")
+    return _End(pressure, float(end[0]), int(end[1]), float(end[2]))
 
 
 @lru_cache(maxsize=_CACHED)
