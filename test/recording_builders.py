@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_samples import make_samples
 
+from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording import (
     APPROACH,
     HOLD,
@@ -20,6 +22,7 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 IDENTITY = Identity(
@@ -88,6 +91,21 @@ def write_dataset(
                 writer.write(TACTILE, MESSAGE, 1000 * number + k)
             writer.append(record(number, name, points))
     return writer.file
+
+
+def write_grasps(path: Path) -> None:
+    """Record two sessions of grasps on two boxes: 8 samples with candidates, 6 of them with a touch, 1 discarded."""
+    samples = [replace(one, tare=Touch.from_vector(one.touch.vector() - 7.0)) for one in make_samples(2, 4)]
+    for session in (samples[:4], samples[4:]):
+        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+            for number, one in enumerate(session):
+                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 0.0, 1.0]))
+                other = Grasp(one.grasp.g1 + 0.01, one.grasp.g2 + 0.01, rotation, 0.5, "other", one.object)
+                sample = replace(one, grasp=replace(one.grasp, rotation=rotation))
+                if number == 2:
+                    sample = replace(sample, touch=None, tare=None)
+                flags = (DISCARDED,) if one is samples[5] else ()
+                writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
 
 
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:

@@ -94,6 +94,7 @@ def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Pat
 
 
 @pytest.mark.real_data
+@pytest.mark.usefixtures("in_this_process")
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(Path(__file__).parents[2])
     experiment = find_experiment("ablation")
