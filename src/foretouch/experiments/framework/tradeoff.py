@@ -97,6 +97,7 @@ class Area(Experiment[S, D]):
     notes: Callable[[Sequence[Row]], Sequence[str]] = lambda _: ()
     summarise: Callable[[Sequence[Row]], Sequence[Table]] = lambda _: ()
     results: str = "tradeoff.csv"
+    order: int = 900
 
     @property
     def area(self) -> str:
@@ -107,6 +108,18 @@ class Area(Experiment[S, D]):
     def command(self) -> str:
         """Words that run it."""
         return f"foretouch tradeoff {self.area}"
+
+    def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
+        """As `Experiment.resolve`; a `ConfigError` too if two variants have the same name, or a named one is absent."""
+        settings = super().resolve(preset, overrides)
+        variants = list(self.variants(settings))
+        names = [one.name for one in variants]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"{self.name}: variants: {max(names, key=names.count)!r} occurs twice")
+        wanted = {self.shipped, self.reference, *(n for one in variants for n in (one.compared_with, one.reference))}
+        if absent := wanted - {"", *names}:
+            raise ConfigError(f"{self.name}: variants: {min(absent)!r} is absent")
+        return settings
 
     def finish(
         self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
@@ -169,18 +182,6 @@ def variant_cells(variants: Callable[[S], Iterable[Variant]]) -> Callable[[S, An
     ]
 
 
-def checked_variants(area: Area[S, Any], settings: S) -> list[Variant]:
-    """The variants of settings; a `ConfigError` if two have the same name, or one that is referred to is absent."""
-    variants = list(area.variants(settings))
-    names = [one.name for one in variants]
-    if len(set(names)) < len(names):
-        raise ConfigError(f"{area.name}: variants: {max(names, key=names.count)!r} occurs twice")
-    wanted = {area.shipped, area.reference, *(n for one in variants for n in (one.compared_with, one.reference))}
-    if absent := wanted - {"", *names}:
-        raise ConfigError(f"{area.name}: variants: {min(absent)!r} is absent")
-    return variants
-
-
 def measure_times(
     area: Area[Any, Any], settings: Any, out: Path, source: Path | None, progress: Callable[[int, int], None]
 ) -> list[Row]:
@@ -234,7 +235,7 @@ def _time_variants(
 
     requests = sorted(settings.requests)
     compared = max((one for one in requests if one <= _COMPARED), default=requests[0])
-    variants = checked_variants(area, settings)
+    variants = list(area.variants(settings))
     ready: dict[str, Timed] = {}
     answers: dict[str, Answer] = {}
     skipped = {one.name: one.missing for one in variants if one.missing}
