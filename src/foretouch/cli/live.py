@@ -46,7 +46,7 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
 
 
 def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> FittedTable:
-    return FittedTable(columns, rows, title=title, box=None, expand=True, listed=False, limit=_MAX_ROWS)
+    return FittedTable(columns, rows, title=title, live=True, limit=_MAX_ROWS)
 
 
 def _nodes(nodes: dict[str, NodeView]) -> FittedTable:

@@ -103,7 +103,7 @@ def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
     columns = ("topic", "Hz", "received", "written", "queue", "lost", "dropped")
-    return FittedTable(columns, rows, box=None, expand=True, listed=False)
+    return FittedTable(columns, rows, live=True)
 
 
 def _drops(topics: Sequence[TopicAccount]) -> list[str]:
