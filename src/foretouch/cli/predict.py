@@ -13,11 +13,13 @@ import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.checked_files import read_json
 from foretouch.cli import inputs
+from foretouch.cli.answers import modality_text
 from foretouch.cli.output import print_json, print_table, warn
 from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, GraspError, TactileError
 from foretouch.tactile import MODALITIES
@@ -311,7 +313,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     inputs.add_plan_arguments(parser)
     parser.add_argument(
         "--grasp",
-        type=inputs.six_numbers,
+        type=partial(inputs.numbers, count=6),
         action="append",
         metavar="x1,y1,z1,x2,y2,z2",
         help="contacts [m] (default: the sample's own, or those that GeoGrasp plans)",
@@ -503,7 +505,7 @@ def _show(record: dict[str, Any]) -> None:
     rows = [
         [
             "\n".join(" ".join(f"{v:.3f}" for v in one["grasp"][name]) for name in ("g1", "g2")),
-            *(_text(one[name]) for name in MODALITIES),
+            *(modality_text(**one[name]) for name in MODALITIES),
             "\n".join([_reference_text(one, record["touched"]), *(flag.replace("_", " ") for flag in one["flags"])]),
         ]
         for one in record["predictions"]
@@ -519,16 +521,3 @@ def _reference_text(prediction: inputs.Record, touched: int) -> str:
     if prediction["reference"] == "history":
         return f"history {prediction['evidence']['readings']}"
     return str(prediction["reference"])
-
-
-def _text(modality: inputs.Record) -> str:
-    """Value and half width; for 24 electrodes, the smallest and the largest value and the mean half width."""
-    import numpy as np
-
-    if modality["value"] is None:
-        return "refused"
-    value = np.atleast_1d(modality["value"])
-    text = f"{value.min():.0f}–{value.max():.0f}" if value.size > 1 else f"{value[0]:.0f}"
-    if modality["lower"] is None:
-        return text
-    return f"{text} ±{np.mean(np.subtract(modality['upper'], modality['lower'])) / 2.0:.0f}"  # no space: it wraps there

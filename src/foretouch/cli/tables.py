@@ -27,7 +27,7 @@ class FittedTable:
     rows: Sequence[Sequence[str | Text]]  # cells, as many as columns; text is drawn as it is, without markup
     title: str = ""  # line above the table
     live: bool = False  # without frames, over all of the width, and never as lists
-    limit: int | None = None  # of the rows that are shown; how many more there are is written below them
+    limit: int = 1_000_000  # of the rows that are shown; how many more there are is written below them
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Choose the widths for the room that there is."""
@@ -43,7 +43,7 @@ class FittedTable:
             yield from self._lists()
         else:
             yield self._table(widths, framed=framed)
-        if self.limit is not None and self.limit < len(self.rows):
+        if self.limit < len(self.rows):
             yield Text(f"and {len(self.rows) - self.limit} more")
 
     def _spans(self) -> tuple[list[int], list[int]]:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
@@ -12,7 +10,7 @@ pytest.importorskip("foretouch_msgs.msg", reason="the messages are not built")
 import numpy as np
 from shape_msgs.msg import Plane
 
-from foretouch.cli.run import _print_answer
+from foretouch.cli.answers import answer_record
 from foretouch.errors import ModelError
 from foretouch.ros.messages.conversions import (
     grasp_to_msg,
@@ -47,9 +45,7 @@ def test_a_table_that_was_not_found_is_refused_with_a_reason(
     assert (refusal.value.status, refusal.value.reason) == (refused_as, text)
 
 
-def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed() -> None:
     touch = Touch.from_vector(np.full(50, 2000.0))
     prediction = TouchPrediction(grasp=GRASP, value=touch, lower=None, upper=None)
     good, strange = (prediction_to_msg(prediction, grasp_to_msg(GRASP), HEADER) for _ in range(2))
@@ -60,8 +56,7 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(
     bad = grasp_to_msg(GRASP)
     bad.g1.x = float("nan")
     refused = refusal_to_msg(bad, HEADER, Status.BAD_GRASP, "g1: is not finite")
-    _print_answer(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))
-    lines = json.loads(capsys.readouterr().out)["predictions"]
+    lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
     assert lines[0]["status"] == "ok"
     assert lines[1] == {"status": "failed", "reason": "reference: 77 is none of none, tare, touches, history"}
     assert lines[2] == {"status": "bad_grasp", "reason": "g1: is not finite"}
