@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+from experiment_samples import make_samples
 
+from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording import (
     APPROACH,
     HOLD,
@@ -18,6 +22,7 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 IDENTITY = Identity(
@@ -88,6 +93,21 @@ def write_dataset(
     return writer.file
 
 
+def write_grasps(path: Path) -> None:
+    """Record two sessions of grasps on two boxes: 8 samples with candidates, 6 of them with a touch, 1 discarded."""
+    samples = [replace(one, tare=Touch.from_vector(one.touch.vector() - 7.0)) for one in make_samples(2, 4)]
+    for session in (samples[:4], samples[4:]):
+        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+            for number, one in enumerate(session):
+                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 0.0, 1.0]))
+                other = Grasp(one.grasp.g1 + 0.01, one.grasp.g2 + 0.01, rotation, 0.5, "other", one.object)
+                sample = replace(one, grasp=replace(one.grasp, rotation=rotation))
+                if number == 2:
+                    sample = replace(sample, touch=None, tare=None)
+                flags = (DISCARDED,) if one is samples[5] else ()
+                writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
     """Compare everything except the ids."""
     assert (a.object, a.stamp_ns, dict(a.extra)) == (b.object, b.stamp_ns, dict(b.extra))
@@ -103,3 +123,18 @@ def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
         assert (one is None) == (other is None)
         if one is not None:
             np.testing.assert_array_equal(one.vector(), other.vector())
+
+
+def fail_writes(monkeypatch: pytest.MonkeyPatch, number: int, code: int, part: int | None = None) -> None:
+    """Let one write to a recording fail, after `part` bytes got through in the write before it."""
+    real, calls = os.write, []
+
+    def failing(fd: int, data: memoryview) -> int:
+        if Path(f"/proc/self/fd/{fd}").readlink().suffix != ".mcap":
+            return real(fd, data)
+        calls.append(fd)
+        if len(calls) == number:
+            raise OSError(code, os.strerror(code))
+        return real(fd, data[:part] if len(calls) < number else data)
+
+    monkeypatch.setattr(os, "write", failing)

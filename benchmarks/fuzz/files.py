@@ -242,13 +242,14 @@ def _store(folder: Path) -> Path:
 
 
 def _reseal(folder: Path) -> None:
-    from foretouch.dataset.store import seal_manifest
+    from foretouch.dataset.manifest import sealed
+    from foretouch.dataset.store import SEAL
 
     path = folder / "store" / "manifest.json"
     manifest = json.loads(path.read_text())
     for part in [*manifest["shards"], *manifest["files"]]:
         part["sha256"] = hashlib.sha256((folder / "store" / part["file"]).read_bytes()).hexdigest()
-    path.write_text(seal_manifest(manifest))
+    path.write_text(sealed(manifest, SEAL))
 
 
 def _recording(folder: Path) -> Path:

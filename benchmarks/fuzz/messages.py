@@ -341,14 +341,12 @@ def _adapter(type_name: str) -> tuple[Any, Any]:
     from foretouch.models.hand_history import HandHistory
     from foretouch.ros.touch.config import TouchPredictorConfig
     from foretouch.ros.touch.online_adapter import OnlineAdapter
-    from foretouch.ros.touch.tactile_state import HandMemory
     from foretouch.tactile.messages import TactileConfig, make_reader
 
     config = TouchPredictorConfig(tactile=TactileConfig(type=type_name))
     reader = make_reader(config.tactile)
     model = load_model("default")
-    memory = HandMemory(HandHistory(model), lambda: NOW_NS)
-    adapter = OnlineAdapter(model, reader, memory, lambda: config, lambda: NOW_NS, lambda _: None)
+    adapter = OnlineAdapter(model, reader, HandHistory(model), lambda: config, lambda: NOW_NS, lambda _: None)
     settings = AssemblerConfig(object="can", unlabelled_s=0.0, assume_grasps=True, watch_sensors=True)
     return adapter, SampleAssembler(settings, reader)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.models.budget import LatencyBudget
     from foretouch.models.hand_history import HandHistory
-    from foretouch.models.touch_model import Estimate, History, ObjectResiduals, TouchModel
+    from foretouch.models.touch_model import Estimate, History, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
@@ -96,7 +96,8 @@ class Adaptation:
         self._own = own
         self._history = history
         self._estimates: dict[int, Estimate] = {}  # of readings, by the id of their sample
-        self._residuals = None if own or not touched or model.tracks else self._residuals_of(self.touched, tare)
+        if touched or history is not None:
+            model.new_tracker()  # a model that cannot adapt is named before the first prediction
 
     def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
         """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
@@ -122,33 +123,28 @@ class Adaptation:
             raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {self.object}")
         tare = _own_tare(sample) if self._own else self._tare
         touched = self.touches_for(sample)
-        if self._history is not None or (touched and self._model.tracks):
-            history = self._history_of(touched, tare, sample)
-            return pipeline.predict(target, grasps, history=history, model=model)
-        if not touched:
+        if self._history is None and not touched:
             return pipeline.predict(target, grasps, tare=tare, model=model)
-        residuals = self._residuals if len(touched) == len(self.touched) else None
-        residuals = residuals or self._residuals_of(touched, tare)
-        return pipeline.predict(target, grasps, residuals=residuals, model=model)
+        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
 
     def _history_of(self, touched: Sequence[GraspSample], tare: Touch | None, sample: GraspSample | None) -> History:
-        """The readings of the hand up to the time of a sample, or else until now."""
+        """The readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
         from foretouch.models.hand_history import HandHistory
 
         read = self._history or ReadHistory(())
-        stamp_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
+        now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
         hand = read.hand.copy() if read.hand is not None else HandHistory(self._model)
-        before = [one for one in read.samples if sample is None or not _same(one, sample)]
         last = None
-        for one in sorted(before, key=lambda one: one.stamp_ns):
-            if one.stamp_ns <= stamp_ns:
+        for one in sorted(read.samples, key=lambda one: one.stamp_ns):
+            if one.stamp_ns <= now_ns and not (sample is not None and _same(one, sample)):
                 self._add(hand, one, one.stamp_ns, new_object=one.object != last)
                 last = one.object
         for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
-            self._add(hand, one, one.stamp_ns or stamp_ns, new_object=number == 0)
+            self._add(hand, one, one.stamp_ns or now_ns, new_object=number == 0)
+            now_ns = max(now_ns, one.stamp_ns)
         if tare is not None:
-            hand.add_tare(stamp_ns, tare)
-        return hand.at(stamp_ns, same_object=bool(touched), tare=tare is not None)
+            hand.add_tare(now_ns, tare)
+        return hand.at(now_ns, same_object=bool(touched), tare=tare is not None)
 
     def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
         """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
@@ -162,20 +158,6 @@ class Adaptation:
             hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object, estimate=estimate)
         except ForetouchError as err:
             raise DatasetError(f"{sample.id}: {err}") from err
-
-    def _residuals_of(self, touched: Sequence[GraspSample], tare: Touch | None) -> ObjectResiduals:
-        """Residuals of some touches, with their readings shifted to this tare."""
-        from foretouch.models.touch_model import ObjectResiduals
-        from foretouch.tactile import offsets, restore
-
-        residuals = ObjectResiduals(self._model, tare)
-        for sample in touched:
-            touch, then = sample.touch, _own_tare(sample) if self._own else sample.tare
-            assert touch is not None  # noqa: S101  only labelled samples are passed
-            if tare is not None and then is not None:
-                touch = restore(offsets(touch, then), tare)
-            residuals.add(sample.cloud, sample.grasp, touch)
-        return residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,13 +174,11 @@ def _read_history(paths: Sequence[str], model: TouchModel) -> ReadHistory | None
     Raises:
         ConfigError: If there is more than one file of a hand.
         DatasetError: If a sample has no stamp.
-        ModelError: If the model cannot use a history.
     """
     from foretouch.models.hand_history import read_history
 
     if not paths:
         return None
-    model.new_tracker()
     files = [path for path in paths if path.endswith(".safetensors")]
     if len(files) > 1:
         raise ConfigError(f"--history: {', '.join(files)}: more than one file of a hand")
@@ -210,13 +190,13 @@ def _read_history(paths: Sequence[str], model: TouchModel) -> ReadHistory | None
 
 
 def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
-    """Read the files of --tare and --touched, and compute the residuals of every touch.
+    """Read the files of --tare, --touched and --history.
 
     Raises:
         ConfigError: If `sample` and files are both given.
         FileError: If a file cannot be read or is no tare, or there are no samples.
         DatasetError: If no sample is labelled, or they are of several objects.
-        ModelError: If the model cannot adapt to touches.
+        ModelError: If the model cannot adapt to readings.
     """
     own = _OWN in arguments.tare
     if own and len(arguments.tare) > 1:
@@ -423,7 +403,7 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     from foretouch.dataset.samples import open_samples
     from foretouch.learning.evaluation.prequential import replay_model
     from foretouch.models.registry import load_model
-    from foretouch.types import Evidence, Reference, Touch, TouchPrediction
+    from foretouch.types import Reference, Touch, TouchPrediction
 
     for name in ("tare", "touched", "grasp", "budget_ms"):
         if getattr(arguments, name):
@@ -444,10 +424,11 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
         sample, level = done.samples[k], done.played.levels[k]
         counts, half = done.played.counts[k], done.played.half[k]
         value, lower, upper = (Touch.from_vector(end) for end in (counts, counts - half, counts + half))
-        flags = ("out_of_range",) * bool(model.ranges.outside(counts).any()) + ("unfamiliar",) * (not done.known[k])
-        read_before: Reference = "history" if level.readings_of_history else "none"
-        reference: Reference = "touches" if level.touches_of_object else read_before
-        evidence = Evidence(level.touches_of_object, level.object_age_s, level.readings_of_history, level.history_age_s)
+        flags = ("out_of_range",) * bool(model.ranges.outside(counts).any()) + ("unfamiliar",) * (
+            not done.recording.is_known(int(k))
+        )
+        evidence = level.evidence
+        reference: Reference = "touches" if evidence.touches else "history" if evidence.readings else "none"
         predicted = TouchPrediction(sample.grasp, value, lower, upper, reference, flags, evidence=evidence)
         record = {
             "input": sample.id,
@@ -457,9 +438,9 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
             "reason": "",
             "predictions": [prediction_record(predicted)],
             "model": {"name": model.name, "sha256": model.sha256},
-            "touched": level.touches_of_object,
-            "history": level.readings_of_history,
-            "history_age_s": level.history_age_s,
+            "touched": evidence.touches,
+            "history": evidence.readings,
+            "history_age_s": evidence.reading_age_s,
             "restarted": list(done.played.restarted[k]),
         }
         if arguments.json:

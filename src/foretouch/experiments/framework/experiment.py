@@ -158,8 +158,7 @@ class Experiment(Generic[S, D]):
 
 def list_experiments() -> list[Experiment[Any, Any]]:
     """The experiments of this package, in order of lists."""
-    modules = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
-    found = [one for module in modules for one in _held_by(f"{_PACKAGE}.{module.name}")]
+    found = [one for module in _modules() for one in _held_by(module)]
     return sorted(found, key=lambda one: (one.order, one.name))
 
 
@@ -173,18 +172,26 @@ def find_experiment(name: str) -> Experiment[Any, Any]:
     """
     module, _, own = name.partition(":")
     if "." not in module:
-        found, own = list_experiments(), name
-    else:
-        try:
-            found = _held_by(module)
-        except ModuleNotFoundError as err:
-            raise ConfigError(f"experiment: {name}: {err}") from err
-        if not found:
-            raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
+        for place in sorted(_modules(), key=lambda place: not place.endswith(f".{name}")):  # imports as few as it can
+            for one in _held_by(place):
+                if one.name == name:
+                    return one
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
+    try:
+        found = _held_by(module)
+    except ModuleNotFoundError as err:
+        raise ConfigError(f"experiment: {name}: {err}") from err
+    if not found:
+        raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
     chosen = [one for one in found if own in ("", one.name)]
     if len(chosen) != 1:
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in found)}")
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(f'{module}:{one.name}' for one in found)}")
     return chosen[0]
+
+
+def _modules() -> list[str]:
+    """Modules and folders of the package."""
+    return [f"{_PACKAGE}.{one.name}" for one in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
 
 
 def _held_by(module: str) -> list[Experiment[Any, Any]]:

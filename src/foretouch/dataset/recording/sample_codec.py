@@ -16,12 +16,12 @@ import numpy as np
 
 from foretouch import __version__
 from foretouch.checked_files import parse_json
-from foretouch.dataset.cdr import cloud_fields, header_fields, stamp_ns_of
-from foretouch.dataset.messages import decode_cloud, decode_grasp
+from foretouch.dataset.manifest import require_version
+from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
 from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.errors import DatasetError, ForetouchError
-from foretouch.grasp.pose import quaternion_xyzw
+from foretouch.errors import DatasetError, ForetouchError, VersionError
+from foretouch.tactile.messages import stamp_ns
 from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
 
 SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
@@ -64,9 +64,9 @@ def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
         outcome=_OUTCOMES.index(record.outcome),
         note=record.note,
         cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
-        grasp=_grasp_fields(sample.grasp),
+        grasp=grasp_fields(sample.grasp),
         score=float(sample.grasp.score),
-        candidates=[_grasp_fields(grasp) for grasp in record.candidates],
+        candidates=[grasp_fields(grasp) for grasp in record.candidates],
         **_touch_fields(sample.touch, "labelled", ""),
         **_touch_fields(sample.tare, "tared", "tare_"),
         series_stamps=np.asarray([] if series is None else series.stamps_ns, np.int64),
@@ -107,12 +107,11 @@ def decode_sample(data: bytes | memoryview) -> StoredSample:
         raise DatasetError("damaged: the bytes do not match their SHA-256")
     try:
         message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
-        if message.schema_version != SCHEMA_VERSION:
-            newer = "newer than" if message.schema_version > SCHEMA_VERSION else "not"
-            rule = f"{message.schema_version} is {newer} {SCHEMA_VERSION}, the one that foretouch {__version__} reads"
-            raise DatasetError(f"schema_version: {rule}")
+        require_version(message.schema_version, SCHEMA_VERSION)
         check_id(message.id, message.object)
         return _stored(message)
+    except VersionError:
+        raise
     except ForetouchError as err:
         raise DatasetError(str(err)) from err
     except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
@@ -124,15 +123,15 @@ def _stored(message: Any) -> StoredSample:
         id=message.id,
         object=message.object,
         cloud=decode_cloud(message.cloud),
-        grasp=grasp_of(message.grasp, float(message.score)),
+        grasp=_grasp_of(message.grasp, float(message.score)),
         touch=_touch_of(message, "labelled", ""),
         tare=_touch_of(message, "tared", "tare_"),
-        stamp_ns=stamp_ns_of(message.header),
+        stamp_ns=stamp_ns(message.header.stamp),
         extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
     )
     record = SampleRecord(
         sample=sample,
-        candidates=tuple(grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
+        candidates=tuple(_grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
         outcome=_OUTCOMES[message.outcome],
         note=message.note,
         series=_series_of(message),
@@ -165,33 +164,8 @@ def _facts(facts: Mapping[str, str]) -> str:
     return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
 
 
-def _grasp_fields(grasp: Grasp) -> SimpleNamespace:
-    """A grasp as `foretouch_msgs/Grasp`."""
-    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
-    return SimpleNamespace(
-        id=grasp.id,
-        object_id=grasp.object_id,
-        g1=_point(grasp.g1),
-        g2=_point(grasp.g2),
-        pose=SimpleNamespace(position=_point(grasp.midpoint), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)),
-        rotation=np.ascontiguousarray(grasp.rotation.reshape(9), np.float64),
-        score=float(grasp.score),
-        status=0,
-        reason="",
-    )
-
-
-def _point(position: Any) -> SimpleNamespace:
-    x, y, z = map(float, position)
-    return SimpleNamespace(x=x, y=y, z=z)
-
-
-def grasp_of(message: Any, score: float) -> Grasp:
-    """The grasp in a decoded `foretouch_msgs/Grasp`.
-
-    Raises:
-        GraspError: If its numbers are no grasp.
-    """
+def _grasp_of(message: Any, score: float) -> Grasp:
+    """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
     return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
 
 
