@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,32 @@ from foretouch.tactile import MODALITIES
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from foretouch.types import TouchPrediction
+    from foretouch.types import Grasp, TouchPrediction
     from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
     from foretouch_msgs.msg import TouchPredictionArray
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
+
+
+def grasp_record(grasp: Grasp) -> dict[str, Any]:
+    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
+    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
+
+
+def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
+    """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
+    columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
+    record: dict[str, Any] = {"grasp": grasp_record(prediction.grasp)}
+    for name in MODALITIES:
+        record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
+    return record | {
+        "reference": prediction.reference,
+        "evidence": asdict(prediction.evidence),
+        "flags": list(prediction.flags),
+        "status": prediction.status,
+        "reason": prediction.reason,
+    }
 
 
 def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
@@ -38,12 +59,11 @@ def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
 
 def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
     """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
-    from foretouch.cli.predict import prediction_record
     from foretouch.ros.messages.conversions import prediction_from_msg
     from foretouch.ros.messages.requests import status_name
 
     try:
-        return dict(prediction_record(prediction_from_msg(message)))
+        return prediction_record(prediction_from_msg(message))
     except ForetouchError as err:
         status = status_name(message.status) if message.status else "failed"
         return {"status": status, "reason": message.reason or str(err)}

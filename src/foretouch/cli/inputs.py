@@ -15,7 +15,7 @@ from foretouch.errors import CloudError, ForetouchError
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-    from foretouch.types import Cloud, Grasp
+    from foretouch.types import Cloud
 
 
 Record = dict[str, Any]
@@ -154,11 +154,6 @@ def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
 
     table = ASSUMED_TABLE if arguments.plane is None else Plane.from_coefficients(arguments.plane)
     return FoundObject("1", cloud, table)
-
-
-def grasp_record(grasp: Grasp) -> Record:
-    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
-    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
 
 
 def heading(record: Record, by: str = "") -> str:

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli import inputs
+from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, model_name, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
-from foretouch.cli.predict import add_adaptation_arguments
 from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
-    from foretouch.cli.predict import Adaptation
+    from foretouch.cli.adaptation import Adaptation
     from foretouch.dataset.record import SampleRecord
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline
@@ -86,7 +86,6 @@ class _Steps:
 
     def of_source(self, path: str) -> Iterator[ViewStep]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
-        from foretouch.cli.predict import read_adaptation
         from foretouch.dataset.samples import is_sample_set
         from foretouch.dataset.source import open_source
 
