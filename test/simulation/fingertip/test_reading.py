@@ -24,7 +24,7 @@ from foretouch.simulation.fingertip import (
     quantise,
     read_contact,
 )
-from foretouch.tactile import check_touch
+from foretouch.tactile import P2_RANGES, touch_faults
 from foretouch.types import Touch
 
 PAD = PadConfig()
@@ -73,9 +73,8 @@ def test_reading_passes_as_one_of_a_working_sensor(thumb):
     counts = [quantise(CONFIG, r.pdc, r.electrodes) for r in (read(thumb, 3.0), read(middle, 3.0))]
     (pdc_th, e_th), (pdc_mf, e_mf) = counts
     touch = Touch(float(pdc_th), float(pdc_mf), e_th.astype(float), e_mf.astype(float))
-    check = check_touch(touch)
-    assert check.valid
-    assert not check.out_of_range
+    assert touch_faults(touch) == ()
+    assert not P2_RANGES.outside(touch.vector()).any()
 
 
 def test_counts_are_whole_and_clipped():
