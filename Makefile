@@ -1,4 +1,4 @@
-# Everything for everyone: make setup, make demo, make test, make check, make bench, make docs. Each can be repeated and reuses what stands.
+# Everything for everyone: make setup, make demo, make test, make check, make test-portable, make coverage, make bench, make docs. Each can be repeated and reuses what stands.
 # ROS=jazzy runs it on ROS 2 Jazzy, in an environment of its own.
 PYTHON ?= python3
 ROS ?= kilted
@@ -18,7 +18,7 @@ MESSAGE_WHEEL := $(CACHE)/foretouch_msgs-$(MESSAGE_KEY)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup runtime demo test test-ros check bench docs format clean
+.PHONY: setup runtime demo test test-portable test-ros check coverage bench docs format clean
 
 # What a robot needs, for the demo; and what the tests need besides.
 runtime: $(VENV)/.runtime
@@ -44,8 +44,13 @@ demo: runtime
 	@rm -rf demo-output
 	$(BIN)/foretouch run --source config/scenes/demo.yaml --count 60 --picture demo-output/touch.png
 
+# All but the slow tests; docs/testing.md describes the targets and markers.
 test: setup
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist loadgroup -m "not slow"
+
+# What reads committed numbers, as other processors compute them.
+test-portable: setup
+	$(BIN)/python test/portable.py
 
 test-ros: runtime
 	@$(PIP) install $(CONSTRAINTS) -e '.[test]'
@@ -57,6 +62,10 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+# Branches of src/foretouch that no test takes.
+coverage: setup
+	$(BIN)/pytest -n 2 --dist loadgroup --cov --cov-report term-missing:skip-covered
 
 # Fails on a loss of more than 20 % of speed; make bench BENCH=--renew commits the ratios of this machine.
 bench: setup

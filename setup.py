@@ -6,10 +6,11 @@ from hashlib import sha256
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CCompilerError, ExecError
 
 NODES = ("camera", "segmentation", "grasp", "touch_predictor", "replay", "hand", "recorder", "bridge", "perception")
 
-# Optional: without a C compiler the package installs all the same, and runs NumPy instead (`foretouch doctor` says so).
 KERNEL_FILES = sorted(Path("src/foretouch/kernels").glob("*.[ch]"))
 KERNELS = Extension(
     "foretouch.kernels._kernels",
@@ -26,8 +27,20 @@ KERNELS = Extension(
         "-Wno-psabi",
     ],
     libraries=["m"],
-    optional=True,
 )
+
+
+class BuildKernels(build_ext):
+    """Compiles the kernels, or ends with one line that names the remedy."""
+
+    def build_extension(self, ext: Extension) -> None:
+        try:
+            super().build_extension(ext)
+        except (CCompilerError, ExecError) as err:
+            raise SystemExit(
+                f"foretouch: its C kernels could not be compiled (apt install gcc, then repeat): {err}"
+            ) from None
+
 
 # colcon asks for the arguments of setup() with --dry-run, and cannot read the object that this becomes.
 REQUIRED_PYTHON = {} if "--dry-run" in sys.argv else {"python_requires": ">=3.11"}
@@ -35,6 +48,7 @@ REQUIRED_PYTHON = {} if "--dry-run" in sys.argv else {"python_requires": ">=3.11
 setup(
     **REQUIRED_PYTHON,
     ext_modules=[KERNELS],
+    cmdclass={"build_ext": BuildKernels},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/foretouch"]),
         ("share/foretouch", ["package.xml"]),

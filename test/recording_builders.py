@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from foretouch.dataset.recording import (
     APPROACH,
@@ -103,3 +105,18 @@ def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
         assert (one is None) == (other is None)
         if one is not None:
             np.testing.assert_array_equal(one.vector(), other.vector())
+
+
+def fail_writes(monkeypatch: pytest.MonkeyPatch, number: int, code: int, part: int | None = None) -> None:
+    """Let one write to a recording fail, after `part` bytes got through in the write before it."""
+    real, calls = os.write, []
+
+    def failing(fd: int, data: memoryview) -> int:
+        if Path(f"/proc/self/fd/{fd}").readlink().suffix != ".mcap":
+            return real(fd, data)
+        calls.append(fd)
+        if len(calls) == number:
+            raise OSError(code, os.strerror(code))
+        return real(fd, data[:part] if len(calls) < number else data)
+
+    monkeypatch.setattr(os, "write", failing)

@@ -82,15 +82,3 @@ def test_renewed_ratios_are_those_that_the_next_run_compares_with(tmp_path: Path
 
 def test_every_case_has_a_committed_ratio() -> None:
     assert {case.name for case in cases.all_cases()} == set(bench.read_ratios(bench.RATIOS))
-
-
-def test_a_kernel_is_compared_with_its_numpy_form() -> None:
-    """The job of a case runs with kernels, its peer without."""
-    from foretouch import kernels
-
-    if kernels.why_absent:
-        pytest.skip(kernels.why_absent)
-    probe = kernels.Kernel("count_range", np.float32, int, float, float, np.int64)
-    ours, peer = cases.in_numpy(lambda: lambda: bool(probe))()
-    assert ours()
-    assert not peer()

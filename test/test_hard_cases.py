@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each hard case is answered right or refused by name: no NaN, no traceback, no warning."""
+"""Each hard case of `test/corpus` is answered right or refused by name: no NaN, no traceback, no warning."""
 
 from __future__ import annotations
 
@@ -7,26 +7,28 @@ import re
 import time
 import tracemalloc
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
+from corpus import files, learning, simulation
+from corpus.clouds import MANY, ObjectCase, SceneCase, across, object_cases, scene_cases
+from corpus.outcome import check_outcome
+from every_case import every_case
 
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError, GraspError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.grasp.pose import check_rotation
 from foretouch.grasp.reach import check_reach
-from foretouch.models import load_model
+from foretouch.models import available_models, load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.pipeline import Pipeline, PipelineConfig
-from foretouch.selftest.clouds import MANY, ObjectCase, SceneCase, across, object_cases, scene_cases
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, TouchPrediction
 
-OBJECTS, SCENES = list(object_cases()), list(scene_cases())
-MODELS = ("contact-v2", "contact-v1", "touchnet-v1")
-each_object = pytest.mark.parametrize("case", OBJECTS, ids=[case.name for case in OBJECTS])
-each_scene = pytest.mark.parametrize("case", SCENES, ids=[case.name for case in SCENES])
+OBJECTS = {case.name: case for case in object_cases()}
+SCENES = {case.name: case for case in scene_cases()}
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +38,7 @@ def warnings_are_errors() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module", params=MODELS)
+@pytest.fixture(scope="module", params=sorted(available_models()))
 def model(request: pytest.FixtureRequest) -> TouchModel:
     return load_model(request.param)
 
@@ -56,83 +58,109 @@ def _check_predictions(predictions: list[TouchPrediction]) -> None:
         assert np.isfinite(vectors).all()
 
 
-def _refusal(predictions: list[TouchPrediction]) -> str:
-    return "; ".join(one.reason for one in predictions if one.status != "ok")
+def test_plan() -> None:
+    def check(case: ObjectCase) -> None:
+        plan = plan_grasps(case.cloud, case.plane, GeoGraspConfig())
+        if case.planned != "ok":
+            assert (plan.status, plan.grasps) == ("no_grasp", ())
+            assert re.search(case.planned, plan.reason), plan.reason
+            return
+        assert plan.status in ("ok", "initial_points"), plan.reason
+        for grasp in plan.grasps:
+            assert np.isfinite(grasp.score) or "score" in plan.reason
+            check_rotation(grasp.rotation)
+            check_reach(grasp, case.cloud.xyz, 0.2, 0.03)
+        for value in (plan.axis, plan.centroid, plan.initial_points, plan.axis_ratio):
+            assert value is not None
+            assert np.isfinite(value).all()
+
+    every_case(OBJECTS, check)
 
 
-@each_object
-def test_plan(case: ObjectCase) -> None:
-    plan = plan_grasps(case.cloud, case.plane, GeoGraspConfig())
-    if case.planned != "ok":
-        assert (plan.status, plan.grasps) == ("no_grasp", ())
-        assert re.search(case.planned, plan.reason), plan.reason
-        return
-    assert plan.status in ("ok", "initial_points"), plan.reason
-    for grasp in plan.grasps:
-        assert np.isfinite(grasp.score) or "score" in plan.reason
-        check_rotation(grasp.rotation)
-        check_reach(grasp, case.cloud.xyz, 0.2, 0.03)
-    for value in (plan.axis, plan.centroid, plan.initial_points, plan.axis_ratio):
-        assert value is not None
-        assert np.isfinite(value).all()
+def test_touch(model: TouchModel) -> None:
+    def check(case: ObjectCase) -> None:
+        try:
+            predictions = model.predict(case.cloud, [case.grasp])
+        except ForetouchError as err:
+            reason = str(err)
+        else:
+            _check_predictions(predictions)
+            reason = "; ".join(one.reason for one in predictions if one.status != "ok")
+        assert re.search(case.predicted, reason) if case.predicted != "ok" else reason == "", reason
+
+    every_case(OBJECTS, check)
 
 
-@each_object
-def test_touch(case: ObjectCase, model: TouchModel) -> None:
-    try:
-        predictions = model.predict(case.cloud, [case.grasp])
-    except ForetouchError as err:
-        reason = str(err)
-    else:
-        _check_predictions(predictions)
-        reason = _refusal(predictions)
-    if case.predicted == "ok" and model.name == MODELS[1] and "are fewer than 32" in reason:
-        return
-    assert re.search(case.predicted, reason) if case.predicted != "ok" else reason == "", reason
+def test_pipeline_of_an_object(pipeline: Pipeline) -> None:
+    def check(case: ObjectCase) -> None:
+        try:
+            result = pipeline.run_object(case.cloud, case.plane)
+        except ForetouchError as err:
+            assert re.search(case.predicted, str(err))  # noqa: PT017
+            return
+        for target in result.targets:
+            _check_predictions(list(target.predictions))
+        assert (result.status == "no_grasp") == (case.planned != "ok")
+        assert (result.reason != "") == (result.status != "ok")
+
+    every_case(OBJECTS, check)
 
 
-@each_object
-def test_pipeline_of_an_object(case: ObjectCase, pipeline: Pipeline) -> None:
-    try:
-        result = pipeline.run_object(case.cloud, case.plane)
-    except ForetouchError as err:
-        assert re.search(case.predicted, str(err))  # noqa: PT017
-        return
-    for target in result.targets:
-        _check_predictions(list(target.predictions))
-    assert (result.status == "no_grasp") == (case.planned != "ok")
-    assert (result.reason != "") == (result.status != "ok")
+def test_segment() -> None:
+    def check(case: SceneCase) -> None:
+        found = segment(case.cloud)
+        assert found.status == case.segmented, found.reason
+        assert re.search(case.reason, found.reason)
+        parts = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
+        assert found.counts["received"] == case.cloud.size == sum(found.counts[name] for name in parts)
+        assert min(found.counts.values()) >= 0
+        if case.segmented == "ok":
+            assert len(found.objects) == 1
+            assert np.isfinite(found.plane.coefficients).all()
+            assert all(np.isfinite(one.cloud.xyz).all() and np.abs(one.bounds).max() < 2.0 for one in found.objects)
+
+    every_case(SCENES, check)
 
 
-@each_scene
-def test_segment(case: SceneCase) -> None:
-    found = segment(case.cloud)
-    assert found.status == case.segmented, found.reason
-    assert re.search(case.reason, found.reason)
-    parts = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
-    assert found.counts["received"] == case.cloud.size == sum(found.counts[name] for name in parts)
-    assert min(found.counts.values()) >= 0
-    if case.segmented == "ok":
-        assert len(found.objects) == 1
-        assert np.isfinite(found.plane.coefficients).all()
-        assert all(np.isfinite(one.cloud.xyz).all() and np.abs(one.bounds).max() < 2.0 for one in found.objects)
+def test_pipeline_of_a_scene(pipeline: Pipeline) -> None:
+    def check(case: SceneCase) -> None:
+        result = pipeline.run(case.cloud)
+        if case.segmented != "ok":
+            assert (result.status, result.targets) == (case.segmented, ())
+            assert re.search(case.reason, result.reason)
+            return
+        assert result.status == "ok", result.reason
+        for target in result.targets:
+            assert target.predictions
+            _check_predictions(list(target.predictions))
+
+    every_case(SCENES, check)
 
 
-@each_scene
-def test_pipeline_of_a_scene(case: SceneCase, pipeline: Pipeline) -> None:
-    result = pipeline.run(case.cloud)
-    if case.segmented != "ok":
-        assert (result.status, result.targets) == (case.segmented, ())
-        assert re.search(case.reason, result.reason)
-        return
-    assert result.status == "ok", result.reason
-    for target in result.targets:
-        assert target.predictions
-        _check_predictions(list(target.predictions))
+@pytest.mark.parametrize(
+    "cases",
+    [
+        files.file_cases,
+        learning.loss_cases,
+        learning.metric_cases,
+        learning.preparation_cases,
+        learning.calibration_cases,
+        learning.label_cases,
+        learning.network_cases,
+        pytest.param(learning.run_cases, marks=pytest.mark.slow),
+        simulation.contact_cases,
+        simulation.mesh_cases,
+        simulation.sample_cases,
+        pytest.param(simulation.effect_cases, marks=pytest.mark.slow),
+    ],
+)
+def test_outcomes(cases: Callable[[], Iterator[Any]]) -> None:
+    every_case(cases(), check_outcome)
 
 
 def test_a_million_points_take_bounded_time_and_memory(model: TouchModel) -> None:
-    cloud = next(case.cloud for case in OBJECTS if case.cloud.size == MANY)
+    cloud = OBJECTS["a million points"].cloud
+    assert cloud.size == MANY
     tracemalloc.start()
     start = time.thread_time()
     grasps = plan_grasps(cloud, ASSUMED_TABLE, GeoGraspConfig(method="stable")).grasps
@@ -143,29 +171,22 @@ def test_a_million_points_take_bounded_time_and_memory(model: TouchModel) -> Non
     assert peak < 20 * cloud.xyz.nbytes
 
 
-def test_equal_contacts_are_refused() -> None:
+def test_grasps_and_planes_that_cannot_be(pipeline: Pipeline) -> None:
     with pytest.raises(GraspError, match="both contacts are at"):
         Grasp(np.ones(3), np.ones(3), np.eye(3))
-
-
-@pytest.mark.parametrize("coefficients", [(0, 0, 0, 1), (0, 0, 5e-324, 1), (np.nan, 0, 1, 1), (0, 0, 1, np.inf)])
-def test_a_plane_without_a_direction_is_refused(coefficients) -> None:
-    with pytest.raises(ForetouchError, match="plane: "):
-        Plane.from_coefficients(coefficients)
-
-
-def test_a_grasp_with_given_contacts_out_of_reach_is_refused(pipeline: Pipeline) -> None:
-    scene = next(case for case in SCENES if case.segmented == "ok")
-    target = pipeline.segment(scene.cloud).targets[0]
+    for coefficients in ((0, 0, 0, 1), (0, 0, 5e-324, 1), (np.nan, 0, 1, 1), (0, 0, 1, np.inf)):
+        with pytest.raises(ForetouchError, match="plane: "):
+            Plane.from_coefficients(coefficients)
+    target = pipeline.segment(SCENES["as it is, image"].cloud).targets[0]
     far = across(width_m=1e160)
     with pytest.raises(GraspError, match="max_width_m"):
         pipeline.grasp_between(target, far.g1, far.g2)
 
 
-def test_the_number_of_grasps_does_not_depend_on_refused_ones(model: TouchModel) -> None:
-    case = next(case for case in OBJECTS if case.name == "bar")
-    grasps = [case.grasp, across(1.0), case.grasp, across(0.04)]
-    alone = model.predict(case.cloud, [case.grasp])[0]
-    together = model.predict(Cloud(case.cloud.xyz), grasps)
+def test_an_answer_does_not_depend_on_other_grasps_of_the_call(model: TouchModel) -> None:
+    cloud, fine, thin = OBJECTS["bar"].cloud, across(), across(0.04)
+    alone = {name: model.predict(cloud, [grasp])[0] for name, grasp in (("fine", fine), ("thin", thin))}
+    together = model.predict(Cloud(cloud.xyz), [thin, across(1.0), fine, thin])
     assert [one.status for one in together] == ["ok", "bad_grasp", "ok", "ok"]
-    np.testing.assert_array_equal(alone.value.vector(), together[2].value.vector())
+    for number, name in ((0, "thin"), (2, "fine"), (3, "thin")):
+        np.testing.assert_array_equal(alone[name].value.vector(), together[number].value.vector())

@@ -40,15 +40,13 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from sensor_msgs.msg import PointCloud2  # noqa: E402
 
-from foretouch.experiments.framework.manifest import environment  # noqa: E402
+from foretouch.models.budget import Answer, profile_scene  # noqa: E402
 from foretouch.pipeline import FoundObject  # noqa: E402
 from foretouch.ros.executables import make_nodes, spin  # noqa: E402
 from foretouch.ros.messages.answers import TouchAnswer  # noqa: E402
 from foretouch.ros.messages.clouds import objects_to_msg  # noqa: E402
 from foretouch.ros.messages.conversions import grasp_to_msg  # noqa: E402
-from foretouch.tradeoff.budget import Answer  # noqa: E402
-from foretouch.tradeoff.budget.profile import profile_scene  # noqa: E402
-from foretouch.tradeoff.timing import MachineLoad  # noqa: E402
+from foretouch.timing import MachineLoad, cpu_name  # noqa: E402
 from foretouch.types import ASSUMED_TABLE, Touch, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import GraspArray, TouchPredictionArray  # noqa: E402
 
@@ -226,7 +224,7 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
         return arrived
 
     def note(count: int, arrived: float) -> Answer:
-        begun["answer"] = begin(count, arrived)
+        begun["answer"], begun["count"] = begin(count, arrived), count
         return begun["answer"]
 
     def published(message: bytes) -> None:
@@ -234,7 +232,7 @@ def watch(node: Any, seen: list[tuple[Any, ...]]) -> None:
         thread, before = received.pop(node.arrived, (0, 0.0))
         waited = waits.seconds() - before if thread == threading.get_ident() else 0.0
         original(message)
-        seen.append((now, now - node.arrived, waited, begun["answer"], message))
+        seen.append((now, now - node.arrived, waited, begun["answer"], begun["count"], message))
 
     budget.begin, publisher.publish, sets._on_first = note, published, receive  # noqa: SLF001
 
@@ -271,10 +269,10 @@ def measure(
     others[1].join(10.0)
     budget = node._predictor.budget  # noqa: SLF001
     seen = []
-    for at, seconds, waited, answer, data in raw:
-        best = budget.affordable(answer.count)
+    for at, seconds, waited, answer, count, data in raw:
+        best = budget.affordable(count)
         skill = answer.level.skill
-        seen.append(Seen(at, answer.count, seconds, waited, LATE in data, REDUCED in data, answer.level.name, skill,
+        seen.append(Seen(at, count, seconds, waited, LATE in data, REDUCED in data, answer.level.name, skill,
                          skill if best is None else best.skill, best is not None))  # fmt: skip
     rclpy.try_shutdown()
     thread.join(10.0)
@@ -422,7 +420,7 @@ def run(arguments: argparse.Namespace) -> None:
             "rate_hz": arguments.rate_hz,
             "profile": profile,
             "other_cores": others,
-            "cpu": environment(1, None)["cpu"],
+            "cpu": cpu_name(),
             "cores": len(os.sched_getaffinity(0)),
         }
         rows.append(row)

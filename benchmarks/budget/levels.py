@@ -15,7 +15,7 @@ from foretouch.models import load_model
 from foretouch.tactile import MODALITIES
 
 KEPT = ("10 trees", "no surroundings", "touchnet-v1")
-TARGET = Path(__file__).parents[2] / "src/foretouch/tradeoff/budget/levels.json"
+TARGET = Path(__file__).parents[2] / "src/foretouch/models/levels.json"
 
 
 def entry(row: dict, base: dict) -> dict:

@@ -10,6 +10,7 @@ import argparse
 import csv
 import hashlib
 import json
+import re
 import resource
 import shutil
 import subprocess
@@ -24,8 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from foretouch.selftest.damage import mutated
-
 SECONDS = 1.0  # of CPU time that a reader may take
 PATIENCE_S = 20.0  # of wall time until the child is killed
 START_S = 180.0  # more for the first file, since the child starts and imports
@@ -33,6 +32,21 @@ MEMORY = 2_000_000_000  # bytes that the child may map beyond what its imports t
 LINE = 3000  # characters of the longest refusal
 COLUMNS = ("kind", "cases", "refused", "read", "changed in silence", "uncaught", "signal", "slow", "slowest_ms")
 EXACT = ("store", "recording")  # what is read must be what was written
+_NUMBERS = (
+    b"0",
+    b"-1",
+    b"1",
+    b"2147483647",
+    b"4294967296",
+    b"1e10",
+    b"nan",
+    b"inf",
+    b"1e400",
+    b"9" * 4400,
+    b"",
+    b"true",
+)
+_WORDS = (b"null", b"[]", b"{}", b"*a", b"&a", b"!!int x", b"2026-13-45", b"\0", b"\xff", b"[" * 300, b'"\\ud800"')
 
 
 # --- what is read -----------------------------------------------------------------------------------------------
@@ -98,6 +112,52 @@ def bag_digest(path: Path) -> str:
         for message in recording.messages():
             digest.update(message.data)
     return digest.hexdigest()
+
+
+# --- changes -----------------------------------------------------------------------------------------------------
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """One to four changes of a file."""
+    data = bytearray(content)
+    for _ in range(int(rng.integers(1, 5)) if rng.random() < 0.5 else 1):
+        data = _changed(data, rng)
+    return bytes(data)
+
+
+def _changed(data: bytearray, rng: np.random.Generator) -> bytearray:
+    size = len(data)
+    at = int(rng.integers(0, size + 1))
+    if rng.random() < 0.3:
+        at = min(at, int(rng.integers(0, 512)))  # headers decide most
+    length = int(rng.integers(1, 1 + min(64, max(size, 1))))
+    way = int(rng.integers(0, 9))
+    if way == 0 and size:  # a flipped bit
+        data[min(at, size - 1)] ^= 1 << int(rng.integers(0, 8))
+    elif way == 1:  # another byte
+        data[at : at + 1] = rng.bytes(1)
+    elif way == 2:  # an integer of 1 to 8 bytes
+        width = int(rng.choice([1, 2, 4, 8]))
+        at -= at % width if rng.random() < 0.7 else 0
+        values = (0, 1, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1, int(rng.integers(0, 2**32)))
+        value = int(rng.choice(np.array(values, object))) % 256**width
+        data[at : at + width] = value.to_bytes(width, "little")[: max(size - at, 0)]
+    elif way == 3:  # truncated
+        del data[at:]
+    elif way == 4:  # duplicated
+        data[at:at] = data[at : at + length * 16]
+    elif way == 5:  # inserted
+        data[at:at] = rng.bytes(length)
+    elif way == 6:  # removed
+        del data[at : at + length]
+    else:  # another number or word in a text
+        pattern = rb"-?\d+(\.\d+)?" if way == 7 else rb"[A-Za-z_]+"
+        found = list(re.finditer(pattern, bytes(data[:20_000])))
+        if found:
+            match = found[int(rng.integers(0, len(found)))]
+            choices = _NUMBERS if way == 7 else _NUMBERS + _WORDS
+            data[match.start() : match.end()] = choices[int(rng.integers(0, len(choices)))]
+    return data
 
 
 # --- what is changed --------------------------------------------------------------------------------------------
@@ -182,13 +242,14 @@ def _store(folder: Path) -> Path:
 
 
 def _reseal(folder: Path) -> None:
-    from foretouch.dataset.store import seal_manifest
+    from foretouch.dataset.manifest import sealed
+    from foretouch.dataset.store import SEAL
 
     path = folder / "store" / "manifest.json"
     manifest = json.loads(path.read_text())
     for part in [*manifest["shards"], *manifest["files"]]:
         part["sha256"] = hashlib.sha256((folder / "store" / part["file"]).read_bytes()).hexdigest()
-    path.write_text(seal_manifest(manifest))
+    path.write_text(sealed(manifest, SEAL))
 
 
 def _recording(folder: Path) -> Path:

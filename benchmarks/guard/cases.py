@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from foretouch import kernels
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.grasp.config import LiveGeoGraspConfig
@@ -29,8 +28,6 @@ from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import Cloud, Float64, Grasp
 
 BENCHMARKS = Path(__file__).parents[1]
-EPSILON_COUNTS = 1e-6
-NUMPY_FORMS = "the same with the NumPy forms"
 _LONGEST_S = 400.0  # of one run of the graph, on a machine with other work
 COUNTED = (20, 100)  # clouds of the two runs of the graph; their difference holds no start
 
@@ -52,26 +49,9 @@ class Case:
 
 def why_not(case: Case) -> str:
     """Why a case cannot be measured here; "" if it can."""
-    if case.peer == NUMPY_FORMS and kernels.why_absent:
-        return f"kernels: {kernels.why_absent}"
     if case.needs and importlib.util.find_spec(case.needs) is None:
         return f"{case.needs}: not installed"
     return ""
-
-
-def in_numpy(make: Callable[[], Job]) -> Callable[[], tuple[Job, Job]]:
-    """The peer is the same job with the NumPy forms of all kernels."""
-
-    def pair() -> tuple[Job, Job]:
-        ours = make()
-
-        def peer() -> Any:
-            with kernels.disabled():
-                return ours()
-
-        return ours, peer
-
-    return pair
 
 
 @cache
@@ -334,24 +314,21 @@ def _cpu_seconds(who: int) -> float:
 
 
 def all_cases() -> list[Case]:
-    """In the order of the table. A kernel is added by a line with `numpy`."""
-
-    def numpy(name: str, make: Callable[[], Job], gap: float = 0.0) -> Case:
-        return Case(name, NUMPY_FORMS, in_numpy(make), gap)
+    """In the order of the table. A kernel is added by a line with `yard`."""
 
     def yard(name: str, make: Callable[[], Job]) -> Case:
         return Case(name, "a yardstick of NumPy", against_yardstick(make))
 
     return [
         Case("segmentation 848x480, Open3D", "Open3D on voxels of 5 mm", segmentation_against_open3d, needs="open3d"),
-        numpy("segmentation 848x480", lambda: segmentation(848, 480)),
-        numpy("segmentation 1280x720", lambda: segmentation(1280, 720)),
+        yard("segmentation 848x480", lambda: segmentation(848, 480)),
+        yard("segmentation 1280x720", lambda: segmentation(1280, 720)),
         Case("GeoGrasp original, SciPy", "SciPy's tree, all normals", geograsp_against_scipy, 1e-6),
-        numpy("GeoGrasp original", lambda: geograsp(GeoGraspConfig())),
-        numpy("GeoGrasp stable", lambda: geograsp(GeoGraspConfig(method="stable")), 1e-12),
-        numpy("contact model, 1 grasp", lambda: touch("default", 1), EPSILON_COUNTS),
-        numpy("contact model, 100 grasps", lambda: touch("default", 100), EPSILON_COUNTS),
-        numpy("contact model, 1000 grasps", lambda: touch("default", 1000), EPSILON_COUNTS),
+        yard("GeoGrasp original", lambda: geograsp(GeoGraspConfig())),
+        yard("GeoGrasp stable", lambda: geograsp(GeoGraspConfig(method="stable"))),
+        yard("contact model, 1 grasp", lambda: touch("default", 1)),
+        yard("contact model, 100 grasps", lambda: touch("default", 100)),
+        yard("contact model, 1000 grasps", lambda: touch("default", 1000)),
         Case("touchnet, shared", "four eager networks", networks),
         yard("simulator, rigid", lambda: simulator("rigid")),
         yard("simulator, deformables", lambda: simulator("deformables")),

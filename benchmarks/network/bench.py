@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time the shared-feature network against four eager networks of P2, after proving equal answers; then the shipped models.
 
-Each is timed with compiled kernels and without. `--quick` leaves out the networks of P2.
+`--quick` leaves out the networks of P2.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from foretouch import kernels
 from foretouch.learning.data import SPLITS
 from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.config import ModelConfig
@@ -145,21 +144,13 @@ def _times(model: TouchModel, cloud: Cloud, candidates: list[Grasp]) -> list[flo
 
 
 def shipped(cloud: Cloud, candidates: list[Grasp]) -> None:
-    """The models of the package, with compiled kernels and with NumPy."""
-    print(f"\n| shipped model | skill: {', '.join(SPLITS)} | {' | '.join(map(str, COUNTS))} grasps [ms] | difference |")
-    print(f"|---|---|{'---|' * len(COUNTS)}---|")
+    """The models of the package."""
+    print(f"\n| shipped model | skill: {', '.join(SPLITS)} | {' | '.join(map(str, COUNTS))} grasps [ms] |")
+    print(f"|---|---|{'---|' * len(COUNTS)}")
     for model in map(load_model, available_models()):
         skills = (np.mean([row["skill"] for row in model.card["skill"][split].values()]) for split in SPLITS)
-        compiled = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
-        with kernels.disabled():
-            plain = np.array([one.value.vector() for one in model.predict(cloud, candidates[:GRASPS])])
-            slow = _times(model, cloud, candidates)
-        fast = _times(model, cloud, candidates)
-        cells = " | ".join(f"{a:.2f} ({b:.2f})" for a, b in zip(fast, slow, strict=True))
-        print(
-            f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {cells} |"
-            f" {np.abs(compiled - plain).max():.0e} counts |"
-        )
+        cells = " | ".join(f"{one:.2f}" for one in _times(model, cloud, candidates))
+        print(f"| {model.name} | {', '.join(f'{skill:.2f}' for skill in skills)} | {cells} |")
 
 
 def main() -> None:
@@ -167,7 +158,6 @@ def main() -> None:
     cloud, candidates = scene(np.random.default_rng(0))
     if "--quick" not in sys.argv:
         networks(cloud, candidates)
-    print(f"\nCompiled kernels (in brackets: NumPy); {kernels.why_absent or 'kernels are available'}")
     shipped(cloud, candidates)
 
 

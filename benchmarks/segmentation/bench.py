@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from foretouch import kernels
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
@@ -29,12 +28,6 @@ N_SCENES = 50
 def ours(cloud: Cloud) -> Labels:
     """Labels by this package."""
     return segment(cloud, SegmentationConfig()).labels
-
-
-def numpy_form(cloud: Cloud) -> Labels:
-    """Labels by this package without its compiled loops."""
-    with kernels.disabled():
-        return ours(cloud)
 
 
 def open3d_pipeline(cloud: Cloud) -> Labels:
@@ -70,20 +63,6 @@ def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
         with np.load(shared) as scene:
             result.append((f"{width}x{height} oblique", Cloud(scene["xyz"]), scene["labels"].astype(np.int32)))
     return result
-
-
-def same(cloud: Cloud) -> bool:
-    """Whether labels, counts, plane and objects are those of the NumPy form, bit by bit."""
-    a = segment(cloud)
-    with kernels.disabled():
-        b = segment(cloud)
-    assert a.plane is not None
-    assert b.plane is not None
-    equal = [a.counts == b.counts, np.array_equal(a.plane.coefficients, b.plane.coefficients)]
-    equal += [np.array_equal(a.labels, b.labels), len(a.objects) == len(b.objects)]
-    for one, other in zip(a.objects, b.objects, strict=False):
-        equal += [np.array_equal(one.cloud.xyz, other.cloud.xyz), np.array_equal(one.centroid, other.centroid)]
-    return all(equal)
 
 
 def cpu_ms(function: Callable[[Cloud], Labels], cloud: Cloud, repeats: int) -> float:
@@ -126,17 +105,13 @@ def main() -> None:
         texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
         print(f"{name:<20}{mine.max():>9}{texts[0]:>22}{theirs.max():>16}{texts[1]:>22}")
     check_generated()
-    print(
-        f"\ncompiled and NumPy form, bit-equal on {sum(same(cloud) for _, cloud, _ in all_scenes)} of {len(all_scenes)}"
-    )
-    print(f"\n{'CPU ms, median':<20}{'ours':>9}{'NumPy':>9}{'no order':>10}{'Open3D':>10}")
+    print(f"\n{'CPU ms, median':<20}{'ours':>9}{'no order':>10}{'Open3D':>10}")
     for name, cloud, _ in all_scenes:
         flat = cloud.xyz.reshape(-1, 3)
         listed = Cloud(flat[np.isfinite(flat[:, 2])])
-        times = [cpu_ms(ours, cloud, options.repeats), cpu_ms(numpy_form, cloud, options.repeats)]
-        times.append(cpu_ms(ours, listed, options.repeats))
+        times = [cpu_ms(ours, cloud, options.repeats), cpu_ms(ours, listed, options.repeats)]
         peer = cpu_ms(open3d_pipeline, cloud, options.peer_repeats) if options.peer_repeats else float("nan")
-        print(f"{name:<20}{times[0]:>9.2f}{times[1]:>9.2f}{times[2]:>10.2f}{peer:>10.1f}")
+        print(f"{name:<20}{times[0]:>9.2f}{times[1]:>10.2f}{peer:>10.1f}")
 
 
 if __name__ == "__main__":

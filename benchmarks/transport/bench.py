@@ -342,7 +342,7 @@ def measure_rates(options: argparse.Namespace, out: Results) -> None:
     import numpy as np
 
     from foretouch.ros.messages.clouds import cloud_to_msg
-    from foretouch.tradeoff.timing import MachineLoad
+    from foretouch.timing import MachineLoad
 
     clouds = scenes(848, 480)
     messages = [cloud_to_msg(cloud) for cloud in clouds]

@@ -89,6 +89,10 @@ class DatasetError(ForetouchError):
     """A dataset or recording that cannot be read or written."""
 
 
+class VersionError(DatasetError):
+    """An intact file of a format version that this version of foretouch does not read."""
+
+
 class SimulationError(ForetouchError):
     """A scene or a sample that cannot be simulated.
 

@@ -115,21 +115,3 @@ def test_list_names_all(call) -> None:
         "label_ratio",
         "label_ratio_tuning",
     ]
-
-
-@pytest.mark.parametrize("name", ["cross_validation", "time_blocked", "cross_type", "unseen_object"])
-def test_figures_and_tables_follow_from_the_committed_csv_alone(call, tmp_path, name: str) -> None:
-    from foretouch.experiments import find_experiment
-    from foretouch.experiments.framework.manifest import read_results
-
-    source = Path(__file__).parents[2] / "docs/results" / name
-    (tmp_path / "results.csv").write_bytes((source / "results.csv").read_bytes())
-    answer = call("experiment", name, "-o", tmp_path, "--redraw", "--json")
-    assert answer.status == 0, answer.err
-    drawn = answer.records[0]["figures"]
-    assert sorted(drawn) == sorted(path.name for path in source.glob("*.png"))
-    assert all((tmp_path / figure).stat().st_size > 10_000 for figure in drawn)
-    assert (tmp_path / "summary.md").read_bytes() == (source / "summary.md").read_bytes()
-    tables = find_experiment(name).summarise(read_results(tmp_path / "results.csv"))
-    assert all(len(row) == len(table.columns) for table in tables for row in table.rows)
-    assert any("geometry_trees" in row for table in tables for row in table.rows)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from foretouch.dataset.cdr import read_header, with_stamp
+from foretouch.dataset.messages import read_header, with_stamp
 from foretouch.errors import DatasetError
 
 STORE = get_typestore(Stores.ROS2_KILTED)

@@ -11,7 +11,8 @@ import pyarrow as pa
 import pytest
 
 from foretouch import checked_files
-from foretouch.dataset.store import MANIFEST, Store, is_store, seal_manifest
+from foretouch.dataset.manifest import sealed
+from foretouch.dataset.store import MANIFEST, SEAL, Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
@@ -46,7 +47,7 @@ def reseal(path: Path) -> None:
     manifest = json.loads((path / MANIFEST).read_text())
     for shard in manifest["shards"]:
         shard["sha256"] = hashlib.sha256((path / shard["file"]).read_bytes()).hexdigest()
-    (path / MANIFEST).write_text(seal_manifest(manifest))
+    (path / MANIFEST).write_text(sealed(manifest, SEAL))
 
 
 def assert_same(a: GraspSample, b: GraspSample) -> None:
@@ -164,14 +165,14 @@ def test_damage_is_found(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"schema_version": 9}, r"schema_version: 9 is not 1"),
-        ({"format": "other"}, r"format: is not of foretouch-store"),
+        ({"format": "other"}, r"format: is not foretouch-store"),
         ({"samples": 4}, r"samples: holds 3 samples, not 4"),
     ],
 )
 def test_a_manifest_that_disagrees_is_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
     write(tmp_path / "ds", [sample(k) for k in range(3)])
     file = tmp_path / "ds" / MANIFEST
-    file.write_text(seal_manifest(json.loads(file.read_text()) | change))
+    file.write_text(sealed(json.loads(file.read_text()) | change, SEAL))
     with pytest.raises(FileError, match=message):
         Store(tmp_path / "ds")
 
@@ -222,7 +223,7 @@ def test_a_changed_count_in_the_manifest_is_never_used(tmp_path: Path) -> None:
     write(tmp_path / "ds", [sample(k) for k in range(3)])
     file = tmp_path / "ds" / MANIFEST
     file.write_text(file.read_text().replace('"scene": "x"', '"scene": "y"'))
-    with pytest.raises(FileError, match=r"manifest.json: seal: does not match its checksum"):
+    with pytest.raises(FileError, match=r"manifest.json: seal: damaged: the text does not match its checksum"):
         Store(tmp_path / "ds")
 
 

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data for experiments of one's own."""
+"""Data for experiments of one's own, and small sweeps of those on simulated grasps."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from foretouch.experiments import find_experiment, run_sweep
 
 
 @pytest.fixture
@@ -18,3 +22,25 @@ def trace(tmp_path: Path) -> Path:
     path = tmp_path / "trace"
     path.mkdir()
     return path
+
+
+@pytest.fixture(scope="session")
+def scenes() -> Path:
+    return Path(__file__).parents[2] / "config" / "scenes"
+
+
+@pytest.fixture
+def swept(tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[dict[str, Any]]]:
+    """Runs the preset `smoke` with some changes, makes tables and figure, and returns the rows."""
+    monkeypatch.chdir(scenes.parents[1])
+
+    def sweep(name: str, source: Path, **changes: Any) -> list[dict[str, Any]]:
+        experiment = find_experiment(name)
+        result = run_sweep(experiment, experiment.resolve("smoke", changes), tmp_path / "out", source=source)
+        assert result.failures == {}
+        assert experiment.summarise(result.rows)
+        (figure,) = experiment.draw(result.rows, tmp_path)
+        assert figure.stat().st_size > 5000
+        return result.rows
+
+    return sweep

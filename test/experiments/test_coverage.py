@@ -8,12 +8,10 @@ import pytest
 from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
-from foretouch.errors import DatasetError
 from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.coverage import coverage_rows
 from foretouch.experiments.coverage.results import coverage_table, coverage_tables, wilson_interval
 from foretouch.experiments.shared.folds import by_object, split_objects
-from foretouch.experiments.unseen_object import UnseenObjectSettings
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor
@@ -27,25 +25,13 @@ def test_coverage_and_width_are_counted_value_by_value() -> None:
     (held,) = by_object(test)
     counts, half = fitted.intervals_after([], held, tare=True)
     inside = np.abs(labels_of(held) - counts) <= half
-    how = UnseenObjectSettings(touches=(0, 3), draws=4)
-    none, three = coverage_rows(fitted, held, 2.0 * half[0], how, tare=True)
+    none, three = coverage_rows(fitted, held, 2.0 * half[0], (0, 3), 4, tare=True)
     expected = [inside[:, :1], inside[:, 1:2], inside[:, 2:26], inside[:, 26:]]
     np.testing.assert_allclose(none["coverage"], [part.mean() for part in expected])
     np.testing.assert_allclose(none["width"], (half / half[0]).mean() / 2.0, rtol=0.3)
     assert none["grasps"] == 8
     assert three["grasps"] == 5
     assert all(after <= before for after, before in zip(three["width"], none["width"], strict=True))
-
-
-def test_splits_keep_objects_whole() -> None:
-    samples = make_samples(6, 3)
-    train, test = split_objects(samples, 4, seed=1)
-    assert {s.object for s in train}.isdisjoint({s.object for s in test})
-    assert len(train) == 12
-    assert [s.id for s in split_objects(samples, 4, seed=1)[1]] == [s.id for s in test]
-    assert [s.id for s in split_objects(samples, 4, seed=2)[1]] != [s.id for s in test]
-    with pytest.raises(DatasetError, match="leave none to test on"):
-        split_objects(samples, 6, seed=0)
 
 
 def _row(ground: str, part: str, name: str, share: float, touches: int = 0) -> dict:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweeps: what is finished stays finished, whatever is killed; what changed is refused by name."""
 
+import hashlib
 import json
 import os
 import signal
@@ -9,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from own_experiments.counting import EXPERIMENT, CountingSettings
+from own_experiments.counting import EXPERIMENT, CountingSettings, summarise
 
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments import Cell, run_sweep
@@ -52,7 +53,11 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, numbers, trace) -> No
     words += ["-o", str(tmp_path / "cut"), "--data", str(numbers), "--workers", "1", "--json", "pause_s=0.3"]
     words += [f"trace={trace}"]
     process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(TESTS)}, start_new_session=True
+        words,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
+        start_new_session=True,
     )
     for _ in range(2):
         assert json.loads(process.stdout.readline())["status"] == "done"
@@ -171,7 +176,7 @@ def test_a_damaged_manifest_is_refused_by_file_and_field(tmp_path, numbers, name
     for use in (
         lambda: sweep(out, numbers, settings={"cells": 1}, resume=True),
         lambda: sweep(out, numbers, settings={"cells": 1}, only_finished=True),
-        lambda: write_summary(out, "title", []),
+        lambda: write_summary(out, EXPERIMENT, []),
         lambda: require_experiment(out, "counting"),
     ):
         with pytest.raises(FileError, match=rf"manifest\.json: {name}: "):
@@ -186,12 +191,28 @@ def test_presets_and_their_errors() -> None:
         EXPERIMENT.resolve("full", {"paus": 1})
 
 
-def test_results_read_back_as_they_were(tmp_path) -> None:
+def test_results_are_rounded_and_read_back_as_they_were(tmp_path) -> None:
     rows = [
         {"a": 1, "b": 0.1 + 0.2, "c": None, "d": "x, y", "e": True},
-        {"a": 2, "b": -1e-9, "c": 1.5, "d": "z", "e": False},
+        {"a": 1_562_000_000_123_456_789, "b": -1.23456e-9, "c": 123.456, "d": "z", "e": False},
     ]
-    assert read_results(write_results(tmp_path, rows)) == rows
+    written = write_results(tmp_path, rows)
+    assert [(row["b"], row["c"]) for row in written] == [(0.3, None), (-1.2346e-9, 123.46)]
+    assert read_results(tmp_path / "results.csv") == written
+
+
+def test_summary_states_how_results_were_made_also_without_the_manifest(tmp_path, numbers) -> None:
+    out = tmp_path / "out"
+    rows = sweep(out, numbers, settings={"cells": 2, "broken": (5,)}).rows
+    write_summary(out, EXPERIMENT, summarise(rows))
+    text = (out / "summary.md").read_text()
+    assert "`foretouch experiment counting cells=2 'broken=[5]'`; foretouch" in text
+    assert f"sha256 of the data `{hashlib.sha256(numbers.read_bytes()).hexdigest()[:16]}`" in text
+    (out / "manifest.json").unlink()
+    write_summary(out, EXPERIMENT, [])
+    (title, _, origin, *rest) = (out / "summary.md").read_text().splitlines()
+    assert text.startswith(f"{title}\n\n{origin}\n\n## counted")
+    assert rest == []
 
 
 @pytest.fixture
@@ -204,7 +225,9 @@ def two_nodes(ray, monkeypatch):
     """A cluster of two nodes of one core each; only what the test kills dies, however busy the machine is."""
     from ray.cluster_utils import Cluster
 
-    monkeypatch.setenv("PYTHONPATH", str(TESTS))  # where workers find `own_experiments`
+    monkeypatch.setenv(
+        "PYTHONPATH", f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    )  # where workers find `own_experiments`
     monkeypatch.setenv("RAY_memory_monitor_refresh_ms", "0")
     head = {"num_cpus": 1, "include_dashboard": False, "_system_config": {"health_check_failure_threshold": 100}}
     cluster = Cluster(initialize_head=True, head_node_args=head)

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask
-from foretouch.cloud.geometry.pixel_window import PixelGrid
+from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.types import Cloud
@@ -54,14 +53,6 @@ def test_executed_grasps_off_the_middle_have_another_slide(reference, real_data,
     rest = [g for g in parity.read_executed(real_data)[::8] if not parity.reproduces(g, g.slide_m)]
     assert rest
     assert all(parity.explaining_slide(grasp) is not None for grasp in rest)
-
-
-def test_pixel_window_and_tree_keep_the_same_points(real_data):
-    for path in _paths(real_data)[::10]:
-        xyz = read_cloud(path).xyz.reshape(-1, 3)
-        grid = PixelGrid.from_rays(xyz)
-        assert grid is not None
-        np.testing.assert_array_equal(inlier_mask(xyz, grid=grid), inlier_mask(xyz))
 
 
 def test_pixels_given_and_recovered_plan_the_same(real_data, top_view):

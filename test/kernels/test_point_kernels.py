@@ -1,36 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Neighbours, moments, voxels and orders of points: the compiled loops against NumPy and small_gicp."""
+"""Neighbours, moments, voxels and orders of points, and GeoGrasp as a whole, against the references."""
 
-from collections.abc import Callable, Iterator
-from typing import TypeVar
+from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from corpus.clouds import object_cases
+from every_case import every_case
+from kernels.references import points as reference
 
-from foretouch import kernels
 from foretouch.cloud.geometry import pcl_filters
 from foretouch.cloud.geometry.pcl_filters import (
+    VoxelGrid,
     count_without_normal,
-    inlier_mask,
     mean_neighbour_distance,
     normals_and_curvature,
     voxel_grid,
 )
 from foretouch.errors import CloudError
-from foretouch.grasp.preprocessing import _canonical_order
-from foretouch.kernels import Kernel
-from foretouch.selftest.clouds import object_cases, scene
-from foretouch.types import Float32
+from foretouch.grasp import GeoGraspConfig, axis, plan_grasps, preprocessing, ranking, stable
+from foretouch.grasp import geograsp as geograsp_module
+from foretouch.selftest import table_scene
+from foretouch.types import Cloud, Float32, Plane
 
-_MOST = 6000  # points of a case; the NumPy forms take seconds of more
-
-Result = TypeVar("Result")
-
-
-def _numpy(function: Callable[[], Result]) -> Result:
-    with kernels.disabled():
-        return function()
+_MOST = 6000  # points of a case; the references take seconds of more
 
 
 def _hard_clouds() -> Iterator[tuple[str, Float32]]:
@@ -41,36 +34,30 @@ def _hard_clouds() -> Iterator[tuple[str, Float32]]:
         if 2 <= len(xyz) <= _MOST and np.abs(xyz).max() < 1e9:  # plan_grasps refuses others, whose squares overflow
             yield case.name, xyz
     rng = np.random.default_rng(0)
-    image = scene()[80:160, 120:200].reshape(-1, 3)
+    image = table_scene()[80:160, 120:200].reshape(-1, 3)
     image = image[np.isfinite(image).all(axis=1)]
     far = np.concatenate([image, rng.normal(0.0, 300.0, (40, 3)).astype(np.float32)])
-    yield "part of an image", image
     yield "part of an image, shuffled, with far points", rng.permutation(far)
-    yield (
-        "a lattice with ties",
-        np.stack(np.meshgrid(*[np.arange(12.0)] * 3), axis=-1).reshape(-1, 3).astype(np.float32),
-    )
+    lattice = np.stack(np.meshgrid(*[np.arange(12.0)] * 3), axis=-1)
+    yield "a lattice with ties", lattice.reshape(-1, 3).astype(np.float32)
     yield "a line in doubling steps", np.outer(2.0 ** np.arange(-60, 10), np.ones(3)).astype(np.float32)
     yield "a pile beside a plane", np.concatenate([np.tile(image[:1], (300, 1)), image])
     yield "around zero", rng.normal(0.0, 1e-20, (300, 3)).astype(np.float32)
+    for n in (2, 7, 8, 9, 63, 64, 65, 511, 513, 4097):
+        yield f"{n} points", (rng.normal(0.0, 0.05, (n, 3)) * [1.0, 1.0, 0.01]).astype(np.float32)
 
 
-_HARD = dict(_hard_clouds())
-_each = pytest.mark.parametrize("xyz", _HARD.values(), ids=_HARD.keys())
+HARD = dict(_hard_clouds())
 
 
-@_each
-@pytest.mark.parametrize("k", [1, 8, 50])
-def test_neighbour_distances_are_those_of_the_tree(xyz: Float32, k: int) -> None:
-    compiled = mean_neighbour_distance(xyz, k)
-    tree = _numpy(lambda: mean_neighbour_distance(xyz, k))
-    # Of neighbours that are equally far in float32, the tree takes those that are nearer in float64.
-    np.testing.assert_allclose(compiled, tree, rtol=3e-7, atol=0.0)
+def test_neighbour_distances() -> None:
+    def check(xyz: Float32) -> None:
+        some = np.arange(0, len(xyz), max(1, len(xyz) // 200))
+        for k in (1, 8, 50):
+            found = mean_neighbour_distance(xyz, k)[some]
+            np.testing.assert_array_equal(found, reference.mean_neighbour_distance(xyz, k, some), f"k {k}")
 
-
-@_each
-def test_inliers_are_those_of_the_tree(xyz: Float32) -> None:
-    np.testing.assert_array_equal(inlier_mask(xyz), _numpy(lambda: inlier_mask(xyz)))
+    every_case(HARD, check)
 
 
 def test_a_pile_of_points_is_left_to_the_tree(rng: np.random.Generator) -> None:
@@ -79,76 +66,104 @@ def test_a_pile_of_points_is_left_to_the_tree(rng: np.random.Generator) -> None:
     pcl_filters._mean_neighbour_distance(xyz, len(xyz), 50, mean, proven)
     assert not proven[:5000].any()  # more than it gathers around one place
     assert proven[5000:].all()
-    np.testing.assert_array_equal(mean_neighbour_distance(xyz, 50), _numpy(lambda: mean_neighbour_distance(xyz, 50)))
+    some = np.arange(0, len(xyz), 100)
+    found = mean_neighbour_distance(xyz, 50)[some]
+    np.testing.assert_array_equal(found, reference.mean_neighbour_distance(xyz, 50, some))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -0.0, 1e-42])
-def test_any_numbers_are_read_without_a_fault(value: float, rng: np.random.Generator) -> None:
-    """Callers pass finite points; whatever else is passed must not reach beyond an array, or take forever."""
-    xyz = rng.normal(0.0, 1.0, (777, 3)).astype(np.float32)
-    xyz[rng.random(xyz.shape) < 0.3] = value
-    xyz[:50] = value
-    mean, proven = np.empty(len(xyz), np.float32), np.empty(len(xyz), np.uint8)
-    pcl_filters._mean_neighbour_distance(xyz, len(xyz), 50, mean, proven)
-    sums, normals, curvature = np.empty((777, 10)), np.empty((777, 3)), np.empty(777)
-    pcl_filters._compiled_moments(xyz, len(xyz), xyz, len(xyz), 0.1, xyz[0], sums)
-    pcl_filters._fit_planes(sums, xyz, len(xyz), 1e-8, normals, curvature)
-    cell, counts, found = np.empty(777, np.int64), np.empty(777, np.int64), np.empty(1, np.int64)
-    pcl_filters._voxel_cells(xyz, len(xyz), 80.0, cell, counts, found)
-    assert found[0] == -1 or counts[: found[0]].sum() == len(xyz)
-
-
-@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 63, 64, 65, 511, 513, 4097])
-def test_every_size_of_the_tree(n: int, rng: np.random.Generator) -> None:
-    xyz = (rng.normal(0.0, 0.05, (n, 3)) * [1.0, 1.0, 0.01]).astype(np.float32)
-    np.testing.assert_array_equal(mean_neighbour_distance(xyz, 50), _numpy(lambda: mean_neighbour_distance(xyz, 50)))
-    some = np.arange(0, n, 3)
-    for compiled, plain in zip(
-        normals_and_curvature(xyz, some), _numpy(lambda: normals_and_curvature(xyz, some)), strict=True
-    ):
-        np.testing.assert_allclose(compiled, plain, atol=1e-9)
-
-
-@_each
-def test_voxels_are_equal(xyz: Float32) -> None:
-    try:
-        plain = _numpy(lambda: voxel_grid(xyz, 0.0125))
-    except CloudError:
-        with pytest.raises(CloudError, match="too many to number"):
-            voxel_grid(xyz, 0.0125)
-        return
-    compiled = voxel_grid(xyz, 0.0125)
-    np.testing.assert_array_equal(compiled.cell, plain.cell)
-    np.testing.assert_array_equal(compiled.counts, plain.counts)
-    values = np.column_stack([xyz.astype(np.float64), np.where(xyz[:, 0] > 0.0, np.nan, 1.0)])
-    np.testing.assert_array_equal(compiled.mean(values), _numpy(lambda: plain.mean(values)))
-
-
-@_each
-def test_normals_are_equal(xyz: Float32) -> None:
+def test_normals() -> None:
     """Within rounding, and up to the direction where the two smaller eigenvalues are the same."""
-    some = np.arange(0, len(xyz), max(1, len(xyz) // 200))
-    (normal, curvature), (plain, other) = (
-        normals_and_curvature(xyz, some),
-        _numpy(lambda: normals_and_curvature(xyz, some)),
-    )
-    np.testing.assert_array_equal(np.isnan(curvature), np.isnan(other))
-    np.testing.assert_allclose(curvature, other, atol=1e-9)
-    unlike = np.abs(np.abs(np.einsum("ij,ij->i", normal, plain)) - 1.0) > 1e-6
-    assert np.count_nonzero(unlike) <= 0.02 * len(some)
-    assert count_without_normal(xyz) == _numpy(lambda: count_without_normal(xyz))
+
+    def check(xyz: Float32) -> None:
+        some = np.arange(0, len(xyz), max(1, len(xyz) // 200))
+        (normal, curvature), (plain, other) = (
+            one(xyz, some) for one in (normals_and_curvature, reference.normals_and_curvature)
+        )
+        np.testing.assert_array_equal(np.isnan(curvature), np.isnan(other))
+        np.testing.assert_allclose(curvature, other, atol=1e-9)
+        unlike = np.abs(np.abs(np.einsum("ij,ij->i", normal, plain)) - 1.0) > 1e-6
+        assert np.count_nonzero(unlike) <= 0.02 * len(some)
+        if len(xyz) < _MOST // 3:
+            assert count_without_normal(xyz) == reference.count_without_normal(xyz)
+
+    every_case(HARD, check)
 
 
-@_each
-def test_canonical_order_is_equal(xyz: Float32, rng: np.random.Generator) -> None:
-    coarse = np.round(rng.permutation(xyz), 2).astype(np.float32)  # with many ties
-    for points in (xyz, coarse, -coarse):
-        np.testing.assert_array_equal(_canonical_order(points), _numpy(lambda points=points: _canonical_order(points)))
+def test_voxels_and_canonical_order(rng: np.random.Generator) -> None:
+    def check(xyz: Float32) -> None:
+        try:
+            grid = voxel_grid(xyz, 0.0125)
+        except CloudError as err:
+            assert "too many to number" in str(err)  # noqa: PT017
+        else:
+            cell, counts = reference.voxels(xyz, 0.0125)
+            np.testing.assert_array_equal(grid.cell, cell)
+            np.testing.assert_array_equal(grid.counts, counts)
+            values = np.column_stack([xyz.astype(np.float64), np.where(xyz[:, 0] > 0.0, np.nan, 1.0)])
+            np.testing.assert_array_equal(grid.mean(values), reference.cell_means(values, cell, counts))
+        coarse = np.round(rng.permutation(xyz), 2).astype(np.float32)  # with many ties
+        for points in (xyz, coarse, -coarse):
+            np.testing.assert_array_equal(preprocessing._canonical_order(points), reference.canonical_order(points))
+
+    every_case(HARD, check)
 
 
-def test_a_wrong_name_or_count_is_refused() -> None:
-    with pytest.raises(AttributeError):
-        Kernel("no_such_function", int)
-    wrong: npt.NDArray[np.float64] = np.zeros(3)
-    with pytest.raises(TypeError, match="summed_moments: an array of float64"):
-        pcl_filters._compiled_moments(wrong, 1, wrong, 1, 0.1, wrong, wrong)
+def test_any_numbers_are_read_without_a_fault(rng: np.random.Generator) -> None:
+    """Callers pass finite points; whatever else is passed must not reach beyond an array, or take forever."""
+
+    def check(value: float) -> None:
+        xyz = rng.normal(0.0, 1.0, (777, 3)).astype(np.float32)
+        xyz[rng.random(xyz.shape) < 0.3] = value
+        xyz[:50] = value
+        mean, proven = np.empty(len(xyz), np.float32), np.empty(len(xyz), np.uint8)
+        pcl_filters._mean_neighbour_distance(xyz, len(xyz), 50, mean, proven)
+        sums, normals, curvature = np.empty((777, 10)), np.empty((777, 3)), np.empty(777)
+        pcl_filters._moments_within(xyz, len(xyz), xyz, len(xyz), 0.1, xyz[0], sums)
+        pcl_filters._fit_planes(sums, xyz, len(xyz), 1e-8, normals, curvature)
+        cell, counts, found = np.empty(777, np.int64), np.empty(777, np.int64), np.empty(1, np.int64)
+        pcl_filters._voxel_cells(xyz, len(xyz), 80.0, cell, counts, found)
+        assert found[0] == -1 or counts[: found[0]].sum() == len(xyz)
+
+    every_case([np.nan, np.inf, -np.inf, 3e38, -0.0, 1e-42], check)
+
+
+def _voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
+    return VoxelGrid(*reference.voxels(xyz, leaf_m), leaf_m)
+
+
+def test_plans_of_hard_objects() -> None:
+    """Of method `original` to the bit; of `stable`, whose sums are ordered otherwise, within 1e-9 m."""
+    patches = {
+        geograsp_module: {
+            "count_without_normal": lambda xyz, radius_m, grid: reference.count_without_normal(xyz, radius_m)
+        },
+        pcl_filters: {"mean_neighbour_distance": reference.mean_neighbour_distance},
+        axis: {"voxel_grid": _voxel_grid},
+        ranking: {"normals_and_curvature": reference.normals_and_curvature, "voxel_grid": _voxel_grid},
+        preprocessing: {
+            "mean_neighbour_distance": reference.mean_neighbour_distance,
+            "_canonical_order": reference.canonical_order,
+        },
+        stable: {
+            "_node_sums": reference.node_sums,
+            "local_planes": reference.local_planes,
+            "onto_surface": reference.onto_surface,
+        },
+    }
+
+    def check(cloud: Cloud, plane: Plane) -> None:
+        for method, contacts_m in (("original", 0.0), ("stable", 1e-9)):
+            config = GeoGraspConfig(count=4, method=method)
+            ours = plan_grasps(cloud, plane, config)
+            with pytest.MonkeyPatch.context() as patch:
+                for module, functions in patches.items():
+                    for name, function in functions.items():
+                        patch.setattr(module, name, function)
+                plain = plan_grasps(cloud, plane, config)
+            assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts), method
+            for one, other in zip(ours.grasps, plain.grasps, strict=True):
+                np.testing.assert_allclose([one.g1, one.g2], [other.g1, other.g2], 0.0, contacts_m, err_msg=method)
+                np.testing.assert_allclose(one.rotation, other.rotation, rtol=0.0, atol=1e-8)
+                np.testing.assert_allclose(one.score, other.score, rtol=0.0, atol=1e-7)
+
+    every_case({one.name: (one.cloud, one.plane) for one in object_cases() if one.cloud.size <= _MOST // 2}, check)

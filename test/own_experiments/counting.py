@@ -79,5 +79,5 @@ EXPERIMENT = Experiment(
     run=run,
     tabulate=tabulate,
     summarise=summarise,
-    free=("cells", "shown"),
+    resumable_settings=("cells", "shown"),
 )

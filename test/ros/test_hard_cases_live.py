@@ -20,6 +20,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from corpus.clouds import ObjectCase, SceneCase, across, ball, bar, object_cases, scene_cases
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import MarkerArray
@@ -30,7 +31,6 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, plane_to_msg, point_to_msg
 from foretouch.ros.messages.requests import status_name
 from foretouch.ros.runtime.processing_node import warm_up_cloud
-from foretouch.selftest.clouds import ObjectCase, SceneCase, across, ball, bar, object_cases, scene_cases
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Plane, Touch
 from foretouch_msgs.msg import Grasp as GraspMsg

@@ -14,10 +14,11 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework import sweep
 from foretouch.experiments.framework.executors import CellResult, run_cell
 from foretouch.experiments.framework.manifest import read_results
+from foretouch.timing import MachineLoad
 from foretouch.tradeoff.area import area_names, find_area
 from foretouch.tradeoff.frontier import frontier
 from foretouch.tradeoff.picture import spread
-from foretouch.tradeoff.timing import MachineLoad, peak_memory_mb
+from foretouch.tradeoff.timing import peak_memory_mb
 
 SOURCE = """
 import math

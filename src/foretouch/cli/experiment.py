@@ -80,12 +80,12 @@ def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
 
 
 def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.experiments.framework.manifest import RESULTS_FILE, SUMMARY_FILE, read_results, require_experiment
+    from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment
 
     require_experiment(arguments.out, experiment.name)
-    rows = read_results(arguments.out / RESULTS_FILE)
+    rows = read_results(arguments.out / experiment.results)
     if not rows:
-        raise FileError(arguments.out / RESULTS_FILE, "contains no row: no cell has finished")
+        raise FileError(arguments.out / experiment.results, "contains no row: no cell has finished")
     figures = _report(experiment, rows, arguments.out)
     if arguments.json:
         print_json({"status": "done", "figures": figures})
@@ -100,7 +100,7 @@ def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], ou
 
     if not rows:
         return []
-    write_summary(out, experiment.question, experiment.summarise(rows))
+    write_summary(out, experiment, experiment.tables(rows))
     return [path.name for path in experiment.draw(rows, out)]
 
 
@@ -156,14 +156,15 @@ def data_source(experiment: Experiment[Any, Any], given: Path | None) -> Path | 
 
 def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summary: dict[str, Any]) -> None:
     print_text(experiment.question)
-    for table in experiment.summarise(rows) if rows else ():
+    for table in experiment.tables(rows):
         print_table(table.title, list(table.columns), [list(row) for row in table.rows])
         for note in table.notes:
             print_text(f"  {note}")
     failed = f", {len(summary['failed'])} failed" if summary["failed"] else ""
     cells = "" if summary["finished"] == summary["cells"] else f"{summary['finished']} of "
     print(
-        f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/results.csv", end=""
+        f"{cells}{summary['cells']} cells ({summary['reused']} reused{failed}); {summary['path']}/{experiment.results}",
+        end="",
     )
     print("".join(f", {name}" for name in summary["figures"]))
 

@@ -24,10 +24,10 @@ from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
+    from foretouch.models.budget import LatencyBudget
     from foretouch.models.hand_history import HandHistory
     from foretouch.models.touch_model import Estimate, History, ObjectResiduals, TouchModel
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.tradeoff.budget import LatencyBudget
     from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
 
 
@@ -380,8 +380,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _make_budget(budget_ms: float, pipeline: Pipeline) -> LatencyBudget:
     """A budget for this machine, which is measured where there is no profile of it, and warmed up."""
-    from foretouch.tradeoff.budget import LatencyBudget, levels_of, load_profile
-    from foretouch.tradeoff.budget.profile import profile_scene
+    from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
 
     levels = levels_of(pipeline.model)
     budget = LatencyBudget(budget_ms / 1e3, levels, load_profile(levels, say=warn))

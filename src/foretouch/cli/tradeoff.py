@@ -85,8 +85,8 @@ def _list(areas: list[Area[Any, Any]], *, as_json: bool) -> int:
 
 
 def _profile(arguments: argparse.Namespace) -> int:
+    from foretouch.models.budget import levels_of, load_profile
     from foretouch.models.registry import load_model
-    from foretouch.tradeoff.budget import levels_of, load_profile
 
     levels = levels_of(load_model(arguments.model))
     with progress_bar("times", hidden=arguments.json) as update:
@@ -98,7 +98,7 @@ def _profile(arguments: argparse.Namespace) -> int:
     counts = list(profile.times[levels[0].name])
     rows = [
         [level.name, "?" if level.skill is None else f"{level.skill:.3f}",
-         *(f"{profile.seconds(level.name, count) * 1e3:.3g}" for count in counts)]
+         *(f"{times[count] * 1e3:.3g}" if count in (times := profile.times[level.name]) else "" for count in counts)]
         for level in levels
     ]  # fmt: skip
     columns = ["level", "skill, blocks of time", *(f"{count} grasps, p95 [ms]" for count in counts)]

@@ -17,9 +17,9 @@ from rosbags.rosbag2.errors import WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from foretouch.dataset.bag import POINT_CLOUD_TYPE
-from foretouch.dataset.cdr import cloud_fields
+from foretouch.dataset.messages import cloud_fields
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample, sample_types
 from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud

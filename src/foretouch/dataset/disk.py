@@ -17,7 +17,8 @@ def disk_errors(path: Path, rule: str = "") -> Iterator[None]:
         yield
     except OSError as err:
         prefix = f"{rule}: " if rule else ""
-        raise FileError(path, f"{prefix}{err.strerror or err} (errno {err.errno})") from err
+        reason = os.strerror(err.errno) if err.errno else err
+        raise FileError(path, f"{prefix}{reason} (errno {err.errno})") from err
 
 
 @contextmanager
@@ -38,7 +39,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     part = path.with_name(f".{path.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     try:
-        with disk_errors(path):
+        with disk_errors(path, "cannot be written"):
             part.mkdir(parents=True)
             yield part / path.name
             (part / path.name).rename(path)

@@ -80,7 +80,7 @@ def _edit(path: Path, make: Callable[[dict[str, str]], Edit]) -> int:
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
     with lock(path):
         with RecordedDataset(path) as dataset:
-            now = {dataset[k].record.sample.id: dataset.recorded_id(k) for k in range(len(dataset))}
+            now = {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
         return append_edit(path, make(now))
 
 

@@ -25,7 +25,7 @@ from foretouch.dataset.pairing import (
     SerializedCloud,
 )
 from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWriter, SampleRecord
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader

@@ -1,27 +1,122 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decoders of `Grasp` and of object clouds, without ROS: they accept messages of rclpy and of rosbags alike.
+"""Messages without ROS: headers, clouds and grasps, decoded alike from rclpy and rosbags, and serialised by rosbags.
 
 `object_cloud` holds the points of all target objects, one object after the other, best first. Beside x, y, z (and
 rgb) each point carries `label` (UINT32, id of the object) and, where the cloud was cut from an image, `row` and
 `column` (UINT16, its pixel). A cloud without these fields is one object without an image. Decoders of tactile messages
 are in `foretouch.tactile.messages`.
+
+CDR as ROS 2 uses it: four bytes of encapsulation, whose second gives the byte order, then the fields. A header is
+int32 seconds, uint32 nanoseconds, uint32 length of the frame with its final zero, the frame.
 """
 
+import struct
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode
-from foretouch.errors import CloudError, GraspError
+from foretouch.cloud.io.pointcloud2 import DATATYPES, PointCloud2Layout, PointField, decode, encode
+from foretouch.errors import CloudError, DatasetError, GraspError
+from foretouch.grasp.pose import quaternion_xyzw
 from foretouch.tactile.messages import stamp_ns
 from foretouch.types import Cloud, Float64, Grasp
 
+_START: Final = 4  # of the fields in CDR
+_NS: Final = 1_000_000_000
+_STAMP_END_NS: Final = 2**31 * _NS  # builtin_interfaces/Time counts seconds in an int32
 _MAX_UNIT: Final = 2.0  # no component of a rotation is larger; the square of such a number may overflow
 _UNIT_TOLERANCE: Final = 1e-3  # of a quaternion's length; planners work with float32
 _AGREEMENT: Final = 1e-3  # between a grasp's matrix and its quaternion, per element
 _SURELY: Final = 0.999  # of a limit: below, rounding in another order makes no difference
+
+
+class StampedHeader(NamedTuple):
+    """Stamp [ns] and frame of a message."""
+
+    stamp_ns: int
+    frame_id: str
+
+
+def read_header(data: bytes) -> StampedHeader:
+    """Read the header of a serialised message that begins with one, without decoding the rest.
+
+    Raises:
+        DatasetError: If the bytes end too early or the frame is no text.
+    """
+    order = _byte_order(data)
+    try:
+        seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _START)
+        frame = data[_START + 12 : _START + 12 + length]
+        if len(frame) != length:
+            raise DatasetError(f"header: frame_id of {length} bytes, {len(frame)} are there")
+        return StampedHeader(seconds * _NS + nanoseconds, frame.rstrip(b"\0").decode())
+    except (struct.error, UnicodeDecodeError) as err:
+        raise DatasetError(f"header: {err}") from err
+
+
+def with_stamp(data: bytes, stamp_ns: int) -> bytes:
+    """Replace the stamp [ns] in the header of a serialised message; all other bytes are kept (raises as `read_header`)."""
+    changed = bytearray(data)
+    try:
+        struct.pack_into(f"{_byte_order(data)}iI", changed, _START, *divmod(stamp_ns, _NS))
+    except struct.error as err:
+        raise DatasetError(f"header: stamp {stamp_ns} ns: {err}") from err
+    return bytes(changed)
+
+
+def _byte_order(data: bytes) -> str:
+    if len(data) < _START:
+        raise DatasetError(f"header: {len(data)} bytes are no message")
+    return "<" if data[1] & 1 else ">"
+
+
+def header_fields(stamp_ns: int, frame_id: str, name: str) -> SimpleNamespace:
+    """The fields of a `std_msgs/Header`; a `DatasetError` names the stamp [ns] if ROS cannot represent it."""
+    if not 0 <= stamp_ns < _STAMP_END_NS:
+        raise DatasetError(f"{name}: {stamp_ns} is before 1970 or after 2038, where the stamps of ROS end")
+    seconds, nanoseconds = divmod(int(stamp_ns), _NS)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
+
+
+def cloud_fields(cloud: Cloud, stamp_name: str = "stamp_ns") -> SimpleNamespace:
+    """The fields of a `sensor_msgs/PointCloud2` (raises as `header_fields`)."""
+    layout, data = encode(cloud)
+    fields = [SimpleNamespace(name=f.name, offset=f.offset, datatype=f.datatype, count=f.count) for f in layout.fields]
+    return SimpleNamespace(
+        header=header_fields(cloud.stamp_ns, cloud.frame_id, stamp_name),
+        height=layout.height,
+        width=layout.width,
+        fields=fields,
+        is_bigendian=layout.is_bigendian,
+        point_step=layout.point_step,
+        row_step=layout.row_step,
+        data=np.frombuffer(data, np.uint8),
+        is_dense=layout.is_dense,
+    )
+
+
+def grasp_fields(grasp: Grasp) -> SimpleNamespace:
+    """The fields of a `foretouch_msgs/Grasp`."""
+    x, y, z, w = map(float, quaternion_xyzw(grasp.rotation))
+    return SimpleNamespace(
+        id=grasp.id,
+        object_id=grasp.object_id,
+        g1=_point(grasp.g1),
+        g2=_point(grasp.g2),
+        pose=SimpleNamespace(position=_point(grasp.midpoint), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)),
+        rotation=np.ascontiguousarray(grasp.rotation.reshape(9), np.float64),
+        score=float(grasp.score),
+        status=0,
+        reason="",
+    )
+
+
+def _point(position: Any) -> SimpleNamespace:
+    x, y, z = map(float, position)
+    return SimpleNamespace(x=x, y=y, z=z)
 
 
 class ObjectCloud(NamedTuple):

@@ -13,23 +13,24 @@ order, not the files: it does not depend on how they are split into shards or on
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from foretouch.checked_files import TEXT_LIMIT, file_sha256, parse_json, read_bytes
+from foretouch.checked_files import file_sha256, parse_json
+from foretouch.dataset.manifest import read_manifest
 from foretouch.dataset.record import Identity, SampleRecord
 from foretouch.dataset.samples import DatasetFormat, SampleSet
 from foretouch.errors import FileError, ForetouchError, shown
-from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample, Touch
+from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample, Touch
 
 FORMAT: Final = "foretouch-store"
 SCHEMA_VERSION: Final = 1
 MANIFEST: Final = "manifest.json"
+SEAL: Final = "seal"
 
 SCHEMA: Final = pa.schema(
     [
@@ -50,7 +51,12 @@ SCHEMA: Final = pa.schema(
     metadata={"format": FORMAT, "schema_version": str(SCHEMA_VERSION)},
 )
 
+_POINTS: Final = ("xyz", "rgb")
 _NULLABLE: Final = ("rgb", "touch", "tare")
+_PARTS: Final[dict[str, dict[str, type]]] = {
+    "shards": {"file": str, "samples": int, "sha256": str},
+    "files": {"file": str, "sha256": str},
+}
 
 
 def is_store(path: str | Path) -> bool:
@@ -58,16 +64,13 @@ def is_store(path: str | Path) -> bool:
     return (Path(path) / MANIFEST).is_file()
 
 
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """The columns of one record batch as views of the file."""
+class _Batch(NamedTuple):
+    """The columns of one record batch by name, as views of the file where they have no nulls."""
 
-    text: dict[str, Sequence[str]]
-    offsets: dict[str, Any]
-    values: dict[str, Any]
-    valid: dict[str, Any]
-    stamps: Any
-    scores: Any
+    plain: dict[str, Sequence[Any]]  # texts and numbers
+    offsets: dict[str, Any]  # of the points
+    values: dict[str, Any]  # of the points, and of vectors one after the other
+    valid: dict[str, Any]  # whether there is a value
 
 
 class Store(Sequence[GraspSample]):
@@ -83,17 +86,13 @@ class Store(Sequence[GraspSample]):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.manifest = _read_manifest(self.path)
-        self._batches: list[_Batch] = []
-        starts = [0]
-        for part in self.manifest.get("files", []):
-            _check_hash(self.path / part["file"], part["sha256"])
-        for shard in self.manifest["shards"]:
-            for batch in _read_shard(self.path / shard["file"], shard["samples"], shard["sha256"]):
-                self._batches.append(_columns(batch))
-                starts.append(starts[-1] + batch.num_rows)
-        self._starts = np.asarray(starts, np.int64)
-        if starts[-1] != self.manifest["samples"]:
-            raise FileError(self.path, f"holds {starts[-1]} samples, not {self.manifest['samples']}", field="samples")
+        self._check_hashes()
+        shards = self.manifest["shards"]
+        batches = [batch for shard in shards for batch in _read_shard(self.path / shard["file"], shard["samples"])]
+        self._batches = [_columns(batch) for batch in batches]
+        self._starts = np.cumsum([0, *(batch.num_rows for batch in batches)])
+        if len(self) != self.manifest["samples"]:
+            raise FileError(self.path, f"holds {len(self)} samples, not {self.manifest['samples']}", field="samples")
 
     @property
     def sha256(self) -> str:
@@ -120,19 +119,20 @@ class Store(Sequence[GraspSample]):
             yield self[k]
 
     def verify(self) -> None:
-        """Read everything and compare it with the manifest.
-
-        Raises:
-            FileError: Names the file, or the content hash, that differs.
-        """
+        """Read everything and compare it with the manifest; a `FileError` names what differs."""
         _read_manifest(self.path)
+        self._check_hashes()
+        found = content_sha256(self)
+        if found != self.sha256:
+            raise FileError(self.path, f"content is {found}, not {self.sha256}", field="sha256")
+
+    def _check_hashes(self) -> None:
         for part in [*self.manifest["shards"], *self.manifest.get("files", [])]:
-            _check_hash(self.path / part["file"], part["sha256"])
-        content = hashlib.sha256()
-        for sample in self:
-            content.update(sample_digest(sample))
-        if content.hexdigest() != self.sha256:
-            raise FileError(self.path, f"content is {content.hexdigest()}, not {self.sha256}", field="sha256")
+            path = self.path / part["file"]
+            found = file_sha256(path)  # computed once a process for a file that does not change
+            if found != part["sha256"]:
+                rule = f"sha256 is {found}, not {shown(part['sha256'])} as in {MANIFEST}: the file was changed"
+                raise FileError(path, rule)
 
 
 def sample_digest(sample: GraspSample) -> bytes:
@@ -150,45 +150,23 @@ def sample_digest(sample: GraspSample) -> bytes:
     return digest.digest()
 
 
-def seal_manifest(manifest: Mapping[str, Any]) -> str:
-    """The manifest's text with a checksum over the rest of it."""
-    body = {name: value for name, value in manifest.items() if name != "seal"}
-    digest = hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
-    return json.dumps({**body, "seal": digest}, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+def content_sha256(samples: Iterable[GraspSample]) -> str:
+    """SHA-256 over some samples in order, hexadecimal."""
+    content = hashlib.sha256()
+    for sample in samples:
+        content.update(sample_digest(sample))
+    return content.hexdigest()
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
-    try:
-        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
-        manifest = parse_json(text)
-    except ValueError as err:
-        raise FileError(file, f"is not JSON: {err}") from err
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise FileError(file, f"is not of {FORMAT}", field="format")
-    if manifest.get("schema_version") != SCHEMA_VERSION:
-        raise FileError(
-            file, f"{shown(manifest.get('schema_version'))} is not {SCHEMA_VERSION}", field="schema_version"
-        )
-    missing = [name for name in ("samples", "sha256", "shards") if name not in manifest]
-    if missing:
-        raise FileError(file, "is absent", field=missing[0])
-    _check_parts(file, manifest)
-    if seal_manifest(manifest) != text:
-        raise FileError(file, "does not match its checksum: the file was changed", field="seal")
-    return manifest
-
-
-def _check_parts(file: Path, manifest: Mapping[str, Any]) -> None:
-    """Check the types of a manifest's fields."""
+    manifest = read_manifest(file, FORMAT, SCHEMA_VERSION, SEAL)
     for name, kind in (("samples", int), ("sha256", str), ("about", dict)):
-        if name in manifest and type(manifest[name]) is not kind:
-            raise FileError(file, f"{shown(manifest[name])} is of type {type(manifest[name]).__name__}", field=name)
-    for name, wanted in (
-        ("shards", {"file": str, "samples": int, "sha256": str}),
-        ("files", {"file": str, "sha256": str}),
-    ):
-        parts = manifest.get(name, [])
+        value = manifest.get(name, {} if name == "about" else None)
+        if type(value) is not kind:
+            raise FileError(file, f"{shown(value)} is of type {type(value).__name__}", field=name)
+    for name, wanted in _PARTS.items():
+        parts = manifest.setdefault(name, [])
         if not isinstance(parts, list):
             raise FileError(file, f"{shown(parts)} is no list", field=name)
         for part in parts:
@@ -196,18 +174,11 @@ def _check_parts(file: Path, manifest: Mapping[str, Any]) -> None:
                 raise FileError(file, f"{shown(part)} lacks one of {', '.join(wanted)}", field=name)
             if not part["file"] or "\0" in part["file"] or Path(part["file"]).name != part["file"]:
                 raise FileError(file, f"{shown(part['file'])!r} is not the name of a file in the store", field="file")
+    return manifest
 
 
-def _check_hash(path: Path, sha256: str) -> None:
-    """Compare a file with its hash in the manifest, once a process for a file that does not change."""
-    found = file_sha256(path)
-    if found != sha256:
-        raise FileError(path, f"sha256 is {found}, not {shown(sha256)} as in {MANIFEST}: the file was changed")
-
-
-def _read_shard(path: Path, samples: int, sha256: str) -> list[Any]:
-    """The record batches of a shard, after its hash and then its buffers were checked: Arrow trusts what it maps."""
-    _check_hash(path, sha256)
+def _read_shard(path: Path, samples: int) -> list[Any]:
+    """The record batches of a shard, whose hash was checked, after its buffers were: Arrow trusts what it maps."""
     try:
         reader = pa.ipc.open_file(pa.memory_map(str(path)))
         batches = [reader.get_batch(k) for k in range(reader.num_record_batches)]
@@ -234,50 +205,46 @@ def _check_batch(path: Path, batch: Any, field: str) -> None:
     for name in SCHEMA.names:
         if name not in _NULLABLE and batch.column(name).null_count:
             raise FileError(path, "is null in some rows", field=f"{field}: {name}")
-    points, colours = (np.diff(batch.column(name).offsets.to_numpy()) for name in ("xyz", "rgb"))
-    if (points % 3).any() or (colours[batch.column("rgb").is_valid().to_numpy(zero_copy_only=False)] % 3).any():
-        raise FileError(path, "a cloud is not a whole number of points", field=field)
+    for name in _POINTS:
+        sizes = np.diff(batch.column(name).offsets.to_numpy())
+        if (sizes[batch.column(name).is_valid().to_numpy(zero_copy_only=False)] % 3).any():
+            raise FileError(path, "a cloud is not a whole number of points", field=field)
 
 
 def _columns(batch: Any) -> _Batch:
     column = {name: batch.column(name) for name in SCHEMA.names}
     vectors = ("g1", "g2", "rotation", "touch", "tare")
     return _Batch(
-        text={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra")},
-        offsets={name: column[name].offsets.to_numpy() for name in ("xyz", "rgb")},
-        values={name: column[name].values.to_numpy(zero_copy_only=True) for name in ("xyz", "rgb", *vectors)},
-        valid={name: column[name].is_valid().to_numpy(zero_copy_only=False) for name in ("rgb", "touch", "tare")},
-        stamps=column["stamp_ns"].to_numpy(),
-        scores=column["score"].to_numpy(),
+        plain={name: column[name].to_pylist() for name in ("id", "object", "frame_id", "extra", "stamp_ns", "score")},
+        offsets={name: column[name].offsets.to_numpy() for name in _POINTS},
+        values={name: column[name].values.to_numpy(zero_copy_only=False) for name in (*_POINTS, *vectors)},
+        valid={name: column[name].is_valid().to_numpy(zero_copy_only=False) for name in _NULLABLE},
     )
 
 
 def _sample(batch: _Batch, row: int) -> GraspSample:
     def points(name: str) -> Any:
-        offsets = batch.offsets[name]
-        return batch.values[name][offsets[row] : offsets[row + 1]].reshape(-1, 3)
+        start, end = batch.offsets[name][row : row + 2]
+        return batch.values[name][start:end].reshape(-1, 3)
 
-    def vector(name: str, size: int) -> Float64:
-        values: Float64 = batch.values[name][row * size : (row + 1) * size]
-        return values
+    def vector(name: str, size: int) -> Any:
+        return batch.values[name][row * size : (row + 1) * size]
 
-    text = {name: values[row] for name, values in batch.text.items()}
-    stamp_ns = int(batch.stamps[row])
-    touch, tare = (
-        Touch.from_vector(vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None for name in ("touch", "tare")
-    )
+    def touch(name: str) -> Touch | None:
+        return Touch.from_vector(vector(name, TOUCH_SIZE)) if batch.valid[name][row] else None
+
+    plain = {name: values[row] for name, values in batch.plain.items()}
     rgb = points("rgb") if batch.valid["rgb"][row] else None
     rotation = vector("rotation", 9).reshape(3, 3)
-    score = float(batch.scores[row])
     return GraspSample(
-        id=text["id"],
-        object=text["object"],
-        cloud=Cloud(points("xyz"), rgb, text["frame_id"], stamp_ns),
-        grasp=Grasp(vector("g1", 3), vector("g2", 3), rotation, score, object_id=text["object"]),
-        touch=touch,
-        tare=tare,
-        stamp_ns=stamp_ns,
-        extra=_numbers(text["extra"]),
+        id=plain["id"],
+        object=plain["object"],
+        cloud=Cloud(points("xyz"), rgb, plain["frame_id"], plain["stamp_ns"]),
+        grasp=Grasp(vector("g1", 3), vector("g2", 3), rotation, plain["score"], object_id=plain["object"]),
+        touch=touch("touch"),
+        tare=touch("tare"),
+        stamp_ns=plain["stamp_ns"],
+        extra=_numbers(plain["extra"]),
     )
 
 
@@ -291,7 +258,7 @@ def _numbers(text: str) -> dict[str, float]:
 
 def _open_samples(path: Path, _: bool) -> SampleSet:
     store = Store(path)
-    about: Any = store.manifest.get("about", {})
+    about = store.manifest.get("about", {})
     return SampleSet(
         path=path,
         kind="store",

@@ -7,22 +7,24 @@ The content hash depends on the samples and their order alone: the same recordin
 import hashlib
 import json
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
 
 from foretouch import __version__
+from foretouch.checked_files import file_sha256
+from foretouch.dataset.disk import new_folder
+from foretouch.dataset.manifest import sealed
 from foretouch.dataset.record import DISCARDED, id_number, numbered_id
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, sample_digest, seal_manifest
-from foretouch.errors import DatasetError, FileError
+from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
+from foretouch.errors import DatasetError
 from foretouch.types import GraspSample, Touch
 
 _BATCH_ROWS = 64
@@ -44,34 +46,26 @@ class StoreWriter:
     def __init__(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
         self.path = Path(path)
         self.about = dict(about or {})
-        self.count = 0
         self._content = hashlib.sha256()
         self._ids: set[str] = set()
         self._rows: list[dict[str, Any]] = []
         self._shards: list[dict[str, Any]] = []
-        self._sink: Any = None
-        self._writer: Any = None
-        self._in_shard = 0
         self._files: list[dict[str, str]] = []
+        self._writer: Any = None
 
     def __enter__(self) -> Self:
-        self._refuse_existing()
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._folder = Path(mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
-        except OSError as err:
-            raise FileError(self.path, f"cannot be created: {err.strerror}") from err
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(new_folder(self.path))
+            self._folder.mkdir()
+            self._open = stack.pop_all()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            if kind is None:
-                self._end_shard()
-                self._publish()
-        except OSError as err:
-            raise self._unwritable(err) from err
-        finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        with self._open:  # removes the folder after an error
+            if error is not None:
+                raise error
+            self._end_shard()
+            self._write_manifest()
 
     @property
     def sha256(self) -> str:
@@ -86,80 +80,54 @@ class StoreWriter:
         self._ids.add(sample.id)
         self._content.update(sample_digest(sample))
         self._rows.append(row)
-        self.count += 1
-        try:
-            if len(self._rows) == _BATCH_ROWS:
-                self._end_batch()
-            if self._in_shard == _SHARD_ROWS:
+        if len(self._rows) == _BATCH_ROWS:
+            self._end_batch()
+            if self._shards[-1]["samples"] == _SHARD_ROWS:
                 self._end_shard()
-        except OSError as err:  # such as a full disk
-            raise self._unwritable(err) from err
 
     def attach(self, name: str, text: str) -> None:
-        """Add a text file beside the shards, such as splits; `Store.verify` checks it too.
-
-        Raises:
-            DatasetError: If the name is taken, or is no plain file name.
-        """
-        if Path(name).name != name or (self._folder / name).exists() or name == MANIFEST:
+        """Add a text file beside the shards, such as splits, which `Store.verify` checks too."""
+        path = self._folder / name
+        if path.name != name or path.exists() or name == MANIFEST:
             raise DatasetError(f"{self.path}: {name} is taken, or not the name of a file")
-        data = text.encode()
-        try:
-            (self._folder / name).write_bytes(data)
-        except OSError as err:
-            raise self._unwritable(err) from err
-        self._files.append({"file": name, "sha256": hashlib.sha256(data).hexdigest()})
+        path.write_bytes(text.encode())
+        self._files.append({"file": name, "sha256": file_sha256(path)})
 
     def _end_batch(self) -> None:
         if not self._rows:
             return
         if self._writer is None:
-            self._sink = pa.OSFile(str(self._folder / self._shard_name()), "wb")
+            name = f"shard-{len(self._shards):05d}.arrow"
+            self._shards.append({"file": name, "samples": 0})
+            self._sink = pa.OSFile(str(self._folder / name), "wb")
             self._writer = pa.ipc.new_file(self._sink, SCHEMA)
-        self._writer.write_batch(_batch(self._rows))
-        self._in_shard += len(self._rows)
+        self._writer.write_batch(pa.RecordBatch.from_pylist(self._rows, schema=SCHEMA))
+        self._shards[-1]["samples"] += len(self._rows)
         self._rows = []
 
     def _end_shard(self) -> None:
         self._end_batch()
-        if self._writer is None:
-            return
-        self._writer.close()
-        self._sink.close()
-        file = self._folder / self._shard_name()
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        self._shards.append({"file": file.name, "samples": self._in_shard, "sha256": digest})
-        self._writer, self._sink, self._in_shard = None, None, 0
+        if self._writer is not None:
+            self._writer.close()
+            self._sink.close()
+            self._shards[-1]["sha256"] = file_sha256(self._folder / self._shards[-1]["file"])
+            self._writer = None
 
-    def _shard_name(self) -> str:
-        return f"shard-{len(self._shards):05d}.arrow"
-
-    def _publish(self) -> None:
+    def _write_manifest(self) -> None:
         manifest = {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
-            "samples": self.count,
+            "samples": len(self._ids),
             "sha256": self.sha256,
             "shards": self._shards,
             "about": self.about,
         }
         if self._files:
             manifest["files"] = self._files
-        text = seal_manifest(manifest)
         with (self._folder / MANIFEST).open("w", encoding="utf-8") as file:
-            file.write(text)
+            file.write(sealed(manifest, SEAL))
             file.flush()
             os.fsync(file.fileno())
-        self._refuse_existing()
-        self._folder.chmod(0o755)  # temporary folders are private
-        self._folder.rename(self.path)
-
-    def _unwritable(self, err: OSError) -> FileError:
-        return FileError(self.path, f"cannot be written: {os.strerror(err.errno) if err.errno else err}")
-
-    def _refuse_existing(self) -> None:
-        if self.path.exists():
-            raise FileError(self.path, "exists already")
 
 
 @dataclass(frozen=True)
@@ -314,32 +282,3 @@ def _counts(touch: Touch | None, name: str) -> Any:
     if not np.isfinite(vector).all():
         raise DatasetError(f"{name}: holds a value that is not finite")
     return vector
-
-
-def _batch(rows: list[dict[str, Any]]) -> Any:
-    columns = []
-    for column in SCHEMA:
-        values = [row[column.name] for row in rows]
-        if pa.types.is_list(column.type):
-            columns.append(_ragged(values, column.type))
-        elif pa.types.is_fixed_size_list(column.type):
-            columns.append(_fixed(values, column.type.list_size))
-        else:
-            columns.append(pa.array(values, column.type))
-    return pa.record_batch(columns, schema=SCHEMA)
-
-
-def _ragged(values: list[Any], kind: Any) -> Any:
-    sizes = [0 if value is None else value.size for value in values]
-    offsets = pa.array(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32))
-    present = [value for value in values if value is not None]
-    flat = np.concatenate(present) if present else np.empty(0, kind.value_type.to_pandas_dtype())
-    missing = pa.array([value is None for value in values])
-    return pa.ListArray.from_arrays(offsets, pa.array(flat, kind.value_type), mask=missing)
-
-
-def _fixed(values: list[Any], size: int) -> Any:
-    empty = np.zeros(size)
-    flat = np.concatenate([empty if value is None else value for value in values])
-    missing = pa.array([value is None for value in values])
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float64()), size, mask=missing)

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance, uses_pixels
-from foretouch.cloud.geometry.pixel_window import PixelGrid
+from foretouch.cloud.geometry.pcl_filters import inlier_mask, mean_neighbour_distance
+from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.errors import CloudError
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.kernels import Kernel
 from foretouch.types import Cloud, Float32
 
-_compiled_order = Kernel("canonical_order", np.float32, int, np.int64)
+_sort = Kernel("canonical_order", np.float32, int, np.int64)
 
 _MIN_POINTS = 3  # fewer define neither an axis nor a grasp plane
 _MAX_COORDINATE_M = 1000.0  # depth cameras reach 20 m; larger numbers are in another unit or damaged
@@ -45,50 +45,41 @@ class FinitePoints:
         whether the pixels were given or recovered from the rays.
 
         Raises:
-            CloudError: If there are fewer than three points, or one is a kilometre away.
+            CloudError: If there are fewer than three points, one is a kilometre away, or the given pixels are wrong.
         """
         if len(self.xyz) < _MIN_POINTS:
             raise CloudError(f"xyz: {len(self.xyz)} finite points, GeoGrasp needs {_MIN_POINTS}")
         farthest = float(np.abs(self.xyz).max())
         if farthest > _MAX_COORDINATE_M:
             raise CloudError(f"xyz: reaches {farthest:g} m, beyond {_MAX_COORDINATE_M:g} m")
+        if self.pixels is not None and self.image_shape is not None:
+            grid = PixelGrid.from_pixels(self.pixels, self.image_shape)
         if config.max_points == 0 or len(self.xyz) <= config.max_points:
             return self
         ratio = len(self.xyz) / config.max_points
-        grid = self._pixel_grid()
+        if self.pixels is None:
+            grid = PixelGrid.from_rays(self.xyz)
         if grid is None:
             return FinitePoints(self.xyz[:: math.ceil(ratio)], self.n_dropped)
         step = math.ceil(math.sqrt(ratio))
         kept = np.flatnonzero((grid.row % step == 0) & (grid.column % step == 0))
-        pixels = grid.row[kept] // step * grid.width + grid.column[kept] // step
-        return FinitePoints(self.xyz[kept], self.n_dropped, pixels, (grid.height, grid.width))
+        return FinitePoints(self.xyz[kept], self.n_dropped)
 
     def without_outliers(self, config: GeoGraspConfig) -> Float32:
         """(M, 3) float32 [m], the points that the statistical outlier filter keeps."""
-        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations, self._search_grid())]
+        return self.xyz[inlier_mask(self.xyz, config.neighbours, config.outlier_deviations)]
 
     def neighbour_distance(self, config: GeoGraspConfig) -> Float32:
         """(N,) float32 [m], the mean distance of each point to its nearest neighbours."""
-        return mean_neighbour_distance(self.xyz, config.neighbours, self._search_grid())
-
-    def _search_grid(self) -> PixelGrid | None:
-        """The pixels for the search of neighbours; given ones are checked, but only recovered if they speed it up."""
-        return None if self.pixels is None and not uses_pixels() else self._pixel_grid()
-
-    def _pixel_grid(self) -> PixelGrid | None:
-        """The given pixels, else those recovered from the rays, else None."""
-        if self.pixels is None or self.image_shape is None:
-            return PixelGrid.from_rays(self.xyz)
-        return PixelGrid.from_pixels(self.pixels, self.image_shape)
+        return mean_neighbour_distance(self.xyz, config.neighbours)
 
 
 def _canonical_order(xyz: Float32) -> npt.NDArray[np.int64]:
-    if _compiled_order and len(xyz):
-        order = np.empty(len(xyz), np.int64)
-        _compiled_order(np.ascontiguousarray(xyz), len(xyz), order)
-        if order[0] >= 0:  # else there was no memory
-            return order
-    return np.lexsort(xyz.T[::-1])
+    order = np.empty(len(xyz), np.int64)
+    _sort(np.ascontiguousarray(xyz), len(xyz), order)
+    if len(order) and order[0] < 0:
+        raise MemoryError("canonical_order")
+    return order
 
 
 def finite_points(

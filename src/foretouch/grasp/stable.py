@@ -231,35 +231,13 @@ def _node_sums(
         (M,) float64 sums of the weights, (M, 3) float64 sums of weights times places [m], and the number of points.
     """
     near_m, far_m = radius_m * 0.9, radius_m * 1.1
-    if _tent_sums:
-        nodes, found = np.empty((_MOST_NODES, 4)), np.empty(2, np.int64)
-        limits = (voxel_m, near_m, far_m, _MOST_NODES)
-        _tent_sums(points.xyz, points.inlier, len(points.xyz), initial, basis, *limits, nodes, found)
-        n_points, size = found.tolist()
-        if size >= 0:  # else the grid is too large for a table
-            return nodes[:size, 0], nodes[:size, 1:], n_points
-    offset = points.xyz - initial
-    squared = np.einsum("ij,ij->i", offset, offset)
-    weight = points.inlier * smoothstep(-np.sqrt(squared), -far_m, -near_m)
-    index = np.flatnonzero(weight > 0.0)
-    weight, xyz = weight[index], points.xyz[index]
-    cell, share = _tents((offset[index] @ basis.T) / voxel_m)
-    share = share * weight[:, None]
-    _, key = np.unique(cell.reshape(-1, 3), axis=0, return_inverse=True)
-    key = key.reshape(-1)
-    size = int(key.max(initial=-1)) + 1
-    mass = np.bincount(key, share.ravel(), minlength=size).astype(np.float64)
-    sums = np.column_stack([np.bincount(key, (share * column[:, None]).ravel(), minlength=size) for column in xyz.T])
-    return mass, sums.astype(np.float64), len(index)
-
-
-def _tents(scaled: Float64) -> tuple[npt.NDArray[np.int64], Float64]:
-    """The eight nodes of the unit grid around each point, and their tent weights, which add up to one."""
-    low = np.floor(scaled)
-    part = scaled - low
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    share = np.prod(np.where(corners[None] == 1, part[:, None], 1.0 - part[:, None]), axis=2)
-    return (low[:, None] + corners[None]).astype(np.int64), share
+    nodes, found = np.empty((_MOST_NODES, 4)), np.empty(2, np.int64)
+    limits = (voxel_m, near_m, far_m, _MOST_NODES)
+    _tent_sums(points.xyz, points.inlier, len(points.xyz), initial, basis, *limits, nodes, found)
+    n_points, size = found.tolist()
+    if size < 0:
+        raise MemoryError("tent_sums")
+    return nodes[:size, 0], nodes[:size, 1:], n_points
 
 
 def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> tuple[Float64, Float64]:
@@ -268,26 +246,10 @@ def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> t
     Returns:
         (M, 3) float64 unit normals of any sign, and (M,) float64 curvature, 0 ... 1/3.
     """
-    if _local_planes:
-        normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
-        sizes = (len(centres), radius_m)
-        _local_planes(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
-        return normals, curvature
-    low, high = centres.min(axis=0) - radius_m, centres.max(axis=0) + radius_m
-    inside = np.flatnonzero(((points.xyz >= low) & (points.xyz <= high)).all(axis=1) & (points.inlier > 0.0))
-    origin = centres.mean(axis=0)
-    xyz, places = points.xyz[inside] - origin, centres - origin
-    squared = (places**2).sum(axis=1)[:, None] + (xyz**2).sum(axis=1)[None] - 2.0 * places @ xyz.T
-    weight = np.clip(1.0 - squared / radius_m**2, 0.0, 1.0) * points.inlier[inside]
-    total = np.maximum(weight.sum(axis=1), _EPSILON)
-    mean = weight @ xyz / total[:, None]
-    i, j = np.triu_indices(3)
-    products = weight @ (xyz[:, i] * xyz[:, j]) / total[:, None] - mean[:, i] * mean[:, j]
-    covariance = np.empty((len(centres), 3, 3))
-    covariance[:, i, j] = covariance[:, j, i] = products
-    values, vectors = np.linalg.eigh(covariance)
-    curvature = np.clip(values[:, 0], 0.0, None) / np.maximum(values.sum(axis=1), 1e-15)
-    return vectors[:, :, 0], curvature
+    normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
+    sizes = (len(centres), radius_m)
+    _local_planes(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+    return normals, curvature
 
 
 class StableRanking:
@@ -404,10 +366,6 @@ def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
 
 def onto_surface(points: WeightedPoints, place: Float64) -> Float64:
     """The mean of the points near a place, with weights that fall with the distance beyond that of the nearest."""
-    if _surface_mean:
-        mean = np.empty(3)
-        _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _SURFACE_M, mean)
-        return mean
-    squared = ((points.xyz - place) ** 2).sum(axis=1) + np.where(points.inlier > 0.0, 0.0, 1.0)
-    weight = points.inlier * np.exp(-(squared - squared.min()) / (2.0 * _SURFACE_M**2))
-    return np.asarray(weight @ points.xyz / weight.sum(), np.float64)
+    mean = np.empty(3)
+    _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _SURFACE_M, mean)
+    return mean

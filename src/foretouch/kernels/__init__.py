@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled loops for what NumPy cannot do quickly: C functions in one library, called through ctypes.
 
-Each function has a NumPy form beside its caller, which is used where the library is absent (no compiler when the package
-was installed, another platform, or `FORETOUCH_KERNELS=0`) and which the tests compare it with. ctypes releases the
-interpreter's lock during a call, so that other threads run meanwhile. Loading takes 0.2 ms, nothing is compiled at run
-time, and no build needs more than a C compiler; Numba would take 0.65 s at each start and 200 MB.
+The library is compiled when foretouch is installed, and required: importing this package without it, or with one of
+other sources than those beside it, raises a `MissingDependencyError` with the fix. `test/kernels` compares each function
+with a plain NumPy or SciPy reference. ctypes releases the interpreter's lock during a call, so that other threads run
+meanwhile. Loading takes 0.2 ms, and no build needs more than a C compiler; Numba would take 0.65 s at each start and
+200 MB.
 
     _count = Kernel("count_range", np.float32, int, float, float, np.int64)
-    if _count:
-        _count(xyz, len(xyz), low, high, counts)
+    _count(xyz, len(xyz), low, high, counts)
 """
 
 import ctypes
-import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -23,24 +20,24 @@ from typing import Any, Final
 
 import numpy as np
 
+from foretouch.errors import MissingDependencyError
+
 _SCALARS: Final[dict[Any, type[Any]]] = {int: ctypes.c_int64, float: ctypes.c_double}
+_FIX: Final = "install a C compiler (apt install gcc), then foretouch again (make setup, or pip install .)"
 
 
-def _load() -> tuple[ctypes.CDLL | None, str]:
-    if os.environ.get("FORETOUCH_KERNELS") == "0":
-        return None, "switched off by FORETOUCH_KERNELS=0"
+def _load() -> ctypes.CDLL:
     folder = Path(__file__).parent
-    for suffix in EXTENSION_SUFFIXES:
-        path = folder / f"_kernels{suffix}"
-        if path.is_file():
-            try:
-                library = ctypes.CDLL(str(path))
-            except OSError as err:
-                return None, f"{path}: {err}"
-            if not _is_current(library, folder):
-                return None, "compiled from other sources than those beside it: install foretouch again (make setup)"
-            return library, ""
-    return None, "not compiled when the package was installed (no C compiler?)"
+    path = next((one for suffix in EXTENSION_SUFFIXES if (one := folder / f"_kernels{suffix}").is_file()), None)
+    if path is None:
+        raise MissingDependencyError(f"{folder}: the compiled kernels are absent: {_FIX}")
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError as err:
+        raise MissingDependencyError(f"{path}: {err}: {_FIX}") from err
+    if not _is_current(library, folder):
+        raise MissingDependencyError(f"{path}: compiled from other sources than those beside it: {_FIX}")
+    return library
 
 
 def _is_current(library: ctypes.CDLL, folder: Path) -> bool:
@@ -51,7 +48,7 @@ def _is_current(library: ctypes.CDLL, folder: Path) -> bool:
     try:
         library.sources.restype = ctypes.c_char_p
         compiled: bytes = library.sources()
-    except AttributeError:  # before it was stored
+    except AttributeError:
         return False
     return compiled.decode() == sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
@@ -74,23 +71,11 @@ def _is_first_field() -> bool:
 
 
 _first_field = _is_first_field()
-_library, why_absent = _load()
-_enabled = _library is not None
-
-
-@contextmanager
-def disabled() -> Iterator[None]:
-    """Use the NumPy forms within the context, in all threads: for tests and benchmarks."""
-    global _enabled  # noqa: PLW0603
-    before, _enabled = _enabled, False
-    try:
-        yield
-    finally:
-        _enabled = before
+_library = _load()
 
 
 class Kernel:
-    """A C function without a result; false where it is not available, so that the caller uses its NumPy form.
+    """A C function without a result.
 
     Args:
         name: Of the function.
@@ -101,14 +86,9 @@ class Kernel:
         self._name = name
         kinds = [_SCALARS.get(one) or np.dtype(one) for one in types]
         self._arrays = tuple((i, one) for i, one in enumerate(kinds) if isinstance(one, np.dtype))
-        self._call: Any = None
-        if _library is not None:
-            self._call = getattr(_library, name)
-            self._call.restype = None
-            self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in kinds]
-
-    def __bool__(self) -> bool:
-        return _enabled
+        self._call = getattr(_library, name)
+        self._call.restype = None
+        self._call.argtypes = [ctypes.c_void_p if isinstance(one, np.dtype) else one for one in kinds]
 
     def __call__(self, *arguments: Any) -> None:
         """Call the function.
@@ -122,6 +102,4 @@ class Kernel:
             if value.dtype != kind or not value.flags.c_contiguous:
                 raise TypeError(f"{self._name}: an array of {value.dtype} is not a contiguous one of {kind}")
             passed[i] = _at(id(value) + _HEAD).value if _first_field else value.ctypes.data
-        if self._call is None:
-            raise RuntimeError(f"{self._name}: {why_absent}")
         self._call(*passed)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The image of a cloud as cloud/segmentation/organised_clusters.py labels it, whose functions define every step.
+/* Labels the image of a cloud, for cloud/segmentation/organised_clusters.py; test/kernels/references/segmentation.py
+ * states each step in NumPy.
  *
  * `settings` are, in this order, float32 numbers but for the rays: */
 #include "kernels.h"

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Compiled loops of foretouch: plain C without Python, called from kernels/__init__.py.
  *
- * Each has a NumPy form beside its caller, which the tests compare it with. To give the same bits, the file is compiled
- * without contraction of a * b + c and without reordering of sums; float32 stays float32 where NumPy has it.
+ * `test/kernels` compares each with a NumPy or SciPy reference. To give the same bits on every machine, the files are
+ * compiled without contraction of a * b + c and without reordering of sums; float32 stays float32 where NumPy has it.
  * Arrays are contiguous and belong to the caller; no function allocates what it does not free, or keeps a state. */
 #ifndef FORETOUCH_KERNELS_H
 #define FORETOUCH_KERNELS_H

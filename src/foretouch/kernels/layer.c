@@ -5,7 +5,7 @@
 #define PI 3.14159265358979323846
 #define MOST_STAGES 32
 
-/* A complex FFT of length m over many lines at once, which are contiguous: Stockham's, of radix 2, 3, 4 and 5. */
+/* A complex FFT of length m over many lines at once, which are contiguous: Stockham's, quick for radix 2, 3, 4 and 5. */
 typedef struct {
     int64_t m, stages, radix[MOST_STAGES];
     double *cosine, *sine; /* of 2 pi k / m */
@@ -16,14 +16,13 @@ typedef struct {
     double *re, *im;
 } Complex;
 
-static int plan(Plan *plan, int64_t m, double *table) {
-    static const int64_t radices[] = {4, 2, 3, 5};
+static void plan(Plan *plan, int64_t m, double *table) {
     int64_t rest = m;
     plan->m = m;
     plan->stages = 0;
-    for (int i = 0; i < 4; i++) {
-        for (; rest % radices[i] == 0; rest /= radices[i]) {
-            plan->radix[plan->stages++] = radices[i];
+    for (int64_t r = 4; rest > 1; r = r == 4 ? 2 : r == 2 ? 3 : r + 2) {
+        for (; rest % r == 0; rest /= r) {
+            plan->radix[plan->stages++] = r;
         }
     }
     plan->cosine = table;
@@ -32,7 +31,6 @@ static int plan(Plan *plan, int64_t m, double *table) {
         plan->cosine[k] = cos(2.0 * PI * (double)k / (double)m);
         plan->sine[k] = sin(2.0 * PI * (double)k / (double)m);
     }
-    return rest == 1;
 }
 
 /* One stage: r values of a line, apart by one part of the input, to r neighbours of the output, turned by their twiddles. */
@@ -106,6 +104,24 @@ VECTORISED static void stage5(const double *restrict xr, const double *restrict 
     }
 }
 
+/* As these, for any r: the sums of its definition. `turn` are steps in the table of the plan. */
+static void stage_any(const Plan *plan, int64_t r, const double *xr, const double *xi, double *yr, double *yi, int64_t part,
+                      int64_t run, int64_t turn) {
+    for (int64_t j = 0; j < r; j++) {
+        const double c = plan->cosine[j * turn], s = plan->sine[j * turn];
+        for (int64_t i = 0; i < run; i++) {
+            double re = 0.0, im = 0.0;
+            for (int64_t k = 0; k < r; k++) {
+                const int64_t at = j * k % r * (plan->m / r);
+                re += xr[k * part + i] * plan->cosine[at] + xi[k * part + i] * plan->sine[at];
+                im += xi[k * part + i] * plan->cosine[at] - xr[k * part + i] * plan->sine[at];
+            }
+            yr[j * run + i] = re * c + im * s;
+            yi[j * run + i] = im * c - re * s;
+        }
+    }
+}
+
 /* Of x; y is as large. Returns which of both holds the result. */
 static Complex transform(const Plan *plan, int64_t lines, Complex x, Complex y) {
     int64_t length = plan->m, stride = 1;
@@ -113,7 +129,7 @@ static Complex transform(const Plan *plan, int64_t lines, Complex x, Complex y) 
         const int64_t r = plan->radix[stage], parts = length / r, run = stride * lines;
         for (int64_t p = 0; p < parts; p++) {
             double c[5], s[5];
-            for (int64_t j = 0; j < r; j++) {
+            for (int64_t j = 0; j < r && j < 5; j++) {
                 c[j] = plan->cosine[p * j * stride];
                 s[j] = plan->sine[p * j * stride];
             }
@@ -123,7 +139,8 @@ static Complex transform(const Plan *plan, int64_t lines, Complex x, Complex y) 
             case 2: stage2(xr, xi, yr, yi, parts * run, run, c, s); break;
             case 3: stage3(xr, xi, yr, yi, parts * run, run, c, s); break;
             case 4: stage4(xr, xi, yr, yi, parts * run, run, c, s); break;
-            default: stage5(xr, xi, yr, yi, parts * run, run, c, s);
+            case 5: stage5(xr, xi, yr, yi, parts * run, run, c, s); break;
+            default: stage_any(plan, r, xr, xi, yr, yi, parts * run, run, p * stride);
             }
         }
         const Complex old = x;
@@ -156,7 +173,8 @@ static int prepare(Convolution *convolution, int64_t n) {
     double *room = convolution->room;
     convolution->x = (Complex){room, room + size};
     convolution->y = (Complex){room + 2 * size, room + 3 * size};
-    return plan(&convolution->plan, m, room + 4 * size);
+    plan(&convolution->plan, m, room + 4 * size);
+    return 1;
 }
 
 /* result (n, n): the convolution of p (n, n) with the coefficients whose spectrum (2n, n + 1, 2) is given. */
@@ -229,9 +247,10 @@ static double mean_depth(const double *displacement, const double *gap, const do
     return sum / (double)count;
 }
 
-/* `Descent` until the tolerance is met or the iterations are spent. pressure (n, n) is the start and becomes the result;
+/* Steps until the tolerance is met or the iterations are spent. pressure (n, n) is the start and becomes the result;
  * given is the depth or, where by_force is 1, the sum of the pressure. end (4): depth, iterations, residual, and 1 where it
- * ran: not where 2n has a factor other than 2, 3 and 5, nor without memory. */
+ * ran: 0 without memory. Where neither clipping nor new cells disturb a step, K p follows from K t of the step instead of
+ * a second convolution. */
 void layer_descent(const double *gap, const double *spectrum, int64_t n, double given, int64_t by_force, double safe_length,
                    double tolerance, int64_t most, double *pressure, double *end) {
     const int64_t size = n * n;

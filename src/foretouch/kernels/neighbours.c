@@ -241,7 +241,7 @@ VECTORISED void summed_moments(const float *xyz, int64_t n, const float *places,
     free_tree(&t);
 }
 
-/* Normals and curvature from summed moments (q, 10), as `_fit` of pcl_filters.py: NaN where they span no plane.
+/* Normals and curvature from summed moments (q, 10): NaN where they span no plane.
  *
  * places: (q, 3), which the normals (q, 3) face the origin from. curvature: (q). */
 void fit_planes(const double *sums, const float *places, int64_t q, double line, double *normals, double *curvature) {

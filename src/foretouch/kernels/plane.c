@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What cloud/segmentation/plane.py does point by point; sums are left to it, so that both forms give the same bits. */
+/* What cloud/segmentation/plane.py does point by point; sums are left to it. */
 #include "kernels.h"
 
 /* Number of points within `reach` of each of m planes; distances: (m, n) from each but for its offset (m). */

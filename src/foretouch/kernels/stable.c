@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Loops over the points of an object for grasp/stable.py; its functions of the same names define what they compute. */
+/* Loops over the points of an object for grasp/stable.py. */
 #include "eigen.h"
 
 #define DIGIT 11 /* bits sorted at once */

@@ -97,6 +97,11 @@ class Area(Experiment[S, D]):
     seconds: Callable[[S, D, Sequence[Cell]], float] | None = None
     notes: Callable[[Sequence[Row]], Sequence[str]] = lambda _: ()
 
+    @property
+    def command(self) -> str:
+        """Words that run it."""
+        return f"foretouch tradeoff {self.name}"
+
     def checked_variants(self, settings: S) -> list[Variant]:
         """The variants of settings.
 

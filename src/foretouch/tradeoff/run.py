@@ -21,10 +21,11 @@ from foretouch.errors import FileError, ForetouchError
 from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.experiment import ReadData, Row
 from foretouch.experiments.framework.sweep import Progress, SweepResult, run_sweep
+from foretouch.timing import MachineLoad
 from foretouch.tradeoff.area import Answer, Area, Timed, TradeoffSettings, Variant
 from foretouch.tradeoff.frontier import summary_tables
 from foretouch.tradeoff.picture import draw_tradeoff
-from foretouch.tradeoff.timing import MachineLoad, largest_difference, peak_memory_mb, time_variants
+from foretouch.tradeoff.timing import largest_difference, peak_memory_mb, time_variants
 
 TABLE_FILE: Final = "tradeoff.csv"
 
@@ -116,7 +117,7 @@ def report(area: Area[Any, Any], out: Path) -> list[str]:
         raise FileError(out / TABLE_FILE, "contains no row")
     manifest = out / manifests.MANIFEST_FILE
     skipped = read_json(manifest).get("skipped", {}) if manifest.exists() else {}
-    manifests.write_summary(out, area.question, summary_tables(area, rows, skipped))
+    manifests.write_summary(out, area, summary_tables(area, rows, skipped))
     return [path.name for path in (*draw_tradeoff(area, rows, out), *area.draw(rows, out))]
 
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from pair_builders import SECOND, interval, level, stream
 
-from foretouch.dataset.cdr import cloud_fields
-from foretouch.dataset.messages import decode_grasp
+from foretouch.dataset.messages import cloud_fields, decode_grasp
 from foretouch.dataset.pairing import (
     AssembledSample,
     AssemblerConfig,

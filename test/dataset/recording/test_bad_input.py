@@ -15,9 +15,9 @@ from recording_builders import IDENTITY, QUICK, assert_same_sample, record, writ
 
 from foretouch.dataset.info import describe
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
-from foretouch.dataset.recording.messages import decode_sample, encode_sample
-from foretouch.dataset.recording.reader import sample_offsets
-from foretouch.dataset.recording.scan import mapped, records
+from foretouch.dataset.recording.reader import sample_messages
+from foretouch.dataset.recording.records import mapped, walk
+from foretouch.dataset.recording.sample_codec import decode_sample, encode_sample
 from foretouch.dataset.samples import export_samples
 from foretouch.dataset.store_writer import StoreWriter, build_store
 from foretouch.errors import DatasetError, FileError, ForetouchError
@@ -90,7 +90,7 @@ def test_going_on_after_a_crash_gives_no_id_twice_wherever_the_file_ends(file: P
     """A sample may be complete though its chunk is not: `repair` saves it, so its id is taken."""
     good = file.read_bytes()
     with mapped(file) as data:
-        ends = [place.end for place in sample_offsets(file, data)]
+        ends = [place.end for place in sample_messages(file, data)]
     for cut in (ends[-1], ends[-1] + 5, ends[-2], len(good) - 40):
         file.write_bytes(good[:cut])
         with RecordingWriter(file.parent, IDENTITY, QUICK) as writer:
@@ -106,7 +106,7 @@ def test_no_length_of_a_record_makes_a_reader_take_memory(tmp_path: Path, length
     file = write_dataset(tmp_path / "ds", 1, points=2000)
     good = file.read_bytes()
     with mapped(file) as data:
-        places = [one.offset + 1 for one in records(data, 8)]
+        places = [one.offset + 1 for one in walk(data, 8)]
     tracemalloc.start()
     for place in places:
         damaged = bytearray(good)

@@ -10,9 +10,8 @@ import pytest
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.dataset.recording import RecordedDataset, RecordingWriter, repair_dataset, verify_dataset
-from foretouch.dataset.recording.reader import sample_offsets
-from foretouch.dataset.recording.repair import repair_file
-from foretouch.dataset.recording.scan import mapped
+from foretouch.dataset.recording.reader import sample_messages
+from foretouch.dataset.recording.records import mapped
 from foretouch.dataset.recording.verify import verify_file
 from foretouch.errors import FileError
 
@@ -27,7 +26,7 @@ def file(tmp_path: Path) -> Path:
 def spans(path: Path) -> list[tuple[int, int]]:
     """Start and end of each sample [bytes]."""
     with mapped(path) as data:
-        return [(place.start, place.end) for place in sample_offsets(path, data)]
+        return [(place.start, place.end) for place in sample_messages(path, data)]
 
 
 def numbers(path: Path) -> list[int]:
@@ -38,20 +37,20 @@ def numbers(path: Path) -> list[int]:
 
 def check_repaired(path: Path, kept: set[int]) -> None:
     original = path.read_bytes()
-    report = repair_file(path)
+    report = repair_dataset(path)[0]
     assert report.changed
     assert report.original is not None
     assert report.original.read_bytes() == original
     assert verify_file(path).fault_lines() == []
     assert set(numbers(path)) == kept
     assert report.samples == len(kept)
-    assert not repair_file(path).changed
+    assert not repair_dataset(path)[0].changed
 
 
 def test_a_clean_file_is_left_alone(file: Path) -> None:
     before = file.read_bytes(), file.stat().st_mtime_ns
     assert verify_file(file).clean
-    assert not repair_file(file).changed
+    assert not repair_dataset(file)[0].changed
     assert (file.read_bytes(), file.stat().st_mtime_ns) == before
     assert [p.name for p in file.parent.glob("session*")] == [file.name]
 
@@ -116,7 +115,7 @@ def test_a_length_that_lies_takes_no_memory(tmp_path: Path, length: int) -> None
     file.write_bytes(data)
     tracemalloc.start()
     report = verify_file(file)
-    repair_file(file)
+    repair_dataset(file)[0]
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not report.clean
@@ -131,7 +130,7 @@ def test_other_files_are_no_recordings(tmp_path: Path) -> None:
     (report,) = verify_dataset(other)
     assert report.fault_lines()[0] == f"{other}: byte 0: is no MCAP file: it does not begin as one"
     with pytest.raises(FileError, match="is no MCAP file, and holds no part of one"):
-        repair_file(other)
+        repair_dataset(other)
     assert other.read_bytes() == bytes(range(256)) * 40
     with pytest.raises(FileError, match="does not exist"):
         verify_dataset(tmp_path / "nothing")
@@ -159,7 +158,7 @@ def test_every_byte_of_the_manifest_counts(file: Path) -> None:
 def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
     for _ in range(3):
         file.write_bytes(file.read_bytes()[:-30])
-        assert repair_file(file).changed
+        assert repair_dataset(file)[0].changed
     kept = sorted(p.name for p in file.parent.glob("*.before-repair*"))
     assert kept == [f"{file.name}.before-repair", f"{file.name}.before-repair-2", f"{file.name}.before-repair-3"]
     assert numbers(file) == list(range(COUNT))
@@ -168,7 +167,7 @@ def test_the_original_of_an_earlier_repair_is_kept_too(file: Path) -> None:
 def test_what_a_crash_left_unwritten_is_booked_as_lost(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     writer.config = QUICK.replace(accounts_s=0.1)
-    writer._file._counted_s -= 1.0
+    writer._counted_s -= 1.0
     writer.receive("/cloud", 5)  # in a queue when the process dies
     writer.append(record(0))
     writer._file.abandon()

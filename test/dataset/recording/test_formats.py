@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from foretouch.dataset.bag import Recording, list_topics
 from foretouch.dataset.recording import SAMPLE_TOPIC, repair_dataset
-from foretouch.dataset.recording.messages import SAMPLE_TYPE
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
 
 
 @pytest.fixture(params=["finished", "repaired"])
@@ -73,7 +73,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from dataclasses import replace
 from recording_builders import IDENTITY, record
-from foretouch.dataset.recording.messages import encode_sample
+from foretouch.dataset.recording.sample_codec import encode_sample
 from foretouch_msgs.msg import GraspSample
 from rclpy.serialization import deserialize_message, serialize_message
 made = record(3)

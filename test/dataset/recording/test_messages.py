@@ -11,7 +11,7 @@ from recording_builders import IDENTITY, assert_same_sample, record
 
 from foretouch.dataset.record import SampleRecord, TouchSeries, check_id
 from foretouch.dataset.recording.definitions import Definitions
-from foretouch.dataset.recording.messages import SAMPLE_TYPE, decode_sample, encode_sample, is_intact
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample, encode_sample, is_intact
 from foretouch.errors import DatasetError
 from foretouch.types import Cloud, Touch
 
@@ -89,7 +89,7 @@ def test_a_newer_schema_version_is_named() -> None:
     place += place % 2
     assert body[place : place + 2] == b"\1\0"
     body[place] = 9
-    with pytest.raises(DatasetError, match="schema_version: 9 is newer than 1"):
+    with pytest.raises(DatasetError, match="schema_version: 9 is not 1: it was written by a newer foretouch"):
         decode_sample(bytes(body) + hashlib.sha256(body).digest())
 
 

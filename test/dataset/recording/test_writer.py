@@ -20,6 +20,7 @@ from recording_builders import (
     TACTILE,
     TACTILE_TYPE,
     assert_same_sample,
+    fail_writes,
     record,
     write_dataset,
 )
@@ -109,7 +110,7 @@ def test_another_hand_and_camera_are_refused_by_name(tmp_path: Path) -> None:
         ({"schema_version": 2}, "schema_version: 2 is not 1: it was written by a newer foretouch"),
         ({"schema_version": 0}, "schema_version: 0 is not 1"),
         ({"hand": {"name": "x"}}, "damaged"),
-        ({"hand": 5}, "hand: is no list of named texts"),
+        ({"hand": 5}, "damaged"),
     ],
 )
 def test_a_manifest_of_another_kind_is_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
@@ -183,12 +184,10 @@ def test_losses_stand_beside_the_sum_and_outlive_a_repair(tmp_path: Path) -> Non
     assert report.counts.topics[TACTILE].lost == 3
 
 
-def test_accounts_of_early_recordings_tell_of_no_loss() -> None:
-    early = {TACTILE: '{"received": 7, "written": 5, "dropped": {"queue full": 2}}'}
-    account = MessageCounts.from_mapping(early).topics[TACTILE]
-    assert (account.received, account.written, account.dropped, account.lost) == (7, 5, {"queue full": 2}, 0)
-    with pytest.raises(DatasetError, match="holds no counts"):
-        MessageCounts.from_mapping({TACTILE: '{"received": "many"}'})
+def test_counts_that_cannot_be_read_are_refused() -> None:
+    for text in ('{"received": "many"}', '{"received": 7, "written": 5, "dropped": {}}', "[]", "{"):
+        with pytest.raises(DatasetError, match="holds no counts"):
+            MessageCounts.from_mapping({TACTILE: text})
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -220,16 +219,7 @@ def test_what_its_owner_still_holds_is_booked_in_the_file_however_the_session_en
 def test_a_disk_that_fails_at_the_start_is_named_and_lets_go_of_the_dataset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = os.writev
-    calls: list[int] = []
-
-    def failing(fd: int, buffers: list[memoryview]) -> int:
-        calls.append(fd)
-        if len(calls) == 3:  # magic and header, metadata, then the topic of the samples
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return real(fd, buffers)
-
-    monkeypatch.setattr(os, "writev", failing)
+    fail_writes(monkeypatch, 2, errno.ENOSPC)  # magic and header, then the metadata
     with pytest.raises(FileError, match=r"session-0001.mcap: No space left on device \(errno 28\)"):
         RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     monkeypatch.undo()
@@ -285,7 +275,7 @@ def test_messages_wait_no_longer_than_they_should(tmp_path: Path) -> None:
 
 
 def test_threads_are_put_in_a_row(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_bytes=2000)) as writer:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_s=0.0)) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
 
         def messages() -> None:
@@ -346,18 +336,7 @@ def test_a_failing_write_ends_the_session_with_what_was_acknowledged(
     """Half of the sample's bytes get through before the device fails: they must be gone afterwards."""
     writer = RecordingWriter(tmp_path / "ds", IDENTITY, QUICK)
     told = [writer.append(record(number)) for number in range(3)]
-    real = os.writev
-    calls: list[int] = []
-
-    def failing(fd: int, buffers: list[memoryview]) -> int:
-        calls.append(fd)
-        if len(calls) == 1:
-            return real(fd, [bytes(buffers[0]), bytes(buffers[1])[:50]])
-        if len(calls) == 2:
-            raise OSError(code, os.strerror(code))
-        return real(fd, buffers)
-
-    monkeypatch.setattr(os, "writev", failing)
+    fail_writes(monkeypatch, 2, code, part=50)
     with pytest.raises(FileError, match=rf"{os.strerror(code)} \(errno {code}\): the session has ended, its 3 samples"):
         writer.append(record(3))
     monkeypatch.undo()
@@ -452,7 +431,7 @@ def test_a_read_only_disk_is_named(tmp_path: Path) -> None:
 def test_memory_does_not_grow_with_the_session(tmp_path: Path) -> None:
     import tracemalloc
 
-    with RecordingWriter(tmp_path / "ds", IDENTITY, replace(QUICK, chunk_bytes=20_000)) as writer:
+    with RecordingWriter(tmp_path / "ds", IDENTITY, QUICK) as writer:
         writer.add_topic(TACTILE, TACTILE_TYPE)
         sizes = []
         tracemalloc.start()

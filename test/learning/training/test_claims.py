@@ -22,12 +22,11 @@ def made(rng: np.random.Generator, carries_over: float, count: int = 10) -> tupl
     return rows, (labels - labels.mean(axis=0)) / labels.std(axis=0), objects
 
 
-def test_what_carries_over_is_claimed_and_what_does_not_is_not(rng) -> None:
-    ridge, claim = choose_claims(*made(rng, 1.0), 2.0, 1.0, RIDGES)
-    assert (claim > 0.7).all()
-    assert ridge < max(RIDGES)
-    _, nothing = choose_claims(*made(rng, 0.0), 2.0, 1.0, RIDGES)
-    assert (nothing < 0.3).all()
+def test_what_carries_over_is_claimed_and_what_does_not_rarely(rng) -> None:
+    """A slope that is zero exceeds its own standard error, above which something is claimed, in one of six draws."""
+    claims = {share: [choose_claims(*made(rng, share), 2.0, 1.0, RIDGES) for _ in range(30)] for share in (0.0, 1.0)}
+    assert all(ridge < max(RIDGES) and (claim > 0.7).all() for ridge, claim in claims[1.0])
+    assert np.mean([claim > 0.3 for _, claim in claims[0.0]]) < 0.35  # 120 draws, four of a set not independent
 
 
 def test_a_single_object_claims_nothing(rng) -> None:

@@ -14,7 +14,8 @@ import torch
 from run_builders import BASE, MODEL, quiet, run_config, stop_after
 from safetensors.torch import load_file
 
-from foretouch.dataset.store import MANIFEST, seal_manifest
+from foretouch.dataset.manifest import sealed
+from foretouch.dataset.store import MANIFEST, SEAL
 from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.training.learners import read_run_config
@@ -202,6 +203,6 @@ def test_splits_of_a_store_give_the_reason_one_is_missing(store, tmp_path) -> No
     before = hashlib.sha256(file.read_bytes()).hexdigest()
     file.write_text(json.dumps(splits))
     manifest = (store / MANIFEST).read_text().replace(before, hashlib.sha256(file.read_bytes()).hexdigest())
-    (store / MANIFEST).write_text(seal_manifest(json.loads(manifest)))
+    (store / MANIFEST).write_text(sealed(json.loads(manifest), SEAL))
     with pytest.raises(DatasetError, match="boxes: split: 'object' cannot be made of these samples: too few"):
         load_dataset(store).parts("object")

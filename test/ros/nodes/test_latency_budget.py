@@ -8,14 +8,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.models import budget as budgets
 from foretouch.models import load_model
+from foretouch.models.budget import levels_of, profile_scene
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.answers import TouchAnswer
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.tradeoff.budget import levels_of
-from foretouch.tradeoff.budget import profile as profiles
-from foretouch.tradeoff.budget.profile import profile_scene
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.msg import GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.srv import PredictTouch
@@ -31,7 +30,7 @@ def profile(monkeypatch, tmp_path):
     def measured(levels, seconds, progress):
         return {one.name: dict.fromkeys((1, 1000), 0.003 * (len(levels) - k)) for k, one in enumerate(levels)}, "idle"
 
-    monkeypatch.setattr(profiles, "_measure", measured)
+    monkeypatch.setattr(budgets, "_measure", measured)
 
 
 def request(count=1):

@@ -21,6 +21,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import REST, level
 from rclpy.qos import ReliabilityPolicy
+from recording_builders import fail_writes
 from robot_builders import FRAME, MS, QUICK, Robot, accounts, start
 
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset, repair_dataset, verify_dataset
@@ -109,16 +110,7 @@ def test_a_disk_that_fails_ends_the_recording_and_says_why(
     node, robot, told = start(graph, tmp_path / "set")
     robot.grasp("g-0", 0)
     graph.until(lambda: node.status().samples == 1)
-    real = os.writev
-    broken: list[int] = []
-
-    def failing(fd: int, buffers: Any) -> int:
-        if not broken:  # once: what follows are the last accounts, for which there is room
-            broken.append(fd)
-            raise OSError(code, os.strerror(code))
-        return real(fd, buffers)
-
-    monkeypatch.setattr(os, "writev", failing)
+    fail_writes(monkeypatch, 1, code)  # what follows are the last counts, for which there is room
     robot.feel(REST, 30)
     graph.until(lambda: not node.in_session)
     monkeypatch.undo()

@@ -7,10 +7,10 @@ import time
 import pytest
 from sensor_msgs.msg import PointCloud2
 
+from foretouch.models.budget import profile_scene
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
-from foretouch.tradeoff.budget.profile import profile_scene
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.msg import GraspArray, TablePlane, TouchPredictionArray
 

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """PCL's VoxelGrid, NormalEstimation and StatisticalOutlierRemoval, as GeoGrasp uses them.
 
-Comparisons and sums that decide on single points are made in float32, as in PCL. Neighbours of the outlier filter are
-found in C (kernels/neighbours.c). Without it they are found by a k-d tree or, for the points of a depth image, in a window
-of its pixels. The tree is that of small_gicp: on one thread, 51 neighbours of each of 3000 points take two thirds of the
-time of SciPy's.
+Comparisons and sums that decide on single points are made in float32, as in PCL.
 """
 
 from dataclasses import dataclass
@@ -12,19 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.geometry.pixel_window import PixelGrid, window_mean_distance
 from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Float64
 
 _mean_neighbour_distance = Kernel("mean_neighbour_distance", np.float32, int, int, np.float32, np.uint8)
-_compiled_moments = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
+_moments_within = Kernel("summed_moments", np.float32, int, np.float32, int, float, np.float32, np.float64)
 _fit_planes = Kernel("fit_planes", np.float64, np.float32, int, float, np.float64, np.float64)
 _voxel_cells = Kernel("voxel_cells", np.float32, int, float, np.int64, np.int64, np.int64)
 _cell_means = Kernel("cell_means", np.float64, int, int, np.int64, np.int64, int, np.float64)
 _cell_moments = Kernel("cell_moments", np.float32, int, np.float32, np.int64, int, np.float64)
 
-_BLOCK_PAIRS = 60_000  # pairs of query and neighbour at a time: fits the cache and OpenBLAS's small-matrix kernel
 _CUBE = 0.57  # radii: edge of a cube whose diagonal is shorter than the radius
 _SAMPLE_STEP = 8
 _MARGIN = 1.001  # radii: far more than float32 rounding
@@ -50,12 +45,8 @@ class VoxelGrid:
             (M, C) float64.
         """
         means = np.empty((len(self.counts), values.shape[1]))
-        if _cell_means:
-            values = np.ascontiguousarray(values, np.float64)
-            _cell_means(values, *values.shape, self.cell, self.counts, len(self.counts), means)
-            return means
-        for i, column in enumerate(values.T):
-            means[:, i] = np.bincount(self.cell, column, minlength=len(self.counts)) / self.counts
+        values = np.ascontiguousarray(values, np.float64)
+        _cell_means(values, *values.shape, self.cell, self.counts, len(self.counts), means)
         return means
 
 
@@ -74,11 +65,11 @@ def voxel_grid(xyz: Float32, leaf_m: float) -> VoxelGrid:
     if len(xyz) == 0:
         return VoxelGrid(np.zeros(0, np.int64), np.zeros(0, np.int64), leaf_m)
     per_m = np.float32(1.0) / np.float32(leaf_m)
-    if _voxel_cells:
-        cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
-        _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
-        if found[0] >= 0:  # else the grid is too wide for a table of its cells
-            return VoxelGrid(cell, counts[: found[0]].copy(), leaf_m)
+    cell, counts, found = np.empty(len(xyz), np.int64), np.empty(len(xyz), np.int64), np.empty(1, np.int64)
+    _voxel_cells(np.ascontiguousarray(xyz), len(xyz), float(per_m), cell, counts, found)
+    if found[0] >= 0:
+        return VoxelGrid(cell, counts[: found[0]].copy(), leaf_m)
+    # The grid is too wide for a table of its cells.
     ijk = np.floor(np.ascontiguousarray(xyz.T) * per_m).astype(np.float64)
     ijk -= ijk.min(axis=1, keepdims=True)
     size = ijk.max(axis=1) + 1.0
@@ -139,11 +130,9 @@ def count_without_normal(xyz: Float32, radius_m: float = 0.03, grid: VoxelGrid |
 
 def _moments_of_cells(xyz: Float32, grid: VoxelGrid) -> Float64:
     """(M, 10) float64: sums of the moments of the points of each cell."""
-    if _cell_moments:
-        sums = np.empty((len(grid.counts), 10))
-        _cell_moments(xyz, len(xyz), xyz[0], grid.cell, len(sums), sums)
-        return sums
-    return grid.mean(_moments(xyz, xyz[0])) * grid.counts[:, None]
+    sums = np.empty((len(grid.counts), 10))
+    _cell_moments(xyz, len(xyz), xyz[0], grid.cell, len(sums), sums)
+    return sums
 
 
 def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bool_]:
@@ -158,40 +147,11 @@ def _in_box(xyz: Float32, around: Float32, radius_m: float) -> npt.NDArray[np.bo
 
 def _summed_moments(near: Float32, points: Float32, radius_m: float) -> Float64:
     """(Q, 10) float64: sums of the moments of each point's neighbours among `near`."""
-    if _compiled_moments:
-        sums = np.empty((len(points), 10))
-        _compiled_moments(near, len(near), points, len(points), float(np.float32(radius_m) ** 2), near[0], sums)
-        if sums[0, 0] >= 0.0:  # else there was no memory
-            return sums
-    moments = _moments(near, near[0])
-    limit = np.float32(radius_m) * np.float32(radius_m)
-    columns = np.ascontiguousarray(near.T)
-    sums = np.empty((len(points), moments.shape[1]))
-    rows = max(1, _BLOCK_PAIRS // len(near))
-    for start in range(0, len(points), rows):
-        squared = _squared_distances(columns, points[start : start + rows])
-        sums[start : start + rows] = (squared < limit).astype(np.float64) @ moments
+    sums = np.empty((len(points), 10))
+    _moments_within(near, len(near), points, len(points), float(np.float32(radius_m) ** 2), near[0], sums)
+    if sums[0, 0] < 0.0:
+        raise MemoryError("summed_moments")
     return sums
-
-
-def _squared_distances(columns: Float32, points: Float32) -> Float32:
-    """(Q, M) float32 [m²] from (3, M) and (Q, 3); x, y, z are summed in this order, as in PCL."""
-    total = columns[0] - points[:, 0, None]
-    total *= total
-    for axis in (1, 2):
-        square = columns[axis] - points[:, axis, None]
-        square *= square
-        total += square
-    return np.asarray(total, np.float32)
-
-
-def _moments(xyz: Float32, origin: Float32) -> Float64:
-    """(M, 10) float64: 1, the coordinates from `origin`, and their six products."""
-    x, y, z = (xyz.astype(np.float64) - origin.astype(np.float64)).T
-    moments = np.empty((len(xyz), 10))
-    for i, column in enumerate((1.0, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z)):
-        moments[:, i] = column
-    return moments
 
 
 def _covariance(sums: Float64) -> Float64:
@@ -212,23 +172,12 @@ def _spans_plane(sums: Float64) -> npt.NDArray[np.bool_]:
 
 def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
     """Normals and curvature from the summed moments of each neighbourhood."""
-    normals = np.full((len(sums), 3), np.nan)
-    curvature = np.full(len(sums), np.nan)
-    if _fit_planes:
-        _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
-        return normals, curvature
-    spans = _spans_plane(sums)
-    values, vectors = np.linalg.eigh(_covariance(sums[spans]))
-    normal = vectors[:, :, 0]
-    away = np.einsum("ij,ij->i", normal, points[spans].astype(np.float64)) > 0.0
-    normals[spans] = np.where(away[:, None], -normal, normal)
-    curvature[spans] = np.clip(values[:, 0], 0.0, None) / values.sum(axis=1)
+    normals, curvature = np.empty((len(sums), 3)), np.empty(len(sums))
+    _fit_planes(sums, points, len(sums), _LINE, normals, curvature)
     return normals, curvature
 
 
-def inlier_mask(
-    xyz: Float32, neighbours: int = 50, deviations: float = 1.0, grid: PixelGrid | None = None
-) -> npt.NDArray[np.bool_]:
+def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> npt.NDArray[np.bool_]:
     """Inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
 
     The standard deviation is that of a sample (n - 1). A single point is an inlier.
@@ -237,29 +186,22 @@ def inlier_mask(
         xyz: (N, 3) float32 [m], finite. N may be 0.
         neighbours: Number of nearest neighbours averaged for each point, excluding itself.
         deviations: Standard deviations above the mean that are still kept.
-        grid: The pixels of the points; faster without compiled loops (see `uses_pixels`), with the same result.
 
     Returns:
         (N,) bool.
     """
     if len(xyz) < 2:
         return np.ones(len(xyz), np.bool_)
-    distance = mean_neighbour_distance(xyz, neighbours, grid).astype(np.float64)
+    distance = mean_neighbour_distance(xyz, neighbours).astype(np.float64)
     return np.asarray(distance <= distance.mean() + deviations * distance.std(ddof=1))
 
 
-def uses_pixels() -> bool:
-    """Whether the search of neighbours is faster with the pixels of the points: the compiled one needs none."""
-    return not _mean_neighbour_distance
-
-
-def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None) -> Float32:
+def mean_neighbour_distance(xyz: Float32, k: int) -> Float32:
     """Mean distance from each point to its k nearest neighbours, excluding itself.
 
     Args:
         xyz: (N, 3) float32 [m], finite.
         k: Number of neighbours; all other points if there are fewer.
-        grid: The pixels of the points; faster without compiled loops, with the same result.
 
     Returns:
         (N,) float32 [m]; zero for a single point.
@@ -267,14 +209,8 @@ def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None)
     k = min(k, len(xyz) - 1)
     if k < 1:
         return np.zeros(len(xyz), np.float32)
-    if _mean_neighbour_distance:
-        result, proven = np.empty(len(xyz), np.float32), np.empty(len(xyz), np.uint8)
-        _mean_neighbour_distance(np.ascontiguousarray(xyz), len(xyz), k, result, proven)
-    elif grid is None:
-        return _tree_mean_distance(xyz, np.arange(len(xyz)), k)
-    else:
-        result, sure = window_mean_distance(xyz, grid, k)
-        proven = sure.view(np.uint8)
+    result, proven = np.empty(len(xyz), np.float32), np.empty(len(xyz), np.uint8)
+    _mean_neighbour_distance(np.ascontiguousarray(xyz), len(xyz), k, result, proven)
     pending = np.flatnonzero(proven == 0)
     if len(pending):
         result[pending] = _tree_mean_distance(xyz, pending, k)
@@ -282,15 +218,12 @@ def mean_neighbour_distance(xyz: Float32, k: int, grid: PixelGrid | None = None)
 
 
 def _tree_mean_distance(xyz: Float32, query: npt.NDArray[np.int64], k: int) -> Float32:
-    import small_gicp
+    """For the points that the compiled search gives up: in a pile of thousands, or so far away that squares overflow."""
+    from scipy.spatial import cKDTree
 
-    double = xyz.astype(np.float64)
-    index, _ = small_gicp.KdTree(double).batch_knn_search(double[query], k + 1)
-    index = index.astype(np.int64)
-    # Recomputed in float32, as in the pixel window: equal distances must round equally.
-    columns = np.ascontiguousarray(xyz.T)
+    index = cKDTree(xyz).query(xyz[query], k + 1)[1]
     squared = np.zeros(index.shape, np.float32)
-    for column in columns:
+    for column in np.ascontiguousarray(xyz.T):  # in float32, as in the compiled search: equal distances round equally
         difference = column.take(index)
         difference -= column[query, None]
         difference *= difference

@@ -18,17 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.checked_files import read_bytes
+from foretouch.cloud.io.records import SIZE_LIMIT
 from foretouch.errors import FileError
 
-SIZE_LIMIT: Final = 2_000_000_000
-"""Largest size of a file with a cloud [bytes]."""
-
-UNPACKED: Final = 32_000_000
-"""Bytes to which compressed data may unpack in any case: an image of 1280 x 720 points in double has 22 million."""
-
-UNPACKED_RATIO: Final = 10
-"""Beyond `UNPACKED`, how many times the size of the file compressed data may unpack to."""
-
+_UNPACKED: Final = 32_000_000  # bytes in any case; an image of 1280 x 720 points in double has 22 million
+_UNPACKED_RATIO: Final = 10  # times the size of the file, beyond that
 _HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
 _MAX_AXES: Final = 8
 _DAMAGE: Final = (
@@ -71,8 +65,8 @@ def read_archive(path: Path, names: Collection[str]) -> tuple[dict[str, npt.NDAr
 
 
 def check_unpacked(path: Path, unpacked: int, size: int, field: str) -> None:
-    """Refuse data that unpack to more than `UNPACKED` and `UNPACKED_RATIO` allow for a file of `size` bytes."""
-    limit = max(UNPACKED, UNPACKED_RATIO * size)
+    """Refuse data that unpack to more than ten times the `size` of their file, and more than 32 MB [bytes]."""
+    limit = max(_UNPACKED, _UNPACKED_RATIO * size)
     if unpacked > limit:
         raise FileError(path, f"unpacks to {unpacked} bytes, more than {limit} for a file of {size}", field=field)
 

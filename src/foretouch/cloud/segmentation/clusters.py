@@ -68,11 +68,11 @@ class ClusterConfig(Settings):
 class Clusters(NamedTuple):
     """Cluster labels of a window of the cloud."""
 
-    labels: Int32  # (h, w) or (n,) int32; 0 is none
+    labels: Int32  # (h, w) int32, an unorganised cloud in one row; 0 is none
     solid: Bool  # the same shape, bool: labelled, with a reliable depth
     n_labels: int  # the largest label
     rows: int = 0  # first row of the window, 0 if unorganised
-    columns: int = 0  # first column of the window
+    columns: int = 0  # first column of the window, 0 if unorganised
 
 
 class HeightThreshold(NamedTuple):
@@ -107,17 +107,10 @@ class HeightThreshold(NamedTuple):
 
 
 def heights(plane: Plane, xyz: Float32) -> Float32:
-    """Heights (...) float32 of points (..., 3) above the table [m], summed in an order that no library changes."""
-    if _plane_heights and xyz.flags.c_contiguous:
-        compiled = np.empty(xyz.shape[:-1], np.float32)
-        _plane_heights(xyz, compiled.size, plane.coefficients.astype(np.float32), compiled)
-        return compiled
-    a, b, c = plane.normal.astype(np.float32)
-    height: Float32 = xyz[..., 0] * a
-    height += xyz[..., 1] * b
-    height += xyz[..., 2] * c
-    height += np.float32(plane.offset)
-    return height
+    """Heights (...) float32 of contiguous points (..., 3) above the table [m], summed in an order that no library changes."""
+    found = np.empty(xyz.shape[:-1], np.float32)
+    _plane_heights(xyz, found.size, plane.coefficients.astype(np.float32), found)
+    return found
 
 
 def label_unorganised(
@@ -140,8 +133,8 @@ def label_unorganised(
         return []
     cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
     component, count = _label_voxels(cells)
-    labels = np.zeros(len(xyz), np.int32)
-    labels[above] = component
+    labels = np.zeros((1, len(xyz)), np.int32)
+    labels[0, above] = component
     return [Clusters(labels, labels > 0, count)]
 
 

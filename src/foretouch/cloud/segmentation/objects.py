@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32, heights
+from foretouch.cloud.segmentation.clusters import ClusterConfig, Clusters, Int32
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
 from foretouch.kernels import Kernel
@@ -19,7 +19,7 @@ _collect_members = Kernel(
     *(np.int32, np.uint8, int, int, int, int, np.float32, int, np.float32, int),
     *(np.int64, np.int64, np.float32, np.float64, np.float32, np.float32),
 )
-_compiled_ids = Kernel("write_ids", np.int32, int, int, int, int, np.int32, int, np.int32, np.int64)
+_write = Kernel("write_ids", np.int32, int, int, int, int, np.int32, int, np.int32, np.int64)
 
 AMBIGUOUS_TARGET = "ambiguous_target"  # flag, and start of the reason, where a rule had to choose between equal objects
 
@@ -77,11 +77,12 @@ def extract_objects(
     """
     # Once, not for each window: if rows are padded this is a copy.
     rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)
-    flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
+    flat = Cloud(np.ascontiguousarray(cloud.xyz).reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
+    image = np.atleast_2d(labels)
     found: list[_Candidate] = []
     rejected = []
     for index, window in enumerate(windows):
-        for cluster, segment, top_m in _segments(flat, window, labels.shape, plane):
+        for cluster, segment, top_m in _segments(flat, window, image.shape[1], plane):
             if _plausible(segment, top_m, config):
                 found.append(_Candidate(segment.distance_m, index, cluster, segment))
             else:
@@ -94,38 +95,14 @@ def extract_objects(
         for number, candidate in enumerate(found, 1):
             if candidate.window == index:
                 ids[candidate.cluster] = number
-        labelled += _write_ids(labels, window, ids)
+        labelled += _write_ids(image, window, ids)
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
     return objects, counts
 
 
-def _segments(
-    flat: Cloud, window: Clusters, shape: tuple[int, ...], plane: Plane
-) -> Iterator[tuple[int, ObjectSegment, float]]:
+def _segments(flat: Cloud, window: Clusters, width: int, plane: Plane) -> Iterator[tuple[int, ObjectSegment, float]]:
     """The clusters of a window with solid points: the label, a segment without an id, and its height [m]."""
-    if _collect_members and len(shape) == 2 and flat.xyz.flags.c_contiguous:
-        yield from _compiled_segments(flat, window, shape[1], plane)
-        return
-    pixels, ends = _members(window, shape)
-    points = flat.take(pixels)
-    start = 0
-    for cluster, end in enumerate(ends.tolist()):
-        if end > start:
-            xyz = points.xyz[start:end]
-            columns = xyz.T.astype(np.float64, order="C")  # reductions along rows of three are slow
-            bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
-            rgb = None if points.rgb is None else points.rgb[start:end]
-            part = Cloud(xyz, rgb, points.frame_id, points.stamp_ns)
-            top_m = float(heights(plane, xyz).max())
-            yield cluster, ObjectSegment(0, part, pixels[start:end], columns.mean(axis=1), bounds), top_m
-        start = end
-
-
-def _compiled_segments(
-    flat: Cloud, window: Clusters, width: int, plane: Plane
-) -> Iterator[tuple[int, ObjectSegment, float]]:
-    """`_segments` of an image of some width by kernels/clusters.c."""
     count, size = int(np.count_nonzero(window.solid)), window.n_labels + 1
     ends, pixels, points = np.empty(size, np.int64), np.empty(count, np.int64), np.empty((count, 3), np.float32)
     columns, bounds, tops = np.empty((3, count)), np.empty((size, 2, 3), np.float32), np.empty(size, np.float32)
@@ -153,39 +130,11 @@ def _plausible(candidate: ObjectSegment, top_m: float, config: ClusterConfig) ->
     )
 
 
-def _write_ids(labels: Int32, window: Clusters, ids: Int32) -> int:
+def _write_ids(image: Int32, window: Clusters, ids: Int32) -> int:
     """Write the ids of a window's clusters into the labels of the cloud; their number of pixels."""
-    if _compiled_ids and labels.ndim == 2:
-        count, place = np.empty(1, np.int64), (*window.labels.shape, window.rows, window.columns)
-        _compiled_ids(window.labels, *place, ids, labels.shape[1], labels, count)
-        return int(count[0])
-    window_ids = ids.take(window.labels)
-    np.copyto(_part(labels, window), window_ids, where=window_ids > 0)
-    return int(np.count_nonzero(window_ids))
-
-
-def _part(image: Int32, clusters: Clusters) -> Int32:
-    """The part of an image (or list) that the clusters cover, as a view."""
-    if image.ndim == 1:
-        return image
-    height, width = clusters.labels.shape
-    return image[clusters.rows : clusters.rows + height, clusters.columns : clusters.columns + width]
-
-
-def _members(clusters: Clusters, shape: tuple[int, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The solid points of all clusters.
-
-    Returns:
-        (n,) int64 flat indices into the cloud, by cluster, ascending within; and the end of each label in them.
-    """
-    index = np.flatnonzero(clusters.solid)
-    owner = clusters.labels.reshape(-1)[index]
-    order = np.argsort(owner.astype(np.min_scalar_type(clusters.n_labels)), kind="stable")  # 8 or 16 bits: a radix sort
-    flat = index[order].astype(np.int64, copy=False)
-    if len(shape) == 2:
-        width = clusters.labels.shape[1]
-        flat += (flat // width) * (shape[1] - width) + clusters.rows * shape[1] + clusters.columns
-    return flat, np.cumsum(np.bincount(owner, minlength=clusters.n_labels + 1))
+    count, place = np.empty(1, np.int64), (*window.labels.shape, window.rows, window.columns)
+    _write(window.labels, *place, ids, image.shape[1], image, count)
+    return int(count[0])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -147,14 +147,10 @@ def _ransac(points: Float32, config: PlaneConfig, batches: Iterator[Index]) -> F
 
 
 def _counts(distance: Float32, offsets: Float32, reach_m: float) -> Index:
-    """(m,) number of points near each plane, from distances (m, n) but for the offsets; `distance` may be changed."""
-    if _count_near:
-        counts = np.empty(len(offsets), np.int64)
-        _count_near(distance, offsets, *distance.shape, reach_m, counts)
-        return counts
-    distance += offsets[:, None]
-    np.abs(distance, out=distance)
-    return np.asarray(np.count_nonzero(distance < np.float32(reach_m), axis=1))
+    """(m,) number of points near each plane, from distances (m, n) but for the offsets."""
+    counts = np.empty(len(offsets), np.int64)
+    _count_near(distance, offsets, *distance.shape, reach_m, counts)
+    return counts
 
 
 def _cross(a: Float32, b: Float32) -> Float32:
@@ -188,27 +184,18 @@ def _refit(points: Float64, origin: Float64, abcd: Float32, config: PlaneConfig)
 
 def _near(points: Float64, along: Float64, offset: float, reach: float) -> Float64:
     """The points (n, 3) within reach of a plane, from their distances (n,) but for its offset."""
-    if _points_near:
-        near, count = np.empty((len(points) + 1, 3)), np.empty(1, np.int64)
-        _points_near(points, along, len(points), offset, reach, near, count)
-        return near[: count[0]]
-    return points[np.abs(along + offset) < reach]
+    near, count = np.empty((len(points) + 1, 3)), np.empty(1, np.int64)
+    _points_near(points, along, len(points), offset, reach, near, count)
+    return near[: count[0]]
 
 
 def _residuals(
     points: Float64, along: Float64, offset: float, reach: float, depth_m: float
 ) -> tuple[Float64, Float64, int]:
     """Residuals of the points within reach, those divided by the square of the depth, and the points within 3 reaches."""
-    if _residuals_near:
-        both, counts = np.empty((2, len(points) + 1)), np.empty(2, np.int64)
-        _residuals_near(points, along, len(points), offset, reach, depth_m, both[0], both[1], counts)
-        return both[0, : counts[0]], both[1, : counts[0]], int(counts[1])
-    residual = along + offset
-    distance = np.abs(residual)
-    near = np.flatnonzero(distance < reach)
-    kept = residual[near]
-    depth = points[near, 2] + depth_m
-    return kept, kept / np.maximum(depth * depth, 1e-4), int(np.count_nonzero(distance < 3.0 * reach))
+    both, counts = np.empty((2, len(points) + 1)), np.empty(2, np.int64)
+    _residuals_near(points, along, len(points), offset, reach, depth_m, both[0], both[1], counts)
+    return both[0, : counts[0]], both[1, : counts[0]], int(counts[1])
 
 
 def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:

@@ -124,7 +124,7 @@ _Result = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...]
 
 
 def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Result:
-    xyz = cloud.xyz
+    xyz = np.ascontiguousarray(cloud.xyz)
     labels = np.zeros(xyz.shape[:-1], np.int32)
     with log.stage("crop"):
         finite, usable = count_range(xyz, config.crop)
@@ -188,13 +188,12 @@ def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, 
 
 def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, npt.NDArray[np.intp]]:
     """Every n-th row and column of an image, and the flat indices of the points in range."""
-    if stride > 1 and _coarse_grid and xyz.flags.c_contiguous:
-        coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
-        index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
-        _coarse_grid(xyz, *xyz.shape[:2], stride, config.min_range_m, config.max_range_m, coarse, index, count)
-        return coarse, index[: count[0]]
-    coarse = np.ascontiguousarray(xyz[::stride, ::stride])
-    return coarse, np.flatnonzero(in_range(coarse[..., 2], config))
+    if stride == 1:
+        return xyz, np.flatnonzero(in_range(xyz[..., 2], config))
+    coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
+    index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
+    _coarse_grid(xyz, *xyz.shape[:2], stride, config.min_range_m, config.max_range_m, coarse, index, count)
+    return coarse, index[: count[0]]
 
 
 def _sample(index: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:

@@ -10,8 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from foretouch.dataset.cdr import read_header
-from foretouch.dataset.messages import decode_grasp, decode_objects
+from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
 from foretouch.dataset.pairing.cut import PairingConfig, PairingError, TouchCut
 from foretouch.dataset.pairing.matcher import (

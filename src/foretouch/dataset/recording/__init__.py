@@ -4,12 +4,11 @@
 from foretouch.dataset.record import APPROACH, HOLD, REST, Identity, Outcome, SampleRecord, TouchSeries
 from foretouch.dataset.recording.folder import is_dataset
 from foretouch.dataset.recording.message_counts import MessageCounts, TopicCounts
-from foretouch.dataset.recording.messages import SAMPLE_TOPIC, StoredSample
-from foretouch.dataset.recording.reader import RecordedDataset, holds_samples
+from foretouch.dataset.recording.reader import RecordedDataset
 from foretouch.dataset.recording.repair import RepairReport, repair_dataset
-from foretouch.dataset.recording.session_file import RecordingConfig
+from foretouch.dataset.recording.sample_codec import SAMPLE_TOPIC, StoredSample
 from foretouch.dataset.recording.verify import FileReport, verify_dataset
-from foretouch.dataset.recording.writer import RecordingWriter
+from foretouch.dataset.recording.writer import RecordingConfig, RecordingWriter
 
 __all__ = [
     "APPROACH",
@@ -26,10 +25,8 @@ __all__ = [
     "RepairReport",
     "SampleRecord",
     "StoredSample",
-    "TopicAccount",
     "TopicCounts",
     "TouchSeries",
-    "holds_samples",
     "is_dataset",
     "repair_dataset",
     "verify_dataset",

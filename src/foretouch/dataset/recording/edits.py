@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The operator's later changes, in a log beside the recordings, which themselves are never rewritten.
 
-`edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with the SHA-256 over itself
-and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A last line that was
+`edits.jsonl` in the dataset's folder is only appended to: one JSON object a line, each with its format version and the
+SHA-256 over itself and all lines before it. Every reader applies the edits; undoing an edit appends one more line. A last line that was
 cut off was never acknowledged, and is ignored.
 """
 
@@ -17,12 +17,14 @@ from typing import Any, Final, Literal
 
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
 from foretouch.dataset.disk import disk_errors, sync_folder
+from foretouch.dataset.manifest import require_version
 from foretouch.dataset.record import DISCARDED, SampleRecord, check_name
 from foretouch.errors import DatasetError, FileError
 
 EDITS: Final = "edits.jsonl"
 _COMPLETE_LINE: Final = re.compile(rb'"sha256": "[0-9a-f]{64}"}.')  # a crash cannot leave this much of a line
 _ACTIONS: Final = ("relabel", "drop", "undo")
+_VERSION: Final = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +113,13 @@ def append_edit(path: Path, edit: Edit) -> int:
     """
     file = path / EDITS
     edits, digest, size = _read(file)
-    body = {"action": edit.action, "ids": list(edit.ids), "object": edit.object, "edit": edit.edit}
+    body = {
+        "schema_version": _VERSION,
+        "action": edit.action,
+        "ids": list(edit.ids),
+        "object": edit.object,
+        "edit": edit.edit,
+    }
     line = json.dumps({**body, "sha256": _digest(digest, body)}, ensure_ascii=False) + "\n"
     with disk_errors(file):
         with file.open("ab") as log:
@@ -150,10 +158,9 @@ def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
     content: Any = parse_json(line)
     if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
+    require_version(content.get("schema_version"), _VERSION)
     if content["action"] not in _ACTIONS:
-        raise DatasetError(
-            f"action {content['action']!r} is none of {', '.join(_ACTIONS)}: it was written by a newer foretouch"
-        )
+        raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}")
     edit = Edit(action=content["action"], ids=tuple(content["ids"]), object=content["object"], edit=content["edit"])
     if edit.action == "relabel":
         check_name(edit.object, "object")

@@ -10,29 +10,28 @@ Layout, schema version 1::
 """
 
 import fcntl
-import hashlib
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from foretouch import __version__
-from foretouch.checked_files import TEXT_LIMIT, open_regular, parse_json, read_bytes
+from foretouch.checked_files import open_regular
 from foretouch.dataset.disk import disk_errors, new_folder, sync_folder
+from foretouch.dataset.manifest import read_manifest, sealed
 from foretouch.dataset.record import Identity
-from foretouch.dataset.recording.messages import SCHEMA_VERSION
-from foretouch.errors import FileError, shown
+from foretouch.dataset.recording.sample_codec import SCHEMA_VERSION
+from foretouch.errors import FileError
 
 _FORMAT: Final = "foretouch-dataset"
 _MANIFEST: Final = "manifest.json"
+_SEAL: Final = "sha256"
 _LOCK: Final = ".lock"
 _PART: Final = f"{_MANIFEST}.part"
 _COPY_BYTES: Final = 1 << 20
-_SESSION: Final = "session-{:04d}.mcap"
 
 
 def is_dataset(path: str | Path) -> bool:
@@ -66,25 +65,18 @@ def session_files(path: Path) -> list[Path]:
 def new_session_path(path: Path) -> Path:
     """The file of the next session; numbers are never used twice."""
     taken = [int(p.name[8:12]) for p in path.glob("session-[0-9][0-9][0-9][0-9].mcap*")]
-    return path / _SESSION.format(max(taken, default=0) + 1)
+    return path / f"session-{max(taken, default=0) + 1:04d}.mcap"
 
 
 def _read_identity(path: Path) -> tuple[Identity, str]:
-    """Hand and camera of a dataset, and the version of foretouch that made it.
-
-    Raises:
-        FileError: If the manifest is absent, damaged, or of another schema version.
-    """
+    """Hand and camera of a dataset, and the version of foretouch that made it (raises as `read_manifest`)."""
     file = path / _MANIFEST
-    content, text = _read(file)
-    version = content.get("schema_version")
-    if version != SCHEMA_VERSION:
-        newer = isinstance(version, int) and version > SCHEMA_VERSION
-        advice = "it was written by a newer foretouch" if newer else f"foretouch {__version__} supports no other"
-        raise FileError(file, f"{shown(version)} is not {SCHEMA_VERSION}: {advice}", field="schema_version")
-    if _sealed(content) != text:
-        raise FileError(file, "damaged: the text does not match its checksum", field="sha256")
-    return Identity(hand=content["hand"], camera=content["camera"]), str(content["foretouch"])
+    content = read_manifest(file, _FORMAT, SCHEMA_VERSION, _SEAL)
+    for name in ("hand", "camera"):
+        properties = content.get(name)
+        if not isinstance(properties, dict) or not all(isinstance(value, str) for value in properties.values()):
+            raise FileError(file, "is no list of named texts", field=name)
+    return Identity(hand=content["hand"], camera=content["camera"]), str(content.get("foretouch"))
 
 
 @contextmanager
@@ -112,11 +104,7 @@ def lock(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
-    """Lock a dataset of this hand and camera for writing; it is created if it does not exist.
-
-    Raises:
-        FileError: If another process is writing, the dataset is of another kind, or it cannot be written.
-    """
+    """Lock a dataset of this hand and camera for writing (see `lock`); it is created if it does not exist."""
     leftovers = {_LOCK, _PART}  # of a process that was killed before it had written the manifest
     with disk_errors(path):  # such as a name that is too long
         is_other = path.exists() and not (path / _MANIFEST).exists()
@@ -132,19 +120,16 @@ def opened_to_write(path: Path, identity: Identity) -> Iterator[None]:
 
 
 def copy_session(source: BinaryIO, file: Path, folder: Path, identity: Identity) -> Path:
-    """Copy the file of a session into a new dataset; it appears complete or not at all.
+    """Copy a session whose file was removed into a new dataset, which appears complete or not at all.
 
     Args:
         source: The file's content.
         file: Where it was, `<dataset>/<session>.mcap`.
-        folder: Folder of the new dataset, which gets the same name, or that name with a number; created if needed.
+        folder: Where to create the dataset, under the same name, or that name with a number.
         identity: Hand and camera.
 
     Returns:
         The new dataset.
-
-    Raises:
-        FileError: If it cannot be read or written.
     """
     with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +160,7 @@ def _create_manifest(path: Path, identity: Identity) -> None:
     part = path / _PART
     with disk_errors(path / _MANIFEST):
         with part.open("w", encoding="utf-8") as file:
-            file.write(_sealed(content))
+            file.write(sealed(content, _SEAL))
             file.flush()
             os.fsync(file.fileno())
         part.replace(path / _MANIFEST)
@@ -183,10 +168,7 @@ def _create_manifest(path: Path, identity: Identity) -> None:
 
 
 def _require_same(path: Path, identity: Identity) -> None:
-    """Refuse to continue with another hand, another camera, or another minor version of foretouch.
-
-    Names all differences.
-    """
+    """Refuse to continue with another hand, camera or minor version of foretouch; names all differences."""
     known, version = _read_identity(path)
     pairs = [("hand", known.hand, identity.hand), ("camera", known.camera, identity.camera)]
     differences = [line for name, old, new in pairs for line in _differences(name, old, new)]
@@ -202,28 +184,3 @@ def _differences(name: str, old: Mapping[str, str], new: Mapping[str, str]) -> l
         for fact in sorted(old.keys() | new.keys())
         if old.get(fact) != new.get(fact)
     ]
-
-
-def _sealed(content: Mapping[str, Any]) -> str:
-    """The manifest's text with a checksum over the rest of it; equal content gives equal text."""
-    body = {name: value for name, value in content.items() if name != "sha256"}
-    digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
-    return json.dumps({**body, "sha256": digest}, indent=2, ensure_ascii=False) + "\n"
-
-
-def _read(file: Path) -> tuple[dict[str, Any], str]:
-    """The content of a manifest, and its text."""
-    try:
-        text = read_bytes(file, TEXT_LIMIT).decode("utf-8")
-        content = parse_json(text)
-    except ValueError as err:
-        raise FileError(file, f"damaged: is no JSON: {' '.join(str(err).split())}") from err
-    if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise FileError(file, f"is not {_FORMAT}", field="format")
-    for name in ("hand", "camera"):
-        facts = content.get(name)
-        if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
-            raise FileError(file, "is no list of named texts", field=name)
-    if not isinstance(content.get("foretouch"), str):
-        raise FileError(file, "is no text", field="foretouch")
-    return content, text

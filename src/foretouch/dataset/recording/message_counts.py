@@ -31,11 +31,11 @@ class TopicCounts:
         return self.received - self.written - self.dropped.total()
 
 
+@dataclass
 class MessageCounts:
     """The counts of a recording, by topic."""
 
-    def __init__(self) -> None:
-        self.topics: dict[str, TopicCounts] = {}
+    topics: dict[str, TopicCounts] = field(default_factory=dict)
 
     def topic(self, name: str) -> TopicCounts:
         """The counts of one topic, created if needed."""
@@ -89,19 +89,13 @@ class MessageCounts:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, str]) -> MessageCounts:
-        """Parse the result of `to_mapping`; recordings of early versions hold no losses, which read as 0.
-
-        Raises:
-            DatasetError: If a text is invalid.
-        """
+        """Parse the result of `to_mapping`; a `DatasetError` if a text is invalid."""
         result = cls()
         for name, text in mapping.items():
             try:
                 counts = parse_json(text)
                 dropped = Counter({str(reason): int(count) for reason, count in counts["dropped"].items()})
-                received, written, lost = (
-                    int(n) for n in (counts["received"], counts["written"], counts.get("lost", 0))
-                )
+                received, written, lost = (int(counts[key]) for key in ("received", "written", "lost"))
             except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
                 raise DatasetError(f"message counts: {name}: {text[:80]!r} holds no counts") from err
             result.topics[name] = TopicCounts(received, written, dropped, lost)

@@ -6,7 +6,6 @@ and so does the manifest. Besides the bytes: samples can be decoded, ids are uni
 the message counts match the contents.
 """
 
-import struct
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field
@@ -14,19 +13,28 @@ from pathlib import Path
 from typing import Final
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Header, Metadata, Schema, Statistics
+from mcap.records import ChunkIndex, Header, Statistics
 
-from foretouch.dataset.recording import scan
 from foretouch.dataset.recording.edits import read_edits
 from foretouch.dataset.recording.folder import recorded_files
-from foretouch.dataset.recording.mcap_file import MAGIC
 from foretouch.dataset.recording.message_counts import MessageCounts
-from foretouch.dataset.recording.messages import ABOUT, COUNTS, SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.records import (
+    IN_CHUNK,
+    IN_SUMMARY,
+    Chunk,
+    Damage,
+    Declarations,
+    Record,
+    RecordedMessage,
+    is_finished,
+    magic_damage,
+    mapped,
+    summary_of,
+    walk,
+)
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
 from foretouch.errors import DatasetError
 
-_DECLARATIONS: Final = {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA}
-_DATA_RECORDS: Final = _DECLARATIONS | {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
-_FOOTER = struct.Struct("<QQI")
 _MAX_FAULTS: Final = 100  # faults reported for one file
 
 
@@ -41,7 +49,7 @@ class FileReport:
     messages: Counter[str] = field(default_factory=Counter)  # messages by topic
     counts: MessageCounts | None = None  # the last message counts in the file; None if there are none
     about: dict[str, str] = field(default_factory=dict)  # schema version, hand, camera and so on, as text
-    faults: list[scan.Damage] = field(default_factory=list)  # the faults, with their offsets
+    faults: list[Damage] = field(default_factory=list)  # the faults, with their offsets
 
     @property
     def clean(self) -> bool:
@@ -71,20 +79,15 @@ def verify_dataset(path: str | Path) -> list[FileReport]:
     for report in reports:
         for sample_id in report.ids:
             if sample_id in owners:
-                report.faults.append(scan.Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
+                report.faults.append(Damage(0, f"id {sample_id} is in {owners[sample_id].name} too"))
             owners.setdefault(sample_id, report.path)
     return reports
 
 
-def verify_file(path: str | Path) -> FileReport:
-    """Verify one recording.
-
-    Raises:
-        FileError: If it cannot be read.
-    """
-    report = FileReport(Path(path))
-    with scan.mapped(report.path) as data:
-        report.size = len(data)
+def verify_file(path: Path) -> FileReport:
+    """Verify one recording; a `FileError` if it cannot be read."""
+    report = FileReport(path)
+    with mapped(path) as data:
         _Verification(report, data).run()
     del report.faults[_MAX_FAULTS:]
     return report
@@ -96,94 +99,69 @@ class _Verification:
     def __init__(self, report: FileReport, data: memoryview) -> None:
         self.report = report
         self.data = data
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self.declared = Declarations()
         self.found: Counter[int] = Counter()
         self.chunks: list[int] = []
 
     def run(self) -> None:
-        if (damage := scan.magic_damage(self.data)) is not None:
-            self.report.faults.append(damage)
-        if (end := self._data_section()) is not None:
-            self._summary(end)
-        if not self.report.finished and self.report.clean:
+        self.report.size = len(self.data)
+        self.report.finished = is_finished(self.data)
+        self._note(magic_damage(self.data))
+        summary = self._data_section()
+        if summary is not None:
+            self._summary(summary)
+        elif self.report.clean:
             self._fault(len(self.data), "not finished: no index; repair creates one")
         for number, count in self.found.items():
-            self.report.messages[self.channels[number].topic] += count
-        self._check_counts()
+            self.report.messages[self.declared.channels[number].topic] += count
+        self.report.counts, self.report.about = self.declared.counts, self.declared.about
+        if self.report.clean:
+            self._check_counts()
 
     def _fault(self, offset: int, rule: str) -> None:
-        self.report.faults.append(scan.Damage(offset, rule))
+        self.report.faults.append(Damage(offset, rule))
 
-    def _data_section(self) -> scan.RawRecord | None:
-        """Check up to the record that ends the data, and return that record; None if it is missing."""
-        for number, record in enumerate(scan.records(self.data, len(MAGIC))):
-            if isinstance(record, scan.Damage):
-                self.report.faults.append(record)
-                return None
-            if number == 0 and not self._is_header(record):
+    def _note(self, damage: Damage | None) -> None:
+        if damage is not None:
+            self.report.faults.append(damage)
+
+    def _data_section(self) -> int | None:
+        """Check up to the record that ends the data, and return where that record ends; None if it is missing."""
+        for number, record in enumerate(walk(self.data)):
+            if isinstance(record, Damage):
+                self._note(record)
+                continue
+            if number == 0 and not (isinstance(record.content, Header) and record.content.profile == "ros2"):
                 self._fault(record.offset, "damaged: no header of a ROS 2 recording")
             if record.opcode == Opcode.DATA_END:
-                self._check_data_crc(record)
-                return record
-            if record.opcode not in _DATA_RECORDS:
-                self._fault(record.offset, f"damaged: a record of number {record.opcode} is not allowed here")
-            elif record.opcode == Opcode.CHUNK:
-                self._chunk(record)
-            else:
-                self._declaration(record)
+                if record.content.data_section_crc != zlib.crc32(self.data[: record.offset]):
+                    self._fault(record.offset, "damaged: the bytes before do not match this checksum")
+                return record.end
+            self._note(self.declared.add(record))
+            if isinstance(record.content, Chunk):
+                self._chunk(record.offset, record.content)
         return None
 
-    def _is_header(self, record: scan.RawRecord) -> bool:
-        header = scan.parse(Header, self.data, record) if record.opcode == Opcode.HEADER else None
-        return isinstance(header, Header) and header.profile == "ros2"
-
-    def _check_data_crc(self, record: scan.RawRecord) -> None:
-        stored = int.from_bytes(self.data[record.start : record.end], "little")
-        if stored != zlib.crc32(self.data[: record.offset]) or record.end - record.start != 4:
-            self._fault(record.offset, "damaged: the bytes before do not match this checksum")
-
-    def _chunk(self, record: scan.RawRecord) -> None:
-        chunk = scan.chunk_at(self.data, record)
-        if isinstance(chunk, scan.Damage):
-            self.report.faults.append(chunk)
-            return
+    def _chunk(self, offset: int, chunk: Chunk) -> None:
         if not chunk.intact(self.data):
-            self._fault(chunk.offset, "damaged: a chunk that does not match its checksum")
+            self._fault(offset, "damaged: a chunk that does not match its checksum")
             return
-        self.chunks.append(chunk.offset)
-        for item in scan.messages_of(self.data, chunk.start, chunk.end):
-            if isinstance(item, scan.Damage):
-                self.report.faults.append(item)
-            elif isinstance(item, scan.RawMessage):
-                self._message(item)
+        self.chunks.append(offset)
+        for item in walk(self.data, chunk.start, chunk.end, IN_CHUNK):
+            if isinstance(item, Damage):
+                self._note(item)
+            elif isinstance(item.content, RecordedMessage):
+                self._message(item.content)
             else:
-                self._declaration(item)
+                self.declared.add(item)
 
-    def _declaration(self, record: scan.RawRecord) -> None:
-        content = scan.declaration(self.data, record)
-        if isinstance(content, scan.Damage):
-            self.report.faults.append(content)
-        elif isinstance(content, Schema):
-            self.schemas[content.id] = content
-        elif isinstance(content, Channel):
-            self.channels[content.id] = content
-        elif isinstance(content, Metadata) and content.name == ABOUT:
-            self.report.about = content.metadata
-        elif isinstance(content, Metadata) and content.name == COUNTS:
-            try:
-                self.report.counts = MessageCounts.from_mapping(content.metadata)
-            except DatasetError as err:
-                self._fault(record.offset, str(err))
-
-    def _message(self, message: scan.RawMessage) -> None:
-        channel = self.channels.get(message.channel)
-        schema = None if channel is None else self.schemas.get(channel.schema_id)
-        if channel is None or schema is None:
+    def _message(self, message: RecordedMessage) -> None:
+        type_name = self.declared.type_of(message.channel)
+        if not type_name:
             self._fault(message.start, f"a message of channel {message.channel}, which is not declared")
             return
         self.found[message.channel] += 1
-        if schema.name != SAMPLE_TYPE:
+        if type_name != SAMPLE_TYPE:
             return
         try:
             stored = decode_sample(bytes(self.data[message.start : message.end]))
@@ -192,45 +170,25 @@ class _Verification:
         else:
             self.report.ids.append(stored.record.sample.id)
 
-    def _summary(self, data_end: scan.RawRecord) -> None:
-        chunks: list[int] = []
-        for record in scan.records(self.data, data_end.end):
-            if isinstance(record, scan.Damage):
-                self.report.faults.append(record)
-                return
-            if record.opcode == Opcode.CHUNK_INDEX:
-                index = scan.parse(ChunkIndex, self.data, record)
-                chunks += [index.chunk_start_offset] if isinstance(index, ChunkIndex) else []
-            elif record.opcode == Opcode.STATISTICS:
-                self._statistics(record)
-            elif record.opcode == Opcode.FOOTER:
-                self._footer(data_end.end, record)
-                if self.report.clean and chunks != self.chunks:
-                    self._fault(data_end.end, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
-                return
-        self._fault(len(self.data), "cut off: no footer")
-
-    def _statistics(self, record: scan.RawRecord) -> None:
-        statistics = scan.parse(Statistics, self.data, record)
-        declared = statistics.message_count if isinstance(statistics, Statistics) else None
-        if self.report.clean and declared not in (None, self.found.total()):
-            self._fault(record.offset, f"declares {declared} messages, {self.found.total()} are there")
-
-    def _footer(self, summary: int, record: scan.RawRecord) -> None:
-        self.report.finished = True
-        if record.end - record.start != _FOOTER.size:
-            self._fault(record.offset, "damaged: a footer of another size")
+    def _summary(self, start: int) -> None:
+        ends = summary_of(self.data)
+        if isinstance(ends, Damage):
+            self._note(ends)
             return
-        start, _, crc = _FOOTER.unpack_from(self.data, record.start)
-        if start != summary or crc != zlib.crc32(self.data[summary : record.end - 4]):
-            self._fault(record.offset, "damaged: the summary does not match its checksum")
-        if bytes(self.data[record.end :]) != MAGIC:
-            self._fault(record.end, "damaged: the file does not end as an MCAP file")
+        if ends[0] != start:
+            self._fault(start, "damaged: the summary begins elsewhere")
+        records = list(walk(self.data, *ends, IN_SUMMARY))
+        self.report.faults += [record for record in records if isinstance(record, Damage)]
+        contents = [record.content for record in records if isinstance(record, Record)]
+        chunks = [one.chunk_start_offset for one in contents if isinstance(one, ChunkIndex)]
+        if self.report.clean and chunks != self.chunks:
+            self._fault(start, f"the index holds {len(chunks)} chunks, {len(self.chunks)} are there")
+        for one in contents:
+            if isinstance(one, Statistics) and self.report.clean and one.message_count != self.found.total():
+                self._fault(start, f"declares {one.message_count} messages, {self.found.total()} are there")
 
     def _check_counts(self) -> None:
-        """Compare the message counts with the contents, if the file is otherwise clean."""
-        if not (self.report.finished and self.report.clean):
-            return
+        """Compare the message counts with the contents."""
         if self.report.counts is None:
             self._fault(0, "holds no message counts")
             return

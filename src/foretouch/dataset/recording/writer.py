@@ -28,20 +28,51 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final, Self
 
-from foretouch.dataset.record import Identity, SampleRecord, check_name, id_number, numbered_id
-from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write, session_files
-from foretouch.dataset.recording.mcap_file import McapMessage
+from mcap.records import Message
+
+from foretouch import __version__
+from foretouch.config import Settings, setting
+from foretouch.dataset.disk import sync_folder
+from foretouch.dataset.record import Identity, SampleRecord
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.dataset.recording.folder import copy_session, new_session_path, opened_to_write
+from foretouch.dataset.recording.mcap_file import McapFile
 from foretouch.dataset.recording.message_counts import MessageCounts
-from foretouch.dataset.recording.messages import SAMPLE_TOPIC, SAMPLE_TYPE, encode_sample
-from foretouch.dataset.recording.reader import sample_ids
-from foretouch.dataset.recording.session_file import RecordingConfig, SessionFile
+from foretouch.dataset.recording.sample_codec import (
+    ABOUT,
+    COUNTS,
+    SAMPLE_TOPIC,
+    SAMPLE_TYPE,
+    SCHEMA_VERSION,
+    encode_sample,
+)
+from foretouch.dataset.recording.sample_ids import SampleIds
 from foretouch.errors import DatasetError, FileError, ForetouchError
 
 _MB: Final = 1_000_000
+_CHUNK_BYTES: Final = 4_000_000  # largest amount of messages that is collected before it is written
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingConfig(Settings):
+    """How often a recording is written to the disk, and when it ends for lack of space."""
+
+    fsync_samples: int = setting(
+        1, "Samples between two waits for the disk; 0 leaves it to the system: a power cut then costs up to half a minute",
+        minimum=0,
+    )  # fmt: skip
+    fsync_s: float = setting(
+        5.0, "Longest time between two waits for the disk while messages arrive; 0 never waits", unit="s", minimum=0.0
+    )
+    chunk_s: float = setting(
+        0.5, "Longest time that messages are collected before they are written", unit="s", minimum=0.0
+    )
+    min_free_mb: float = setting(500.0, "Free disk space at which the recording ends", unit="MB", minimum=0.0)
+    accounts_s: float = setting(5.0, "Time between message counts in the file", unit="s", minimum=0.1)
 
 
 class RecordingWriter:
@@ -84,18 +115,22 @@ class RecordingWriter:
         self._fallback_folder = None if fallback_folder is None else Path(fallback_folder)
         self._removal = ""  # what became of a file that was removed
         self._closed = False
+        self._definitions = Definitions()
+        self._unsynced_samples = 0
         self._guard = threading.RLock()
-        self._pending: list[tuple[str, McapMessage]] = []
+        self._pending: list[tuple[str, Message]] = []
         self._pending_bytes = 0
         with ExitStack() as stack:
             stack.enter_context(opened_to_write(self.path, identity))
-            self._ids = _SampleIds(self.path)
-            self._file = SessionFile(new_session_path(self.path), identity)
+            self._ids = SampleIds(self.path)
+            self._file = McapFile(new_session_path(self.path))
             stack.callback(self._file.abandon)
-            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE)
-            self._file.sync(self.path)
+            self._file.write_metadata(ABOUT, _about(self.file.stem, identity))
+            self._file.declare(SAMPLE_TOPIC, SAMPLE_TYPE, self._definitions.text(SAMPLE_TYPE))
+            self._sync()
+            sync_folder(self.path)
             self._release = stack.pop_all()
-        self._flushed_s = time.monotonic()
+        self._flushed_s = self._counted_s = time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -139,13 +174,17 @@ class RecordingWriter:
 
         Raises:
             DatasetError: If the definition is not found, or the topic has another type.
-            FileError: If the session has ended, or the disk fails.
+            FileError: If the session has ended.
         """
         with self._guard:
-            if self._file.declares(topic, type_name):
-                return
-            self._require_open()
-            self._guarded(lambda: self._file.declare(topic, type_name, definition, qos))
+            known = self._file.types.get(topic)
+            if known not in (None, type_name):
+                raise DatasetError(f"{topic}: holds {known}, not {type_name}")
+            if known is None:
+                self._require_open()
+                if definition is not None:
+                    self._definitions.register(type_name, definition)
+                self._file.declare(topic, type_name, self._definitions.text(type_name), qos)
 
     def receive(self, topic: str, count: int = 1) -> None:
         """Count messages on arrival; each must later be written or dropped."""
@@ -167,7 +206,7 @@ class RecordingWriter:
     def write(
         self,
         topic: str,
-        data: bytes | memoryview,
+        data: bytes,
         log_time_ns: int,
         *,
         publish_time_ns: int | None = None,
@@ -189,14 +228,13 @@ class RecordingWriter:
         """
         with self._guard:
             self._require_open()
-            channel = self._file.channel(topic)
             if sequence is None:
                 sequence = self.counts.topics[topic].written if topic in self.counts.topics else 0
             sent = log_time_ns if publish_time_ns is None else publish_time_ns
-            self._pending.append((topic, McapMessage(channel, data, log_time_ns, sent, sequence)))
+            self._pending.append((topic, self._file.message(topic, data, log_time_ns, sent, sequence)))
             self._pending_bytes += len(data)
             late = time.monotonic() - self._flushed_s >= self.config.chunk_s
-            if late or self._pending_bytes >= self.config.chunk_bytes:
+            if late or self._pending_bytes >= _CHUNK_BYTES:
                 self.flush()
 
     def append(self, record: SampleRecord, log_time_ns: int | None = None) -> str:
@@ -219,12 +257,13 @@ class RecordingWriter:
             data = encode_sample(record, self.identity)
             now = time.time_ns() if log_time_ns is None else log_time_ns
             sample = record.sample
-            message = McapMessage(self._file.channel(SAMPLE_TOPIC), data, now, sample.stamp_ns, self.samples)
+            message = self._file.message(SAMPLE_TOPIC, data, now, sample.stamp_ns, self.samples)
             self.counts.topic(SAMPLE_TOPIC).received += 1
             self._write_pending()
             self._pending = [(SAMPLE_TOPIC, message)]
             self._pending_bytes = len(data)
-            self._write_pending(samples=1)
+            self._write_pending()
+            self._unsynced_samples += 1
             self._ids.add(sample.id)
             self.samples += 1
             self.labelled += sample.touch is not None
@@ -242,7 +281,7 @@ class RecordingWriter:
         """Write the collected messages, and wait until everything is on the disk (raises as `write`)."""
         with self._guard:
             self.flush()
-            self._guarded(self._file.sync)
+            self._guarded(self._sync)
 
     def close(self) -> None:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
@@ -263,19 +302,34 @@ class RecordingWriter:
         if self._closed:
             raise FileError(self.file, "the session has ended")
 
-    def _write_pending(self, samples: int = 0) -> None:
+    def _write_pending(self) -> None:
         if not self._pending:
             return
         if self.free_bytes < self._pending_bytes:
             self._stop(f"disk almost full: less than {self.config.min_free_mb:g} MB would be left", "disk full")
-        self._guarded(lambda: self._file.write([message for _, message in self._pending], samples))
+        self._guarded(lambda: self._file.write_chunk([message for _, message in self._pending]))
         for topic, _ in self._pending:
             self.counts.topic(topic).written += 1
         self._pending, self._pending_bytes = [], 0
         self._flushed_s = time.monotonic()
 
     def _after_write(self) -> None:
-        self._guarded(lambda: self._file.write_due(self.config, self.counts))
+        """Write the message counts and wait for the disk, if either is due."""
+        now = time.monotonic()
+        if now - self._counted_s >= self.config.accounts_s:
+            self._counted_s = now
+            self._guarded(self._write_counts)
+        due = 0 < self.config.fsync_samples <= self._unsynced_samples
+        if due or 0 < self.config.fsync_s <= now - self._synced_s:
+            self._guarded(self._sync)
+
+    def _write_counts(self) -> None:
+        self._file.write_metadata(COUNTS, self.counts.to_mapping())
+
+    def _sync(self) -> None:
+        self._file.sync()
+        self._unsynced_samples = 0
+        self._synced_s = time.monotonic()
 
     def _guarded(self, action: Callable[[], object]) -> None:
         """Write to the file; if that fails, the session ends with everything that was acknowledged."""
@@ -301,10 +355,17 @@ class RecordingWriter:
             if self._file.removed:
                 remains = stack.enter_context(self._file.reopen())
                 with suppress(FileError):  # without its index it is worth a copy too
-                    self._file.finish(self.counts)
+                    self._finish()
                 self._removal = self._save(remains)
             else:
-                self._file.finish(self.counts)
+                self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self._write_counts()
+            self._file.finish()
+        finally:
+            self._file.abandon()
 
     def _save(self, remains: BinaryIO) -> str:
         """Copy a file that was removed into the fallback folder, or count its content as lost.
@@ -331,35 +392,8 @@ class RecordingWriter:
         return f"was removed during the recording: {samples} samples and {messages} messages are lost: {lost}"
 
 
-class _SampleIds:
-    """The ids of a dataset: each is used once, and numbers continue those of the session before. Not thread-safe.
-
-    Raises:
-        FileError: If a recording of the dataset is damaged.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._taken = {sample_id for file in session_files(path) for sample_id in sample_ids(file)}
-        self._last = max(map(id_number, self._taken), default=0)
-
-    def with_id(self, record: SampleRecord) -> SampleRecord:
-        """The record with its id; an empty one becomes `<object>/<number>`, one above the highest.
-
-        Raises:
-            DatasetError: If the object is no plain name, or the id is taken.
-        """
-        sample = record.sample
-        check_name(sample.object, "object")
-        if not sample.id:
-            sample = replace(sample, id=numbered_id(sample.object, self._last + 1))
-        if sample.id in self._taken:
-            raise DatasetError(
-                f"{self._path}: id {sample.id} is taken; `foretouch dataset build` joins datasets with equal ids"
-            )
-        return replace(record, sample=sample)
-
-    def add(self, sample_id: str) -> None:
-        """Mark an id as used."""
-        self._taken.add(sample_id)
-        self._last = max(self._last, id_number(sample_id))
+def _about(session: str, identity: Identity) -> dict[str, str]:
+    about = {"schema_version": str(SCHEMA_VERSION), "foretouch": __version__, "session": session}
+    for name, values in (("hand", identity.hand), ("camera", identity.camera)):
+        about |= {f"{name}.{key}": value for key, value in sorted(values.items())}
+    return about

@@ -22,10 +22,9 @@ from foretouch.config import setting
 from foretouch.experiments.ablation import results as tables
 from foretouch.experiments.ablation.variants import FULL, GROUP_EDITS, ModelVariant, fit_variants
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared.folds import split_by_fold, split_objects
-from foretouch.experiments.shared.real_grasps import error_rows, labelled
+from foretouch.experiments.shared.folds import split_by_fold, split_objects, touch_draws
+from foretouch.experiments.shared.scores import error_rows, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
-from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.data import Indices, labels_of, make_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactConfig
@@ -108,12 +107,14 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
 def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[Indices, Indices]]:
     """For each object and draw, grasps in the order in which they are touched, and those that are scored."""
     most = max(*settings.touches, settings.shown)
-    how = UnseenObjectSettings(touches=(most,), draws=settings.draws)
     names = np.array([sample.object for sample in test])
     draws = []
     for name in np.unique(names):
         subset = np.flatnonzero(names == name)
-        draws += [(subset[order[:most]], subset[order[most:]]) for order in touch_draws(str(name), len(subset), how)]
+        draws += [
+            (subset[order[:most]], subset[order[most:]])
+            for order in touch_draws(str(name), len(subset), most, settings.draws)
+        ]
     return draws
 
 
@@ -165,6 +166,6 @@ EXPERIMENT = Experiment(
     summarise=tables.ablation_tables,
     figure=tables.draw_ablation_figure,
     prepare=prepare_both,
-    free=("grounds", "seeds", "divisions", "bootstrap"),
+    resumable_settings=("grounds", "seeds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from foretouch.config import setting
 from foretouch.experiments.ablation.variants import FULL
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.real_grasps import ALL_OBJECTS, RealGraspSettings, score_table
+from foretouch.experiments.shared.scores import ALL_OBJECTS, score_table
 from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig
 from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
 from foretouch.tactile import MODALITIES
@@ -33,12 +32,6 @@ _LOWEST_DIFFERENCE: Final = -0.3
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "tie": " ="}
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Scoring(RealGraspSettings):
-    predictors: tuple[str, ...] = setting((), "Variants")
-    references: tuple[str, ...] = setting((FULL, NOTHING, TARE, _TOUCHES), "Variants that the others are compared with")
-
-
 def ablation_rows(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
     """Rows of `results.csv`, without those of single objects.
 
@@ -48,7 +41,7 @@ def ablation_rows(rows: Sequence[Row], config: BootstrapConfig) -> list[Row]:
         config: Configuration of the bootstrap.
     """
     variants = tuple(dict.fromkeys(row["predictor"] for row in rows))
-    scored = score_table(_Scoring(predictors=variants, bootstrap=config), rows)
+    scored = score_table(rows, variants, (FULL, NOTHING, TARE, _TOUCHES), config)
     return [row for row in scored if row["object"] == ALL_OBJECTS]
 
 

@@ -21,10 +21,9 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.experiments.coverage.results import SIMULATED, coverage_table, coverage_tables, draw_coverage_figure
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared.folds import by_object, split_by_fold, split_objects
-from foretouch.experiments.shared.real_grasps import labelled
+from foretouch.experiments.shared.folds import by_object, split_by_fold, split_objects, touch_draws
+from foretouch.experiments.shared.scores import labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
-from foretouch.experiments.unseen_object import UnseenObjectSettings, touch_draws
 from foretouch.learning.data import labels_of, make_folds, object_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
@@ -74,13 +73,12 @@ def _run(cell: Cell, settings: CoverageSettings, data: RealAndSimulated) -> list
     fitted = ContactPredictor(train, labels_of(train), settings.contact)
     reference = _reference_half_width(train)
     touches = (0,) if ground == _TIME else settings.touches
-    how = UnseenObjectSettings(touches=touches, draws=settings.draws)
     tares = (False, True) if all(sample.tare is not None for sample in test) else (False,)
     return [
         row
         for samples in by_object(test)
         for tare in tares
-        for row in coverage_rows(fitted, samples, reference, how, tare=tare)
+        for row in coverage_rows(fitted, samples, reference, touches, settings.draws, tare=tare)
     ]
 
 
@@ -97,7 +95,8 @@ def coverage_rows(
     fitted: ContactPredictor,
     samples: Sequence[GraspSample],
     reference: Float64,
-    how: UnseenObjectSettings,
+    touches: Sequence[int],
+    draws: int,
     *,
     tare: bool,
 ) -> list[Row]:
@@ -107,7 +106,8 @@ def coverage_rows(
         fitted: Predictor that was neither fitted to nor calibrated on these grasps.
         samples: All grasps of the object.
         reference: (50,) half width that widths are divided by [counts].
-        how: Numbers of touches and draws.
+        touches: Numbers of touches.
+        draws: Number of random draws of the touched grasps.
         tare: Whether the predictor adapts to the tares.
 
     Returns:
@@ -115,9 +115,11 @@ def coverage_rows(
     """
     unfamiliar = float(np.mean(~fitted.familiar(samples)))
     rows = []
-    for count in how.touches:
+    for count in touches:
         inside, widths = [], []
-        orders = touch_draws(samples[0].object, len(samples), how) if count else [np.arange(len(samples))]
+        orders = (
+            touch_draws(samples[0].object, len(samples), max(touches), draws) if count else [np.arange(len(samples))]
+        )
         for order in orders:
             touched, rest = ([samples[k] for k in side] for side in (order[:count], order[count:]))
             counts, half = fitted.intervals_after(touched, rest, tare=tare)
@@ -171,6 +173,6 @@ EXPERIMENT = Experiment(
     summarise=coverage_tables,
     figure=draw_coverage_figure,
     prepare=prepare_both,
-    free=("grounds", "divisions", "bootstrap"),
+    resumable_settings=("grounds", "divisions", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
+from foretouch.experiments.shared.scores import ALL_OBJECTS
 from foretouch.learning.evaluation.metrics import BootstrapConfig, mean_over_objects
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES

@@ -34,7 +34,7 @@ _DIED: Final = "its process died (killed, or out of memory)"
 class Job:
     """Parameters that all cells of a sweep share."""
 
-    module: str  # module that holds the experiment
+    experiment: str  # its module and name, as `find_experiment` takes them
     settings: str  # resolved settings as JSON
     data: str  # path of the data; the same on every machine that takes part
     sha256: str  # hash of the data
@@ -42,7 +42,7 @@ class Job:
     @classmethod
     def make(cls, experiment: Experiment[Any, Any], settings: Mapping[str, Any], data: Path, sha256: str) -> Job:
         """Job of an experiment with resolved settings."""
-        return cls(experiment.module, json.dumps(settings, sort_keys=True), str(data), sha256)
+        return cls(f"{experiment.module}:{experiment.name}", json.dumps(settings, sort_keys=True), str(data), sha256)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def run_cell(job: Job, cell: Cell) -> CellResult:
 
 @lru_cache(maxsize=1)
 def _loaded(job: Job) -> tuple[Experiment[Any, Any], Any, Any]:
-    experiment = find_experiment(job.module)
+    experiment = find_experiment(job.experiment)
     settings = experiment.settings.from_mapping(json.loads(job.settings), experiment.name)
     data = experiment.load(settings, Path(job.data))
     if data.sha256 != job.sha256:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Define and find experiments: settings, data, small independent cells, a table and figures of their rows.
 
-An experiment is a package or module that holds an `EXPERIMENT`. Each folder beside this one is an experiment of that
-name, except for `framework` and `shared`: to add an experiment, add its folder. A module elsewhere is found by its
-dotted name, such as `my_lab.stiffness`.
+An experiment is a module or package that holds an `EXPERIMENT`, or `EXPERIMENTS` where several share their code. To add
+one, add a module beside this folder; a module elsewhere is found by its dotted name, such as `my_lab.stiffness`.
 
 A cell is plain data and runs in any process or on any machine. Its rows follow from settings, data and cell alone.
 """
@@ -19,7 +18,6 @@ from foretouch.config import Settings
 from foretouch.errors import ConfigError
 
 _PACKAGE: Final = "foretouch.experiments"
-_NOT_EXPERIMENTS: Final = ("framework", "shared")
 
 Row = dict[str, Any]
 """Plain JSON data by column."""
@@ -57,11 +55,7 @@ D = TypeVar("D", bound=HashedData)
 
 
 def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
-    """Default `prepare`: use the given data and refuse to run without.
-
-    Raises:
-        ConfigError: If no data are given.
-    """
+    """Default `prepare`: use the given data, or raise a `ConfigError` if there are none."""
     del settings, out
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
@@ -82,7 +76,7 @@ class Experiment(Generic[S, D]):
     Attributes:
         name: Name on the command line and in the manifest.
         question: What the experiment answers, in one sentence.
-        module: Module from which other processes import the `EXPERIMENT`: `__name__`.
+        module: Module from which other processes import the experiment: `__name__`.
         settings: Class of its settings.
         presets: By name, the settings that differ from the defaults; `full` is what is reported.
         load: (settings, path of the data) to the data; called once in each process.
@@ -93,10 +87,11 @@ class Experiment(Generic[S, D]):
         figure: (rows of `results.csv`, folder) to the figures that it wrote; matplotlib is only imported when it is
             called.
         prepare: (settings, --data or None, folder of the sweep) to the path of the data, which it may generate.
-        free: Settings that only select cells or change how rows are summarised. They may change when a sweep is
-            resumed: finished cells are kept, such as hours of one predictor when another one is added.
+        resumable_settings: Settings that only select cells or change how rows are summarised. They may change when a
+            sweep is resumed: finished cells are kept, such as hours of one predictor when another one is added.
         data_folder: Folder below FORETOUCH_DATA that is used without --data; None if there is no default.
         order: Position in lists of experiments; equal ones are sorted by name.
+        results: Name of the table's file.
     """
 
     name: str
@@ -111,9 +106,15 @@ class Experiment(Generic[S, D]):
     summarise: Callable[[Sequence[Row]], Sequence[Table]]
     figure: Callable[[Sequence[Row], Path], list[Path]] | None = None
     prepare: Callable[[S, Path | None, Path], Path] = require_data
-    free: Sequence[str] = ()
+    resumable_settings: Sequence[str] = ()
     data_folder: str | None = None
     order: int = 1000
+    results: str = "results.csv"
+
+    @property
+    def command(self) -> str:
+        """Words that run it."""
+        return f"foretouch experiment {self.name}"
 
     def resolve(self, preset: str, overrides: Mapping[str, Any]) -> S:
         """Settings of a preset with overrides.
@@ -131,43 +132,63 @@ class Experiment(Generic[S, D]):
         path = self.prepare(settings, source, out)
         return ReadData(path, self.load(settings, path))
 
-    def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
-        """Draw the figures of `results.csv` into a folder.
+    def finish(
+        self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
+    ) -> list[Row]:
+        """Complete the rows of `tabulate` in this process, once all cells have run: here, with nothing.
 
-        None if there are no rows or the experiment has no figure.
+        Args:
+            settings: Settings of the sweep.
+            data: Data of the sweep.
+            rows: The rows.
+            out: Folder of the sweep.
+            progress: Called with the number of steps done and of all.
         """
+        del settings, data, out, progress
+        return rows
+
+    def tables(self, rows: Sequence[Row]) -> list[Table]:
+        """Tables of `results.csv` for the terminal and `summary.md`; none without rows."""
+        return list(self.summarise(rows)) if rows else []
+
+    def draw(self, rows: Sequence[Row], folder: Path) -> list[Path]:
+        """Draw the figures of `results.csv` into a folder; none without rows or without a `figure`."""
         return self.figure(rows, folder) if self.figure is not None and rows else []
 
 
 def list_experiments() -> list[Experiment[Any, Any]]:
     """The experiments of this package, in order of lists."""
-    return sorted((_load(name, f"{_PACKAGE}.{name}") for name in _names()), key=lambda one: (one.order, one.name))
+    modules = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
+    found = [one for module in modules for one in _held_by(f"{_PACKAGE}.{module.name}")]
+    return sorted(found, key=lambda one: (one.order, one.name))
 
 
 def find_experiment(name: str) -> Experiment[Any, Any]:
-    """Find an experiment by name, or by the dotted name of a user's module that holds an `EXPERIMENT`.
+    """Find an experiment by name, or by the dotted name of a user's module that holds it.
+
+    A module that holds several is followed by a colon and the name: `my_lab.stiffness:rubber`.
 
     Raises:
         ConfigError: If there is none.
     """
-    if name in _names():
-        return _load(name, f"{_PACKAGE}.{name}")
-    if "." not in name:
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
-    return _load(name, name)
+    module, _, own = name.partition(":")
+    if "." not in module:
+        found, own = list_experiments(), name
+    else:
+        try:
+            found = _held_by(module)
+        except ModuleNotFoundError as err:
+            raise ConfigError(f"experiment: {name}: {err}") from err
+        if not found:
+            raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
+    chosen = [one for one in found if own in ("", one.name)]
+    if len(chosen) != 1:
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in found)}")
+    return chosen[0]
 
 
-def _names() -> list[str]:
-    """Folders of the package, without importing them."""
-    folders = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
-    return [folder.name for folder in folders if folder.name not in _NOT_EXPERIMENTS]
-
-
-def _load(name: str, module: str) -> Experiment[Any, Any]:
-    try:
-        found = getattr(importlib.import_module(module), "EXPERIMENT", None)
-    except ModuleNotFoundError as err:
-        raise ConfigError(f"experiment: {name}: {err}") from err
-    if not isinstance(found, Experiment):
-        raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
-    return found
+def _held_by(module: str) -> list[Experiment[Any, Any]]:
+    """Experiments of a module; none if it is no experiment."""
+    held = importlib.import_module(module)
+    found = getattr(held, "EXPERIMENTS", [getattr(held, "EXPERIMENT", None)])
+    return [one for one in found if isinstance(one, Experiment)]

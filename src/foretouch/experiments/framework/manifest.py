@@ -4,7 +4,10 @@
 DIR/manifest.json      experiment, settings, hash of the data, and the environment of each session that ran cells
 DIR/cells/<key>.json   rows of one finished cell; written as a whole or not at all
 DIR/results.csv        table of all rows
-DIR/summary.md         tables for a reader
+DIR/summary.md         how the results were made, and tables for a reader
+
+To publish results, leave out manifest and cells: `summary.md` states what a reader needs of them, and keeps it when it
+is written again.
 """
 
 import csv
@@ -15,6 +18,7 @@ import json
 import os
 import platform
 import re
+import shlex
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -22,11 +26,11 @@ from typing import Any, Final
 
 from foretouch import __version__
 from foretouch.checked_files import read_json
-from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework.executors import CellResult
-from foretouch.experiments.framework.experiment import Cell, Row, Table
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.models.card import write_text
+from foretouch.timing import cpu_name
 
 MANIFEST_FILE: Final = "manifest.json"
 RESULTS_FILE: Final = "results.csv"
@@ -47,7 +51,7 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
         "python": platform.python_version(),
         "libraries": {name: version for name in _LIBRARIES if (version := _version(name))},
         "platform": platform.platform(),
-        "cpu": _cpu(),
+        "cpu": cpu_name(),
         "cores": len(os.sched_getaffinity(0)),
         "gpu": _gpus(),
         "workers": workers,
@@ -55,17 +59,14 @@ def environment(workers: int, address: str | None) -> dict[str, Any]:
     }
 
 
-def open_folder(
-    out: Path, fixed: Mapping[str, Any], kind: type[Settings], *, resume: bool, free: Sequence[str] = ()
-) -> dict[str, Any]:
+def open_folder(out: Path, fixed: Mapping[str, Any], *, resume: bool, resumable: Sequence[str] = ()) -> dict[str, Any]:
     """Create the folder of a sweep, or check that it contains this sweep.
 
     Args:
         out: The folder.
         fixed: Experiment, settings and data, which must not change.
-        kind: Class of the settings. One that the sweep's version did not have yet counts as its default.
         resume: Continue the sweep in the folder, if there is one.
-        free: Settings that may change nevertheless.
+        resumable: Settings that may change nevertheless.
 
     Returns:
         The manifest so far, with the current settings.
@@ -83,19 +84,14 @@ def open_folder(
     if not resume:
         raise FileError(out, "already contains a sweep; --resume continues it")
     manifest = _read_manifest(file)
-    before = {**manifest, "settings": _completed(manifest.get("settings"), kind)}
     for name in _FIXED:
-        _require_same(_without(before.get(name), free), _without(fixed[name], free), name, file)
-    (out / _CELLS).mkdir(exist_ok=True)  # published results come without them
+        _require_same(_without(manifest.get(name), resumable), _without(fixed[name], resumable), name, file)
+    (out / _CELLS).mkdir(exist_ok=True)
     return {**manifest, **fixed}
 
 
 def require_sweep(out: Path) -> None:
-    """Refuse a folder in which no sweep was started.
-
-    Raises:
-        FileError: If there is no manifest.
-    """
+    """Raise a `FileError` for a folder in which no sweep was started."""
     if not (out / MANIFEST_FILE).exists():
         raise FileError(out, f"contains no {MANIFEST_FILE}: no sweep was started there")
 
@@ -142,31 +138,30 @@ def read_cells(out: Path, cells: Iterable[Cell]) -> dict[str, list[Row]]:
     return found
 
 
-def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> Path:
-    """Write a table: None is an empty field, and numbers are read back exactly.
+def write_results(out: Path, rows: Sequence[Row], name: str = RESULTS_FILE) -> list[Row]:
+    """Write a table: None is an empty field, and fractions have five significant digits.
+
+    Returns:
+        The rows as `read_results` reads them.
 
     Raises:
         FileError: If it cannot be written.
     """
+    rounded = [{key: _rounded(value) for key, value in row.items()} for row in rows]
     text = io.StringIO()
     if rows:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
-    path = out / name
+        writer.writerows(rounded)
     try:
-        write_text(path, text.getvalue())
+        write_text(out / name, text.getvalue())
     except OSError as err:
-        raise FileError(path, err.strerror or str(err)) from err
-    return path
+        raise FileError(out / name, err.strerror or str(err)) from err
+    return rounded
 
 
 def read_results(path: Path) -> list[Row]:
-    """Read the rows that `write_results` wrote.
-
-    Raises:
-        FileError: If there is no such file.
-    """
+    """Rows that `write_results` wrote; a `FileError` if the file cannot be read."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return [{name: _parsed(text) for name, text in row.items()} for row in csv.DictReader(file)]
@@ -176,16 +171,15 @@ def read_results(path: Path) -> list[Row]:
         raise FileError(path, str(err)) from err
 
 
-def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
-    """Write tables and their notes to `summary.md`, and how many cells they lack.
+def write_summary(out: Path, experiment: Experiment[Any, Any], tables: Sequence[Table]) -> None:
+    """Write `summary.md`: the question, how the results were made and which cells they lack, tables and their notes.
 
     Raises:
         OSError: If it cannot be written.
         FileError: If the manifest is damaged.
     """
-    lines = [f"# {title}", ""]
-    if missing := _missing_cells(out):
-        lines += [missing, ""]
+    file = out / SUMMARY_FILE
+    lines = [f"# {experiment.question}", "", *_origin(out, experiment)]
     for table in tables:
         lines += [f"## {table.title}", ""]
         if table.rows:
@@ -194,16 +188,52 @@ def write_summary(out: Path, title: str, tables: Sequence[Table]) -> None:
             lines.append("")
         lines += [f"- {note}" for note in table.notes]
         lines += [""] * bool(table.notes)
-    (out / SUMMARY_FILE).write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+    file.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
 
 
-def _missing_cells(out: Path) -> str:
-    """A sentence if the manifest in a folder lists unfinished cells, else an empty text."""
-    file = out / MANIFEST_FILE
-    cells = _read_manifest(file).get("cells", {}) if file.exists() else {}
-    if not cells or cells["finished"] == cells["all"]:
-        return ""
-    return f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
+def _origin(out: Path, experiment: Experiment[Any, Any]) -> list[str]:
+    """Lines on the command, version, data and missing cells, by the manifest; without one, those written before."""
+    file, written = out / MANIFEST_FILE, out / SUMMARY_FILE
+    if not file.exists():
+        before = written.read_text(encoding="utf-8").splitlines()[2:] if written.exists() else []
+        return before[: next((k for k, line in enumerate(before) if line.startswith("## ")), len(before))]
+    manifest = _read_manifest(file)
+    lines = []
+    if manifest["sessions"]:
+        session, data = manifest["sessions"][-1], manifest["data"]["sha256"]
+        version = f"foretouch {session['foretouch']} ({str(session['git'])[:7]}), {session['started'][:10]}"
+        machine = f"{session['cpu']}; sha256 of the data `{data[:16]}`"
+        lines = [f"`{_command(manifest, experiment)}`; {version}, {machine}", ""]
+    cells = manifest.get("cells", {})
+    if cells and cells["finished"] != cells["all"]:
+        text = f"**{cells['finished']} of {cells['all']} cells are finished.** The tables contain these alone."
+        lines += [text, ""]
+    return lines
+
+
+def _command(manifest: Mapping[str, Any], experiment: Experiment[Any, Any]) -> str:
+    """Command of a sweep with the settings that differ from those of its preset."""
+    preset = manifest.get("preset", "")
+    base = experiment.resolve(preset, {}) if preset in experiment.presets else experiment.settings()
+    changed = _differences(manifest["settings"], json.loads(json.dumps(base.to_mapping())))
+    texts = {k: v if isinstance(v, str) else json.dumps(v, separators=(",", ":")) for k, v in changed.items()}
+    quoted = [shlex.quote(f"{name}={text}") for name, text in texts.items()]
+    return " ".join([experiment.command, *([f"--preset {preset}"] if preset else []), *quoted])
+
+
+def _differences(values: Any, base: Any, prefix: str = "") -> dict[str, Any]:
+    """Settings that are not those of a base, by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict) and isinstance(base.get(name), dict):
+            found |= _differences(value, base[name], f"{prefix}{name}.")
+        elif value != base.get(name):
+            found[prefix + name] = value
+    return found
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def _parsed(text: str | None) -> Any:
@@ -242,14 +272,6 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     return manifest
 
 
-def _completed(settings: Any, kind: type[Settings]) -> Any:
-    """Settings of an earlier version with the defaults of newer ones; unchanged if they are not valid any more."""
-    try:
-        return json.loads(json.dumps(kind.from_mapping(settings).to_mapping()))
-    except (ConfigError, TypeError, AttributeError):
-        return settings
-
-
 def _without(value: Any, names: Sequence[str]) -> Any:
     return {k: v for k, v in value.items() if k not in names} if isinstance(value, dict) else value
 
@@ -280,12 +302,6 @@ def _git_commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None
-
-
-def _cpu() -> str:
-    info = Path("/proc/cpuinfo")
-    names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
-    return names[0] if names else platform.processor()
 
 
 def _gpus() -> list[str]:

@@ -39,6 +39,7 @@ def run_sweep(
     workers: int = 1,
     address: str | None = None,
     progress: Progress | None = None,
+    finishing: Callable[[int, int], None] = lambda *_: None,
     read: ReadData | None = None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
@@ -54,6 +55,7 @@ def run_sweep(
         workers: Number of processes, or of cores of a local Ray node.
         address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
         progress: Called with each result, the number of finished cells and the number of all cells.
+        finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
         read: The data, if they were read with these settings already.
 
     Returns:
@@ -73,7 +75,7 @@ def run_sweep(
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}
     try:
-        manifest = manifests.open_folder(out, fixed, experiment.settings, resume=resume, free=experiment.free)
+        manifest = manifests.open_folder(out, fixed, resume=resume, resumable=experiment.resumable_settings)
         done = manifests.read_cells(out, cells)
         result = SweepResult(cells=len(cells), reused=len(done), data_sha256=data.sha256)
         manifest["preset"] = preset
@@ -95,8 +97,9 @@ def run_sweep(
                 progress(cell_result, number, len(cells))
         finished = manifests.read_cells(out, cells)  # from disk, so that an interrupted sweep gives the same table
         result.finished = len(finished)
-        result.rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
-        manifests.write_results(out, result.rows)
+        rows = experiment.tabulate(settings, [row for cell in cells for row in finished.get(cell.key, [])])
+        rows = experiment.finish(settings, data, rows, out, finishing)
+        result.rows = manifests.write_results(out, rows, experiment.results)
         manifest["cells"] = {"all": len(cells), "finished": len(finished), "failed": result.failures}
         manifests.write_manifest(out, manifest)
     except OSError as err:

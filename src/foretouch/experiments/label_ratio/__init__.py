@@ -237,5 +237,5 @@ EXPERIMENT = Experiment(
     summarise=summarise,
     figure=draw_label_ratio_figure,
     prepare=prepare_simulated,
-    free=("modalities", "ratios", "seeds", "draws", *MODELS),
+    resumable_settings=("modalities", "ratios", "seeds", "draws", *MODELS),
 )

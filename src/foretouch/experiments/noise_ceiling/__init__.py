@@ -60,7 +60,9 @@ class NoiseCeilingSettings(SimulatedSettings):
         choices=tuple(PREDICTORS),
     )
     seed: int = setting(0, "Seed of the predictors", minimum=0)
-    effort: float = setting(1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0)
+    training_fraction: float = setting(
+        1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+    )
     draws: int = setting(2000, "Bootstrap samples of the grasps for the intervals", minimum=100, maximum=1_000_000)
 
     def __post_init__(self) -> None:
@@ -98,7 +100,7 @@ def _run(cell: Cell, settings: NoiseCeilingSettings, data: SimulatedGrasps) -> l
     train, test = _split(settings, data)
     labels = labels_of(train)
     if cell.values["what"] == "predictor":
-        fitted = find_predictor(cell.values["name"], settings.effort)(train, labels, settings.seed)
+        fitted = find_predictor(cell.values["name"], settings.training_fraction)(train, labels, settings.seed)
         return [
             {"id": sample.id, "predicted": row.tolist()} for sample, row in zip(test, fitted.predict(test), strict=True)
         ]
@@ -138,7 +140,7 @@ EXPERIMENT = Experiment(
     settings=NoiseCeilingSettings,
     presets={
         "full": {},
-        "smoke": {"samples": 200, "grasps": 20, "repeats": 5, "alone": 10, "effort": 0.1, "draws": 200},
+        "smoke": {"samples": 200, "grasps": 20, "repeats": 5, "alone": 10, "training_fraction": 0.1, "draws": 200},
     },
     load=load_simulated,
     cells=_cells,
@@ -147,5 +149,5 @@ EXPERIMENT = Experiment(
     summarise=ceiling_tables,
     figure=draw_ceiling_figure,
     prepare=prepare_simulated,
-    free=("predictors", "draws"),
+    resumable_settings=("predictors", "draws"),
 )

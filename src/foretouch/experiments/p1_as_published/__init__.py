@@ -23,9 +23,9 @@ import numpy as np
 
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
-from foretouch.experiments.cross_type import ACROSS, PUBLISHED, ObjectTypes
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared import real_grasps
+from foretouch.experiments.shared.p1 import ACROSS, PUBLISHED, ObjectTypes
+from foretouch.experiments.shared.scores import labelled, load
 from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
@@ -81,7 +81,7 @@ def _cells(settings: P1Settings, data: Dataset) -> list[Cell]:
             f"{table}+{fold.name}+{modality}".replace(" ", "_"),
             {"table": table, "part": fold.name, "modality": modality},
         )
-        for table, folds in _tables(settings, real_grasps.labelled(data)).items()
+        for table, folds in _tables(settings, labelled(data)).items()
         for fold in folds
         for modality in settings.modalities
     ]
@@ -92,7 +92,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
     from foretouch.learning.training.learners import load_run_config
     from foretouch.learning.training.supervised import train_network
 
-    samples = real_grasps.labelled(data)
+    samples = labelled(data)
     (fold,) = (one for one in _tables(settings, samples)[cell.values["table"]] if one.name == cell.values["part"])
     modality: str = cell.values["modality"]
     recipe: Any = load_run_config(_RECIPE, [f"model.outputs=[{modality}]"])
@@ -235,12 +235,12 @@ EXPERIMENT = Experiment(
     order=35,
     settings=P1Settings,
     presets={"full": {}, "smoke": {"epochs": 1}},
-    load=real_grasps.load,
+    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,
     summarise=_summarise,
     figure=_draw,
-    free=("modalities",),
+    resumable_settings=("modalities",),
     data_folder="vision2tactile",
 )

@@ -22,8 +22,8 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.prequential.results import draw_prequential, prequential_rows, summarise_prequential
-from foretouch.experiments.shared import real_grasps
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch.experiments.shared.scores import labelled, load
 from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording
@@ -42,7 +42,9 @@ class PrequentialSettings(Settings):
     predictors: tuple[str, ...] = setting(
         ("contact", _MEAN), "Predictors by sight whose errors are tracked", choices=tuple(PREDICTORS)
     )
-    effort: float = setting(1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0)
+    training_fraction: float = setting(
+        1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+    )
     jump: float = setting(100.0, "Size of the injected jump of all values", minimum=0.0, maximum=1000.0, unit="counts")
     jump_after: int = setting(25, "Touches of the object before the jump", minimum=0)
     tares: bool = setting(True, "Whether tares that were recorded are read as well, at the time of their grasps")
@@ -51,7 +53,7 @@ class PrequentialSettings(Settings):
 
 def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
     """A fit without each object, and without each pair."""
-    objects = sorted({sample.object for sample in real_grasps.labelled(data)})
+    objects = sorted({sample.object for sample in labelled(data)})
     without = [(name,) for name in objects] + list(combinations(objects, 2))
     return [
         Cell(f"{predictor}+{'-'.join(names)}", {"predictor": predictor, "without": list(names)})
@@ -63,9 +65,9 @@ def _cells(settings: PrequentialSettings, data: Dataset) -> list[Cell]:
 def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
     """Predictions of the objects that the fit is without, with stamps and readings where it is without one only."""
     without = cell.values["without"]
-    samples = real_grasps.labelled(data)
+    samples = labelled(data)
     train = [sample for sample in samples if sample.object not in without]
-    fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels_of(train), _SEED)
+    fitted = find_predictor(cell.values["predictor"], settings.training_fraction)(train, labels_of(train), _SEED)
     rest, _ = rest_level(train)
     rows: list[Row] = []
     for name in without:
@@ -122,12 +124,12 @@ EXPERIMENT = Experiment(
     order=5,
     settings=PrequentialSettings,
     presets={"full": {}, "quick": {"predictors": [_MEAN]}, "smoke": {"predictors": [_MEAN], "bootstrap.draws": 200}},
-    load=real_grasps.load,
+    load=load,
     cells=_cells,
     run=_run,
     tabulate=_tabulate,
     summarise=summarise_prequential,
     figure=draw_prequential,
-    free=("predictors", "jump", "jump_after", "tares", "bootstrap"),
+    resumable_settings=("predictors", "jump", "jump_after", "tares", "bootstrap"),
     data_folder="vision2tactile",
 )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.real_grasps import ALL_OBJECTS
+from foretouch.experiments.shared.scores import ALL_OBJECTS
 from foretouch.learning.evaluation.metrics import ObjectErrors, compare, skills
 from foretouch.learning.evaluation.prequential import (
     BINS,

@@ -1,95 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit each predictor to some grasps and test it on others, fold by fold; and split samples by object."""
+"""Divide samples by fold and by object, and draw some of them for training or for touches."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import zlib
+from collections.abc import Sequence
 
 import numpy as np
 
 from foretouch.errors import DatasetError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared import real_grasps
-from foretouch.experiments.shared.predictors import find_predictor
-from foretouch.experiments.shared.skill import draw_skill_figure, skill_tables
-from foretouch.learning.data import Dataset, Fold, labels_of, make_folds
+from foretouch.learning.data import Fold, Indices
 from foretouch.types import GraspSample
-
-
-@dataclass(frozen=True, eq=False)
-class TableFold:
-    """A fold and the table of the results that it belongs to; its name is unique in the table."""
-
-    table: str
-    fold: Fold
-
-
-MakeFolds = Callable[[Any, Sequence[GraspSample], int], list[TableFold]]
-
-
-@dataclass(frozen=True)
-class FoldRunner:
-    """`cells` and `run` of an experiment that consists of folds."""
-
-    folds: MakeFolds  # (settings, labelled samples, seed) to the folds; deterministic
-
-    def cells(self, settings: real_grasps.RealGraspSettings, data: Dataset) -> list[Cell]:
-        """A cell for each fold, predictor and seed."""
-        samples = real_grasps.labelled(data)
-        return [
-            Cell(
-                "+".join((name, one.table, one.fold.name, f"seed{seed}")).replace(" ", "_"),
-                {"table": one.table, "part": one.fold.name, "predictor": name, "seed": seed},
-            )
-            for seed, name in real_grasps.seeded_predictors(settings)
-            for one in self.folds(settings, samples, seed)
-        ]
-
-    def run(self, cell: Cell, settings: real_grasps.RealGraspSettings, data: Dataset) -> list[Row]:
-        """Fit and test once."""
-        samples = real_grasps.labelled(data)
-        table, part, seed = (cell.values[key] for key in ("table", "part", "seed"))
-        folds = [one.fold for one in self.folds(settings, samples, seed) if one.table == table]
-        train, test = split_by_fold(samples, folds, part)
-        labels = labels_of(train)
-        fitted = find_predictor(cell.values["predictor"], settings.effort)(train, labels, seed)
-        return real_grasps.error_rows(test, fitted.predict(test), labels_of(test), labels.mean(axis=0))
-
-
-def split_experiment(*, name: str, question: str, module: str, split: str, order: int) -> Experiment[Any, Any]:
-    """The experiment that tests all predictors on the folds of a named split, as one table.
-
-    Args:
-        name: Name of the experiment.
-        question: What it answers.
-        module: Module that holds the `EXPERIMENT`.
-        split: One of `foretouch.learning.data.folds.SPLITS`.
-        order: Position in lists of experiments.
-    """
-
-    def folds(settings: real_grasps.RealGraspSettings, samples: Sequence[GraspSample], seed: int) -> list[TableFold]:
-        del settings
-        if not samples:
-            raise DatasetError("experiment: no sample is labelled")
-        return [TableFold(split, fold) for fold in make_folds(samples, split, seed)]
-
-    runner = FoldRunner(folds)
-    return Experiment(
-        name=name,
-        question=question,
-        module=module,
-        order=order,
-        settings=real_grasps.RealGraspSettings,
-        presets=real_grasps.PRESETS,
-        load=real_grasps.load,
-        cells=runner.cells,
-        run=runner.run,
-        tabulate=real_grasps.score_table,
-        summarise=skill_tables,
-        figure=draw_skill_figure,
-        free=real_grasps.FREE,
-        data_folder="vision2tactile",
-    )
 
 
 def split_by_fold(
@@ -119,3 +38,54 @@ def by_object(samples: Sequence[GraspSample]) -> list[list[GraspSample]]:
     """Samples of each object, objects sorted by name."""
     names = sorted({sample.object for sample in samples})
     return [[sample for sample in samples if sample.object == name] for name in names]
+
+
+def some_grasps(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
+    """Draw `count` grasps of each object; a smaller draw is part of a larger one.
+
+    Raises:
+        DatasetError: If an object has fewer.
+    """
+    chosen: list[GraspSample] = []
+    for own in by_object(samples):
+        if len(own) < count:
+            raise DatasetError(f"training grasps: {own[0].object} has {len(own)} grasps, fewer than {count}")
+        chosen += [own[k] for k in _shuffled(own[0].object, seed, len(own))[:count]]
+    return chosen
+
+
+def some_objects(samples: Sequence[GraspSample], count: int, seed: int) -> list[GraspSample]:
+    """Draw `count` objects and return all their grasps; a smaller draw is part of a larger one.
+
+    Raises:
+        DatasetError: If there are fewer.
+    """
+    groups = by_object(samples)
+    if len(groups) < count:
+        raise DatasetError(f"training objects: {len(groups)} objects are fewer than {count}")
+    order = np.random.default_rng(seed).permutation(len(groups))
+    return [sample for k in order[:count] for sample in groups[k]]
+
+
+def touch_draws(name: str, count: int, most: int, draws: int) -> list[Indices]:
+    """For each draw, all grasps of an object in the order in which they would be touched.
+
+    The draws follow from the name and their number alone: they are the same for every predictor, and 3 touches are the
+    first of the 5.
+
+    Args:
+        name: Name of the object.
+        count: Number of its grasps.
+        most: Largest number of touches.
+        draws: Number of draws.
+
+    Raises:
+        DatasetError: If no grasp would be left to score.
+    """
+    if count <= most:
+        raise DatasetError(f"{name}: {count} grasps leave none to score after {most} touches")
+    return [_shuffled(name, draw, count) for draw in range(draws)]
+
+
+def _shuffled(name: str, number: int, count: int) -> Indices:
+    return np.random.default_rng([zlib.crc32(name.encode()), number]).permutation(count)

@@ -27,12 +27,12 @@ RECIPES: Final = {"p1_pointnet": "p1", "p2_pointnet": "p2", "touchnet_v1": "touc
 """The networks by name, with the recipe of `foretouch train` that each is trained by."""
 
 
-def network(name: str, effort: float, changes: Mapping[str, Any] | None = None) -> baselines.Baseline:
+def network(name: str, training_fraction: float, changes: Mapping[str, Any] | None = None) -> baselines.Baseline:
     """A recipe as a baseline, which is trained again in each call.
 
     Args:
         name: One of `RECIPES`.
-        effort: Share of its epochs; at least one is run.
+        training_fraction: Share of its epochs; at least one is run.
         changes: Settings of the recipe that differ, by dotted name.
 
     Raises:
@@ -48,7 +48,7 @@ def network(name: str, effort: float, changes: Mapping[str, Any] | None = None) 
 
         recipe: Any = load_run_config(RECIPES[name]).updated(changes or {})  # of a supervised network
         model, how = recipe.model, recipe.train
-        how = how.replace(epochs=max(1, round(effort * how.epochs)), seed=seed)
+        how = how.replace(epochs=max(1, round(training_fraction * how.epochs)), seed=seed)
         data = TrainingSet.build([*train, *test], model, unlabelled=True)
         hidden = np.full((len(test), TOUCH_SIZE), np.nan)
         data = replace(data, labels=np.concatenate([labels, hidden]))
@@ -128,43 +128,39 @@ def with_offset_correction(baseline: baselines.Baseline) -> Fit:
     return partial(_OffsetCorrected, baseline)
 
 
-def _trees(baseline: Callable[..., Float64], effort: float) -> Fit:
-    return with_offset_correction(partial(baseline, trees=max(1, round(effort * baselines.TREES))))
+def _trees(baseline: Callable[..., Float64], training_fraction: float) -> Fit:
+    return with_offset_correction(partial(baseline, trees=max(1, round(training_fraction * baselines.TREES))))
 
 
-def _contact(recipe: str, effort: float) -> Fit:
-    """A contact model by its recipe, which has its own adaptation to touches."""
+def _contact(training_fraction: float) -> Fit:
+    """The default model, which has its own adaptation to touches."""
     from foretouch.learning.training.learners import load_run_config
 
-    run: Any = load_run_config(recipe)
+    run: Any = load_run_config("contact-v2")
     config: ContactConfig = run.contact
-    config = config.replace(trees=max(1, round(effort * config.trees)))
+    config = config.replace(trees=max(1, round(training_fraction * config.trees)))
     return lambda train, labels, seed: ContactPredictor(train, labels, config.replace(seed=seed))
 
 
 PREDICTORS: Final[dict[str, Callable[[float], Fit]]] = {
     "training_mean": lambda _: with_offset_correction(baselines.training_mean),
     "object_mean": lambda _: with_offset_correction(baselines.object_mean),
-    "object_time_trees": lambda effort: _trees(baselines.object_time_trees, effort),
-    "geometry_trees": lambda effort: _trees(baselines.geometry_trees, effort),
+    "object_time_trees": lambda training_fraction: _trees(baselines.object_time_trees, training_fraction),
+    "geometry_trees": lambda training_fraction: _trees(baselines.geometry_trees, training_fraction),
     "clock": lambda _: with_offset_correction(baselines.clock),
     "clock_past": lambda _: with_offset_correction(partial(baselines.clock, past_only=True)),
-    "contact": partial(_contact, "contact-v2"),
-    "contact_v1": partial(_contact, "contact-v1"),
-    "p1_pointnet": lambda effort: with_offset_correction(network("p1_pointnet", effort)),
-    "p2_pointnet": lambda effort: with_offset_correction(network("p2_pointnet", effort)),
-    "touchnet_v1": lambda effort: with_offset_correction(network("touchnet_v1", effort)),
+    "contact": _contact,
+    "p1_pointnet": lambda training_fraction: with_offset_correction(network("p1_pointnet", training_fraction)),
+    "p2_pointnet": lambda training_fraction: with_offset_correction(network("p2_pointnet", training_fraction)),
+    "touchnet_v1": lambda training_fraction: with_offset_correction(network("touchnet_v1", training_fraction)),
 }
 """By name, from the share of trees or epochs: 1 for reported results, less for a smoke test."""
-
-EARLIER: Final = ("contact_v1",)
-"""Models that were the default before: run only where they are named."""
 
 NETWORKS: Final = ("p1_pointnet", "p2_pointnet", "touchnet_v1")
 """Predictors that take minutes to hours per fold."""
 
 
-def find_predictor(name: str, effort: float = 1.0) -> Fit:
+def find_predictor(name: str, training_fraction: float = 1.0) -> Fit:
     """Find a predictor by name.
 
     Raises:
@@ -172,4 +168,4 @@ def find_predictor(name: str, effort: float = 1.0) -> Fit:
     """
     if name not in PREDICTORS:
         raise ConfigError(f"predictors: {name!r} is none of {', '.join(PREDICTORS)}")
-    return PREDICTORS[name](effort)
+    return PREDICTORS[name](training_fraction)

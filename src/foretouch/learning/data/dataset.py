@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset in memory: its samples, their hash, and the parts that a model is trained, validated and tested on."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.dataset.samples import only_finite, open_samples
-from foretouch.dataset.store import sample_digest
+from foretouch.dataset.store import content_sha256
 from foretouch.dataset.store_writer import SampleFacts
 from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.errors import DatasetError
@@ -143,9 +142,6 @@ def load_dataset(path: str | Path) -> Dataset:
         samples = tuple(only_finite(record.sample) for record in opened.records())
     if len({sample.id for sample in samples}) != len(samples):
         raise DatasetError(f"{path}: two samples have one id")
-    content = hashlib.sha256()
-    for sample in samples:
-        content.update(sample_digest(sample))
     if (path / SPLITS_FILE).is_file():
         splits = read_splits(path)
     else:
@@ -155,7 +151,7 @@ def load_dataset(path: str | Path) -> Dataset:
     return Dataset(
         path.name,
         samples,
-        content.hexdigest(),
+        content_sha256(samples),
         splits.parts,
         (folder_sha256(path),) if public else (),
         splits.omitted,

@@ -98,14 +98,8 @@ class ContactEstimator:
         return len(features.FEATURES) if self.claim is None else hand
 
     def _trees(self, rows: Float64) -> Float64:
-        if self._compiled.takes(rows):
-            both = self._compiled.predict(rows)  # modalities are in the order of their columns
-            return (both[:, :TOUCH_SIZE] + both[:, TOUCH_SIZE:]) / 2.0
-        scaled = self.forests[TOGETHER].predict(rows)
-        for name in MODALITIES:
-            index = columns([name])
-            scaled[:, index] = (scaled[:, index] + self.forests[name].predict(rows)) / 2.0
-        return scaled
+        both = self._compiled.predict(rows)  # modalities are in the order of their columns
+        return (both[:, :TOUCH_SIZE] + both[:, TOUCH_SIZE:]) / 2.0
 
     @cached_property
     def _compiled(self) -> CompiledForests:

@@ -124,15 +124,10 @@ class HandScene:
         return np.column_stack([np.ones(len(products)), self._centred, products])
 
     @cached_property
-    def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]] | None:
-        """The points as the compiled function reads them; None if they are too many, or not within any grid.
-
-        That is: columns of (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts.
-        """
+    def _grid(self) -> tuple[Float64, Float64, npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        """The points as (3, N) sorted by cells, low corner and cells per metre, numbers of cells, starts of the cells."""
         low, high = self._columns.min(axis=1), self._columns.max(axis=1)
         edge = max(_CELL, float((high - low).max()) / _MOST_CELLS)
-        if not np.isfinite(edge) or len(self._centred) >= 2**31:
-            return None
         grid, cells = np.append(low, 1.0 / edge), ((high - low) / edge).astype(np.int64) + 1
         starts, columns = np.empty(cells.prod() + 1, np.int32), np.empty_like(self._columns)
         _sort_into_cells(
@@ -180,19 +175,17 @@ class HandScene:
     def _contacts(self, contacts: Float64, fingers: Float64) -> Float64:
         """(K, len(_CONTACT_FEATURES)) of (K, 3) contacts in the (K, 3, 3) frames of their fingers.
 
-        The compiled form differs from that of NumPy by rounding, 1e-8. It leaves out contacts at points that are in one
-        plane to 1e-7 m, such as on a face at one step of the depth: there the features depend on rounding.
+        The compiled function leaves out contacts at points that are in one plane to 1e-7 m, such as on a face at one
+        step of the depth: there the features depend on rounding, and are computed by NumPy in a fixed order.
         """
-        if _describe_contacts and self._grid is not None:
-            rows = np.empty((len(contacts), len(_CONTACT_FEATURES)))
-            columns, *grid = self._grid
-            at, fingers = contacts - self._centre, np.ascontiguousarray(fingers)
-            _describe_contacts(columns, columns.shape[1], *grid, _SQUARES, at, fingers, len(at), rows)
-            left = np.flatnonzero(np.isnan(rows[:, 0]))
-            if left.size:
-                rows[left] = self._summed(contacts[left], fingers[left])
-            return rows
-        return self._summed(contacts, fingers)
+        rows = np.empty((len(contacts), len(_CONTACT_FEATURES)))
+        columns, *grid = self._grid
+        at, fingers = contacts - self._centre, np.ascontiguousarray(fingers)
+        _describe_contacts(columns, columns.shape[1], *grid, _SQUARES, at, fingers, len(at), rows)
+        flat = np.flatnonzero(np.isnan(rows[:, 0]))
+        if flat.size:
+            rows[flat] = self._summed(contacts[flat], fingers[flat])
+        return rows
 
     def _summed(self, contacts: Float64, fingers: Float64) -> Float64:
         """`_contacts` by NumPy.

@@ -92,21 +92,7 @@ class Forest(TensorRecord):
 
     def predict(self, rows: Float64) -> Float64:
         """(K, M) float64: mean over the trees for (K, F) rows, which are rounded to float32 as in the fit."""
-        if self._compiled.takes(rows):
-            return self._compiled.predict(rows)
-        rounded = rows.astype(np.float32)
-        index = np.arange(len(rows))[:, None]
-        node = np.tile(self.roots, (len(rows), 1))
-        while True:
-            feature = self.feature[node]
-            if (feature < 0).all():
-                break
-            right = rounded[index, np.maximum(feature, 0)] > self.threshold[node]
-            node = self.children[node, right.astype(np.intp)]
-        leaf = self.leaf[node]
-        return np.array([self.value[one].astype(np.float64).mean(axis=0) for one in leaf]).reshape(
-            len(rows), self.output_size
-        )
+        return self._compiled.predict(rows)
 
     @cached_property
     def _compiled(self) -> CompiledForests:
@@ -171,12 +157,14 @@ class CompiledForests:
         self._most, self._width = int(self._sizes[:, 0].max()), int(self._sizes[:, 1].sum())
         self._widest = max(int(forest.feature.max()) for forest in forests)
 
-    def takes(self, rows: npt.NDArray[Any]) -> bool:
-        """Whether the function is available, and rows have all columns that a node compares."""
-        return bool(_forest_means) and rows.ndim == 2 and rows.shape[1] > max(0, self._widest)
-
     def predict(self, rows: Float64) -> Float64:
-        """(K, M) float64: predictions of the forests beside each other, equal to those of `Forest.predict`."""
+        """(K, M) float64: predictions of the forests beside each other.
+
+        Raises:
+            ModelError: If a node compares a column that the rows do not have.
+        """
+        if rows.ndim != 2 or rows.shape[1] <= max(0, self._widest):
+            raise ModelError(f"rows: shape {rows.shape} has no column {self._widest}, which the forest compares")
         rounded = np.ascontiguousarray(rows, np.float32)
         scratch, single = np.empty(_ROWS_AT_ONCE * self._most, np.int32), np.empty(self._most)
         result = np.empty((len(rows), self._width))
@@ -201,20 +189,15 @@ class KernelRegression(TensorRecord):
         """(K, M) float64 for (K, F) rows; 0, the mean, far from all training rows."""
         scaled = (rows - self.centre) / self.scale
         size, outputs = self.weight.shape
-        if _city_distances and rows.ndim == 2 and rows.shape[1] == self.known.shape[1]:
-            known, weight = self._packed
-            sums = np.empty((len(rows), outputs))
-            for start in range(0, len(rows), _ROWS_AT_ONCE):
-                part = np.ascontiguousarray(scaled[start : start + _ROWS_AT_ONCE])
-                kernel = np.empty((len(part), size))
-                _city_distances(part, *part.shape, known, size, kernel)
-                _fade(kernel, float(self.decay), rows.shape[1])
-                _weighted_sums(kernel, *kernel.shape, weight, outputs, sums[start : start + _ROWS_AT_ONCE])
-            return sums
-        kernel = laplacian(scaled, self.known.astype(np.float64), float(self.decay))
-        weight = self.weight.astype(np.float64)
-        # Row by row, so that a prediction is equal to the last bit whatever the other rows are.
-        return np.array([row @ weight for row in kernel]).reshape(len(rows), outputs)
+        known, weight = self._packed
+        sums = np.empty((len(rows), outputs))
+        for start in range(0, len(rows), _ROWS_AT_ONCE):
+            part = np.ascontiguousarray(scaled[start : start + _ROWS_AT_ONCE])
+            kernel = np.empty((len(part), size))
+            _city_distances(part, *part.shape, known, size, kernel)
+            _fade(kernel, float(self.decay), rows.shape[1])
+            _weighted_sums(kernel, *kernel.shape, weight, outputs, sums[start : start + _ROWS_AT_ONCE])
+        return sums
 
     @cached_property
     def _packed(self) -> tuple[Float64, Float64]:

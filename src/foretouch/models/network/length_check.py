@@ -80,11 +80,6 @@ def _nearest(prepared: PreparedCloud, targets: Float64) -> Float64:
     frame = prepared.frame
     moved = frame.apply_points(targets).astype(np.float32)
     points = prepared.points[:, :3]
-    if _nearest_squares:
-        squared = np.empty(len(moved), np.float32)
-        _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)
-    else:
-        # |t - p|² = |t|² + |p|² - 2 t·p: one matrix product; its rounding, 1e-3 of the radius, does not matter here.
-        apart = (moved**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * moved @ points.T
-        squared = np.maximum(apart.min(axis=1), 0.0)
+    squared = np.empty(len(moved), np.float32)
+    _nearest_squares(moved, len(moved), points.T.copy(), len(points), squared)
     return np.asarray(np.sqrt(squared) * frame.scale, np.float64)

@@ -79,7 +79,7 @@ def _rows(winner: Tensor, size: int) -> Tensor:
 
 def products_at(x: Tensor, weight: Tensor, rows: Tensor) -> Tensor:
     """(B, F): (R, K) points, in the (B, F) rows of which each feature wins, times the feature's row of (F, K) weights."""
-    if x.device.type == "cpu" and x.dtype == weight.dtype and _PRODUCTS.get(x.dtype):
+    if x.device.type == "cpu" and x.dtype == weight.dtype and x.dtype in _PRODUCTS:
         products: Tensor = _ProductsAt.apply(x, weight, rows)  # type: ignore[no-untyped-call]
         return products
     return (_at(x, rows) * weight).sum(dim=-1)
@@ -126,14 +126,14 @@ def winners(x: Tensor, weight: Tensor, precision: torch.dtype = torch.float32) -
     if precision.itemsize < x.dtype.itemsize:
         x, weight = x.to(precision), weight.to(precision)
     compiled = _LARGEST.get(x.dtype) if x.device.type == "cpu" else None
-    across = weight.T if compiled else weight.T.contiguous()
+    across = weight.T if compiled is not None else weight.T.contiguous()
     at_once = max(1, _ENTRIES.get(x.device.type, 2**20) // max(1, x.shape[1] * len(weight)))
     return torch.cat([_winners(part, across, compiled) for part in torch.split(x, at_once)])
 
 
 def _winners(x: Tensor, across: Tensor, compiled: Kernel | None) -> Tensor:
     clouds, size = x.shape[:2]
-    if compiled:
+    if compiled is not None:
         return _compiled_winners(x, across, compiled)
     values = (x.flatten(0, 1) @ across).view(clouds, size, -1)
     features = values.shape[2]

@@ -2,7 +2,7 @@
 """The predictions of one request: as a `TouchPredictionArray`, or at once as the bytes that the middleware sends for it.
 
 For each prediction rclpy would convert 50 `Interval` objects, which takes longer than to predict. The bytes are CDR as in
-`foretouch.dataset.cdr`: numbers at multiples of their size, strings with their length and a final zero. Here each part
+`foretouch.dataset.messages`: numbers at multiples of their size, strings with their length and a final zero. Here each part
 ends at a multiple of four bytes.
 """
 

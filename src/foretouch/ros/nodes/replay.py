@@ -27,7 +27,7 @@ from sensor_msgs.msg import PointCloud2
 
 from foretouch.config import setting
 from foretouch.dataset.bag import Topic
-from foretouch.dataset.cdr import read_header, with_stamp
+from foretouch.dataset.messages import read_header, with_stamp
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError

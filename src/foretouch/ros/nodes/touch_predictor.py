@@ -74,7 +74,7 @@ from foretouch_msgs.msg import (
 from foretouch_msgs.srv import PredictTouch
 
 if TYPE_CHECKING:
-    from foretouch.tradeoff.budget import Answer
+    from foretouch.models.budget import Answer
 
 _T = TypeVar("_T")
 _PARALLEL_REQUESTS = 2  # more would only share the processor

@@ -31,7 +31,7 @@ from foretouch_msgs.msg import Grasp as GraspMsg
 from foretouch_msgs.msg import Status
 
 if TYPE_CHECKING:  # loaded only for a budget
-    from foretouch.tradeoff.budget import Answer, LatencyBudget
+    from foretouch.models.budget import Answer, LatencyBudget
 
 _COUNTS: Final = (1, 10, 100)  # grasps of the requests whose messages are timed
 _TIMINGS: Final = 5  # of each
@@ -76,8 +76,7 @@ class Predictor:
 
     def keep_to(self, budget_ms: float, config: TouchPredictorConfig, say: Callable[[str], None]) -> None:
         """Answer within a budget from now on, if there is a model; measures this machine where there is no profile."""
-        from foretouch.tradeoff.budget import LatencyBudget, levels_of, load_profile
-        from foretouch.tradeoff.budget.profile import profile_scene
+        from foretouch.models.budget import LatencyBudget, levels_of, load_profile, profile_scene
 
         if self.model is None:
             return
@@ -104,7 +103,7 @@ class Predictor:
         self, model: TouchModel, config: TouchPredictorConfig, scene: tuple[Cloud, list[Grasp]]
     ) -> dict[int, float]:
         """By number of grasps, the time of their messages: what `array` takes beyond the prediction, as processor time [s]."""
-        from foretouch.tradeoff.budget.profile import PAUSE_S
+        from foretouch.models.budget import PAUSE_S
 
         cloud, grasps = scene
         target, messages, around = FoundObject("", cloud, ASSUMED_TABLE), [grasp_to_msg(one) for one in grasps], {}

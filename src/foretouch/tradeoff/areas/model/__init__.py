@@ -32,7 +32,7 @@ EXPERIMENT = Area(
     tabulate=skill.tabulate,
     summarise=lambda _: (),
     figure=draw_overview,
-    free=skill.FREE,
+    resumable_settings=skill.FREE,
     data_folder="vision2tactile",
     variants=lambda settings: variants.list_variants(full=settings.full),
     timed=timed,

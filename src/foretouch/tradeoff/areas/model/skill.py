@@ -14,7 +14,7 @@ from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row, require_data
 from foretouch.experiments.shared.folds import split_objects
-from foretouch.experiments.shared.real_grasps import error_rows, labelled
+from foretouch.experiments.shared.scores import error_rows, labelled
 from foretouch.experiments.shared.simulated_data import BothSettings, load_both, prepare_both
 from foretouch.learning.data import Dataset, Fold, load_dataset, make_folds
 from foretouch.learning.evaluation.metrics import MEAN as MEAN_SKILL

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from foretouch.experiments.shared.real_grasps import labelled
+from foretouch.experiments.shared.scores import labelled
 from foretouch.models.contact.estimator import ContactEstimator
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model

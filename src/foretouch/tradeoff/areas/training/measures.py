@@ -11,10 +11,9 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.learning_curve import some_grasps, some_objects
-from foretouch.experiments.shared.folds import split_by_fold
+from foretouch.experiments.shared.folds import some_grasps, some_objects, split_by_fold
 from foretouch.experiments.shared.predictors import network
-from foretouch.experiments.shared.real_grasps import error_rows, labelled
+from foretouch.experiments.shared.scores import error_rows, labelled
 from foretouch.experiments.shared.simulated_data import beside, simulate_store
 from foretouch.learning.data import Dataset, labels_of, load_dataset, make_folds
 from foretouch.learning.evaluation.metrics import MEAN as MEAN_SKILL

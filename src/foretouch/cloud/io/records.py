@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What PCD and PLY files share: records of numbers, whose declared size is compared with the file before memory is taken.
+
+Both are decoded here. The libraries for them take the memory that a header asks for (plyfile, which is GPL besides),
+return fewer points of a truncated file (pypcd4), or fill up with zeros and warn (Open3D).
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.errors import FileError, shown
+from foretouch.types import Cloud, UInt8
+
+Records = npt.NDArray[Any]  # (N,) of a structured dtype
+
+SIZE_LIMIT: Final = 2_000_000_000  # of a file with a cloud [bytes]
+HEADER_LIMIT: Final = 65536  # bytes within which a header must end
+
+
+def whole_number(path: Path, text: str, field: str) -> int:
+    """A number of a header; a `FileError` if it is not a whole number below 2^31."""
+    if not text.isdecimal():
+        raise FileError(path, f"{shown(text)!r} is not a whole number", field=field)
+    digits = text.lstrip("0") or "0"
+    if len(digits) > 10 or int(digits) >= 2**31:
+        raise FileError(path, f"{shown(text, 40)} is not below 2^31", field=field)
+    return int(digits)
+
+
+def unique_names(path: Path, names: list[str], field: str) -> None:
+    """Refuse a name that occurs twice, and a point without x, y or z."""
+    if len(set(names)) != len(names):
+        raise FileError(path, f"{' '.join(names)}: a name occurs twice", field=field)
+    for axis in "xyz":
+        if axis not in names:
+            raise FileError(path, f"{axis} is missing; there are: {' '.join(names)}", field=field)
+
+
+def binary_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str) -> Records:
+    """The first records of some bytes; a `FileError` if there are fewer."""
+    expected = points * dtype.itemsize
+    if len(body) < expected:
+        rule = f"{len(body)} bytes are fewer than {points} points of {dtype.itemsize} = {expected}"
+        raise FileError(path, rule, field=field)
+    return np.frombuffer(body, dtype, points)
+
+
+def ascii_records(path: Path, body: bytes, dtype: np.dtype[Any], points: int, field: str, *, alone: bool) -> Records:
+    """Records of numbers in text, and nothing else if `alone`; a `FileError` if they are fewer, or none are numbers."""
+    kinds = {name: dtype[name] for name in dtype.names or ()}
+    widths = [int(np.prod(kind.shape)) for kind in kinds.values()]
+    size = points * sum(widths)
+    words = body.split() if alone else body.split(None, size)[:size]
+    if len(words) != size:
+        rule = f"{len(words)} numbers are not {points} points of {sum(widths)} = {size}"
+        raise FileError(path, rule, field=field)
+    try:
+        table = np.array(words, np.float64).reshape(points, sum(widths))
+    except ValueError as err:
+        raise FileError(path, f"not a number: {shown(str(err))}", field=field) from err
+    records = np.zeros(points, dtype)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for name, columns in zip(kinds, np.split(table, np.cumsum(widths)[:-1], axis=1), strict=True):
+            records[name] = columns.reshape(records[name].shape)
+    return records
+
+
+def to_cloud(records: Records, rgb: UInt8 | None, height: int, width: int) -> Cloud:
+    """The fields x, y, z and colours (N, 3), as an image if it has several rows."""
+    shape = (height, width, 3) if height > 1 and width else (len(records), 3)
+    with np.errstate(over="ignore"):
+        xyz = np.stack([records[name].astype(np.float32) for name in "xyz"], axis=-1)
+    return Cloud(xyz.reshape(shape), None if rgb is None else rgb.reshape(shape))

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Walks over the records of a recording without trusting any length in it.
+
+The file is mapped into memory, so only requested bytes are copied, and no length in it can make the reader allocate
+more memory than the size of the file. Verification, repair and reading all use `walk`.
+"""
+
+import mmap
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from foretouch.checked_files import open_regular
+from foretouch.dataset.recording.message_counts import MessageCounts
+from foretouch.dataset.recording.sample_codec import ABOUT, COUNTS
+from foretouch.errors import DatasetError, FileError
+
+MAGIC: Final[bytes] = MCAP0_MAGIC
+
+_HEAD = struct.Struct("<BQ")  # opcode, length
+_CHUNK = struct.Struct("<QQQIIQ")  # start, end, size, crc, compression (none), size of the data
+_MESSAGE = struct.Struct("<HIQQ")
+_INDEX = struct.Struct("<HI")  # channel, size of the entries
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
+_CHUNK_START: Final = re.compile(rb"\x06(?=.{8}.{24}.{4}\x00{4})", re.DOTALL)
+_PARSED: Final = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.DATA_END: DataEnd,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.STATISTICS: Statistics,
+}
+_DECLARATIONS: Final = {Opcode.SCHEMA, Opcode.CHANNEL}
+_IN_DATA: Final = _DECLARATIONS | {Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA, Opcode.DATA_END}
+IN_CHUNK: Final = _DECLARATIONS | {Opcode.MESSAGE}
+_INDEXES: Final = {Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET}
+IN_SUMMARY: Final = _DECLARATIONS | _INDEXES
+
+
+class Damage(NamedTuple):
+    """An invalid part of a file."""
+
+    offset: int  # its position [bytes]
+    rule: str  # the rule that it breaks
+
+    def error(self, path: Path) -> FileError:
+        """As an error that names file and position."""
+        return FileError(path, self.rule, field=f"byte {self.offset}")
+
+
+class Chunk(NamedTuple):
+    """Start and end of the data of a chunk in the file, and their declared checksum."""
+
+    start: int
+    end: int
+    crc: int
+
+    def intact(self, data: memoryview) -> bool:
+        """Whether the data match the checksum."""
+        return zlib.crc32(data[self.start : self.end]) == self.crc
+
+
+class RecordedMessage(NamedTuple):
+    """A message in a chunk: `start` and `end` of its CDR in the file."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    start: int
+    end: int
+
+
+class Record(NamedTuple):
+    """One record of a file from `offset` to `end`; the content of a message index is its channel."""
+
+    opcode: int
+    offset: int
+    end: int
+    content: Any
+
+
+Walked: TypeAlias = Iterator[Record | Damage]
+
+
+@contextmanager
+def mapped(path: Path) -> Iterator[memoryview]:
+    """The bytes of a file, read from the disk on access; raises a `FileError` if it cannot be read."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(open_regular(path))
+            size = os.fstat(file.fileno()).st_size  # an empty file cannot be mapped
+            data = stack.enter_context(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)) if size else b""
+        except OSError as err:
+            raise FileError(path, err.strerror or str(err)) from err
+        yield stack.enter_context(memoryview(data))
+
+
+def magic_damage(data: memoryview) -> Damage | None:
+    """The fault of the first bytes, if there is one."""
+    if len(data) == 0:
+        return Damage(0, "is empty")
+    return None if data[: len(MAGIC)] == MAGIC else Damage(0, "is no MCAP file: it does not begin as one")
+
+
+def walk(data: memoryview, start: int = len(MAGIC), end: int | None = None, allowed: set[Opcode] = _IN_DATA) -> Walked:
+    """The records from offset `start` to `end`, by default the end of the file; a `Damage` for each that is invalid.
+
+    The walk ends at damage that leaves open where the next record begins.
+    """
+    end = len(data) if end is None else end
+    while start < end:
+        left = end - start - _HEAD.size
+        if left < 0:
+            yield Damage(start, f"cut off: {end - start} bytes are no record")
+            return
+        opcode, length = _HEAD.unpack_from(data, start)
+        if length > left:
+            yield Damage(start, f"cut off or damaged: a record of {length} bytes, {left} are left")
+            return
+        following = start + _HEAD.size + length
+        content: Any = f"a record of number {opcode} is not allowed here"
+        if opcode in allowed:
+            content = _content(data, opcode, start + _HEAD.size, following)
+        if isinstance(content, str):
+            yield Damage(start, f"damaged: {content}")
+        else:
+            yield Record(opcode, start, following, content)
+        if opcode == 0:
+            return
+        start = following
+
+
+def walk_on(data: memoryview, start: int = len(MAGIC)) -> Walked:
+    """As `walk`, but after damage it continues at the next intact chunk, and ends where the data end."""
+    while start < len(data):
+        for record in walk(data, start):
+            yield record
+            if isinstance(record, Damage):
+                break
+            if record.opcode == Opcode.DATA_END:
+                return
+        else:
+            return
+        start = next_chunk(data, record.offset + 1)
+
+
+def next_chunk(data: memoryview, start: int) -> int:
+    """Offset of the first chunk with a valid checksum from `start` on; the size of the file if there is none."""
+    for match in _CHUNK_START.finditer(data, start):
+        found = next(walk(data, match.start()))
+        if isinstance(found, Record) and found.content.intact(data):
+            return match.start()
+    return len(data)
+
+
+def is_finished(data: memoryview) -> bool:
+    """Whether a recording was closed, so that it has an index."""
+    return len(data) > 2 * len(MAGIC) and data[-len(MAGIC) :] == MAGIC
+
+
+def summary_of(data: memoryview) -> tuple[int, int] | Damage:
+    """Start and end of the summary of a finished file, verified by its checksum."""
+    at = len(data) - len(MAGIC) - _FOOTER.size
+    if at < len(MAGIC) or not is_finished(data):
+        return Damage(max(0, len(data) - len(MAGIC)), "cut off or damaged: the file does not end as an MCAP file")
+    opcode, length, start, _, crc = _FOOTER.unpack_from(data, at)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not len(MAGIC) <= start <= at:
+        return Damage(at, "damaged: the footer of a finished recording is no footer")
+    if zlib.crc32(data[start : at + _FOOTER.size - 4]) != crc:
+        return Damage(start, "damaged: the index at the end does not match its checksum")
+    return start, at
+
+
+def _content(data: memoryview, opcode: int, start: int, end: int) -> Any:
+    """The content of a record; a text says why it is damaged."""
+    if opcode == Opcode.CHUNK:
+        if end - start < _CHUNK.size:
+            return "a chunk too short for its head"
+        _, _, size, crc, compression, data_size = _CHUNK.unpack_from(data, start)
+        if compression:
+            return "a compressed chunk, which foretouch does not support"
+        if not size == data_size == end - start - _CHUNK.size:
+            return "the sizes of a chunk do not add up"
+        return Chunk(start + _CHUNK.size, end, crc)
+    if opcode == Opcode.MESSAGE:
+        if end - start < _MESSAGE.size:
+            return "a message too short for its head"
+        channel, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(data, start)
+        return RecordedMessage(channel, sequence, log_time_ns, publish_time_ns, start + _MESSAGE.size, end)
+    if opcode == Opcode.MESSAGE_INDEX:
+        size = end - start - _INDEX.size
+        if size < 0 or size % 16 or size != _INDEX.unpack_from(data, start)[1]:
+            return "the sizes of an index do not add up"
+        return _INDEX.unpack_from(data, start)[0]
+    kind: Any = _PARSED.get(Opcode(opcode))
+    if kind is None:
+        return None
+    name, stream = kind.__name__.lower(), ReadDataStream(BytesIO(data[start:end]))
+    try:
+        content = kind.read(stream)
+    except (McapError, ValueError, struct.error, EOFError, OverflowError) as err:
+        return f"no {name}: {' '.join(str(err).split()) or type(err).__name__}"
+    return content if stream.count == end - start else f"extra bytes after a {name}"
+
+
+class Declarations:
+    """What the records of a file declare; later ones replace earlier ones.
+
+    Attributes:
+        schemas: By number.
+        channels: By number.
+        about: Versions, hand and camera, as text.
+        counts: The message counts; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.about: dict[str, str] = {}
+        self.counts: MessageCounts | None = None
+
+    def add(self, record: Record) -> Damage | None:
+        """Add what a record declares, if it is a declaration; the damage of message counts that cannot be read."""
+        content = record.content
+        if isinstance(content, Schema):
+            self.schemas[content.id] = content
+        elif isinstance(content, Channel):
+            self.channels[content.id] = content
+        elif isinstance(content, Metadata) and content.name == ABOUT:
+            self.about = content.metadata
+        elif isinstance(content, Metadata) and content.name == COUNTS:
+            try:
+                self.counts = MessageCounts.from_mapping(content.metadata)
+            except DatasetError as err:
+                return Damage(record.offset, str(err))
+        return None
+
+    def type_of(self, channel: int) -> str:
+        """Type of the messages of a channel; "" if it is not declared."""
+        declared = self.channels.get(channel)
+        schema = None if declared is None else self.schemas.get(declared.schema_id)
+        return "" if schema is None else schema.name

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Encodes a recorded grasp as a `foretouch_msgs/GraspSample` and decodes it, without ROS.
+
+The last 32 bytes are the SHA-256 of all bytes before them, so that a sample can be verified at any position in a file.
+"""
+
+import functools
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch import __version__
+from foretouch.checked_files import parse_json
+from foretouch.dataset.manifest import require_version
+from foretouch.dataset.messages import cloud_fields, decode_cloud, decode_grasp, grasp_fields, header_fields
+from foretouch.dataset.record import Identity, Outcome, SampleRecord, TouchSeries, check_id
+from foretouch.dataset.recording.definitions import Definitions
+from foretouch.errors import DatasetError, ForetouchError, VersionError
+from foretouch.tactile.messages import stamp_ns
+from foretouch.types import TOUCH_SIZE, Grasp, GraspSample, Touch
+
+SAMPLE_TYPE: Final = "foretouch_msgs/msg/GraspSample"
+SAMPLE_TOPIC: Final = "/foretouch/samples"
+ABOUT: Final = "foretouch"  # name of the metadata with versions, hand and camera
+COUNTS: Final = "foretouch_accounts"  # name of the metadata with the message counts; the last one is valid
+SCHEMA_VERSION: Final = 1
+
+_DIGEST_SIZE: Final = 32
+_OUTCOMES: Final[tuple[Outcome, ...]] = ("unknown", "success", "failure")
+_TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+_FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "others", "extra_values")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StoredSample:
+    """A decoded sample."""
+
+    record: SampleRecord  # the sample
+    identity: Identity  # hand and camera that it was recorded with
+    foretouch: str  # the version that wrote it
+
+
+def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
+    """Encode a record, whose id is set, as the CDR of a `foretouch_msgs/GraspSample` with encapsulation header.
+
+    Raises:
+        DatasetError: If the id or a stamp is invalid, or a number other than the score of a grasp is not finite.
+    """
+    sample = record.sample
+    check_id(sample.id, sample.object)
+    series = record.series
+    others = {} if series is None else dict(sorted(series.others.items()))
+    extra = {name: float(value) for name, value in sorted(sample.extra.items())}
+    message = SimpleNamespace(
+        header=header_fields(sample.stamp_ns, sample.cloud.frame_id, "stamp_ns"),
+        schema_version=SCHEMA_VERSION,
+        id=sample.id,
+        object=sample.object,
+        outcome=_OUTCOMES.index(record.outcome),
+        note=record.note,
+        cloud=cloud_fields(sample.cloud, "cloud.stamp_ns"),
+        grasp=grasp_fields(sample.grasp),
+        score=float(sample.grasp.score),
+        candidates=[grasp_fields(grasp) for grasp in record.candidates],
+        **_touch_fields(sample.touch, "labelled", ""),
+        **_touch_fields(sample.tare, "tared", "tare_"),
+        series_stamps=np.asarray([] if series is None else series.stamps_ns, np.int64),
+        series_phase=np.asarray([] if series is None else series.phases, np.uint8),
+        series=np.asarray([] if series is None else series.counts, np.float32).ravel(),
+        other_names=list(others),
+        others=np.concatenate([*others.values(), np.empty(0)]).astype(np.float32),
+        contact=record.contact_ns or 0,
+        detector=record.detector,
+        pairing_error=-1 if record.pairing_error_ns is None else record.pairing_error_ns,
+        flags=list(record.flags),
+        extra_names=list(extra),
+        extra_values=np.array(list(extra.values()), np.float64),
+        foretouch=__version__,
+        hand=_facts(identity.hand),
+        camera=_facts(identity.camera),
+        sha256=np.zeros(_DIGEST_SIZE, np.uint8),
+    )
+    for name in _FINITE:
+        if not np.isfinite(getattr(message, name)).all():
+            raise DatasetError(f"{message.id}: {name}: holds a value that is not finite")
+    body = bytes(sample_types().store.serialize_cdr(message, SAMPLE_TYPE))[:-_DIGEST_SIZE]
+    return body + hashlib.sha256(body).digest()
+
+
+def is_intact(data: bytes | memoryview) -> bool:
+    """Whether the bytes are an unchanged result of `encode_sample`."""
+    return len(data) > _DIGEST_SIZE and hashlib.sha256(data[:-_DIGEST_SIZE]).digest() == bytes(data[-_DIGEST_SIZE:])
+
+
+def decode_sample(data: bytes | memoryview) -> StoredSample:
+    """Decode a sample; its cloud and series are views of `data`.
+
+    Raises:
+        DatasetError: If the bytes are damaged, of another schema version, or break a rule.
+    """
+    if not is_intact(data):
+        raise DatasetError("damaged: the bytes do not match their SHA-256")
+    try:
+        message: Any = sample_types().store.deserialize_cdr(data, SAMPLE_TYPE)
+        require_version(message.schema_version, SCHEMA_VERSION)
+        check_id(message.id, message.object)
+        return _stored(message)
+    except VersionError:
+        raise
+    except ForetouchError as err:
+        raise DatasetError(str(err)) from err
+    except Exception as err:  # the digest does not prove that foretouch wrote it: the parser may fail anywhere
+        raise DatasetError(f"damaged: {type(err).__name__}: {' '.join(str(err).split())}") from err
+
+
+def _stored(message: Any) -> StoredSample:
+    sample = GraspSample(
+        id=message.id,
+        object=message.object,
+        cloud=decode_cloud(message.cloud),
+        grasp=_grasp_of(message.grasp, float(message.score)),
+        touch=_touch_of(message, "labelled", ""),
+        tare=_touch_of(message, "tared", "tare_"),
+        stamp_ns=stamp_ns(message.header.stamp),
+        extra=dict(zip(message.extra_names, map(float, message.extra_values), strict=True)),
+    )
+    record = SampleRecord(
+        sample=sample,
+        candidates=tuple(_grasp_of(grasp, float(grasp.score)) for grasp in message.candidates),
+        outcome=_OUTCOMES[message.outcome],
+        note=message.note,
+        series=_series_of(message),
+        contact_ns=message.contact or None,
+        detector=message.detector,
+        pairing_error_ns=None if message.pairing_error < 0 else message.pairing_error,
+        flags=tuple(message.flags),
+    )
+    identity = Identity(hand=_texts(message.hand), camera=_texts(message.camera))
+    return StoredSample(record=record, identity=identity, foretouch=message.foretouch)
+
+
+def _texts(text: str) -> dict[str, str]:
+    """The inverse of `_facts`."""
+    facts = parse_json(text)
+    if not isinstance(facts, dict) or not all(isinstance(value, str) for value in facts.values()):
+        raise DatasetError("hand, camera: is no list of named texts")
+    return facts
+
+
+@functools.cache
+def sample_types() -> Definitions:
+    """The definitions of a sample and of all types in it."""
+    definitions = Definitions()
+    definitions.text(SAMPLE_TYPE)
+    return definitions
+
+
+def _facts(facts: Mapping[str, str]) -> str:
+    return json.dumps(dict(sorted(facts.items())), ensure_ascii=False)
+
+
+def _grasp_of(message: Any, score: float) -> Grasp:
+    """The grasp in a decoded `foretouch_msgs/Grasp`, whose rotation is taken as it is."""
+    return decode_grasp(message, np.asarray(message.rotation, np.float64).reshape(3, 3), score)
+
+
+def _touch_fields(touch: Touch | None, flag: str, prefix: str) -> dict[str, Any]:
+    """A touch by field, with `prefix` before each name; zeros and a false `flag` if there is none."""
+    values = Touch.from_vector(np.zeros(TOUCH_SIZE) if touch is None else touch.vector())
+    return {flag: touch is not None, **{f"{prefix}{name}": getattr(values, name) for name in _TOUCH}}
+
+
+def _touch_of(message: Any, flag: str, prefix: str) -> Touch | None:
+    """The inverse of `_touch_fields`."""
+    if not getattr(message, flag):
+        return None
+    pdc_th, pdc_mf, e_th, e_mf = (getattr(message, f"{prefix}{name}") for name in _TOUCH)
+    return Touch(float(pdc_th), float(pdc_mf), np.asarray(e_th, np.float64), np.asarray(e_mf, np.float64))
+
+
+def _series_of(message: Any) -> TouchSeries | None:
+    """The series in a sample as views of the message; None if it is empty."""
+    length = len(message.series_stamps)
+    if length == 0:
+        return None
+    others = np.asarray(message.others, np.float32).reshape(len(message.other_names), length)
+    return TouchSeries(
+        stamps_ns=np.asarray(message.series_stamps, np.int64),
+        counts=np.asarray(message.series, np.float32).reshape(length, TOUCH_SIZE),
+        phases=np.asarray(message.series_phase, np.uint8),
+        others=dict(zip(message.other_names, others, strict=True)),
+    )

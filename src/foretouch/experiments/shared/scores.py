@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Squared errors of predictors by object, and the table of their skills with comparisons."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from foretouch.config import Settings
+from foretouch.errors import DatasetError
+from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.shared.rows import grouped
+from foretouch.learning.data import Dataset, load_dataset
+from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
+from foretouch.tactile import MODALITIES
+from foretouch.types import Float64, GraspSample
+
+ALL_OBJECTS: Final = "all"
+"""Value of the column `object` for all objects together."""
+
+
+def load(settings: Settings, path: Path) -> Dataset:
+    """`load` of an experiment: the samples at a path (see `load_dataset`)."""
+    del settings
+    return load_dataset(path)
+
+
+def labelled(data: Dataset) -> list[GraspSample]:
+    """Samples that have a touch, in order."""
+    return [sample for sample in data.samples if sample.touch is not None]
+
+
+def error_rows(tested: Sequence[GraspSample], predicted: Float64, labels: Float64, mean: Float64) -> list[Row]:
+    """Sums of squared errors, one row per object, as `ObjectErrors` adds them up.
+
+    Args:
+        tested: (S,) test samples.
+        predicted: (S, 50) predictions [counts].
+        labels: (S, 50) labels [counts].
+        mean: (50,) mean of the training labels, the reference of the skill [counts].
+
+    Raises:
+        DatasetError: If a prediction is not finite or missing.
+    """
+    if predicted.shape != labels.shape or not np.isfinite(predicted).all():
+        raise DatasetError(f"predictions: shape {predicted.shape} or a value that is not finite")
+    names = np.array([sample.object for sample in tested])
+    squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
+    return [
+        {
+            "object": str(name),
+            "count": int((names == name).sum()),
+            "squared": squared[names == name].sum(axis=0).tolist(),
+            "reference": reference[names == name].sum(axis=0).tolist(),
+        }
+        for name in np.unique(names)
+    ]
+
+
+def score_table(
+    rows: Sequence[Row],
+    predictors: Sequence[str],
+    references: Sequence[str],
+    config: BootstrapConfig,
+    columns: Sequence[str] = (),
+) -> list[Row]:
+    """Rows of `results.csv`: one for each table, predictor, object and modality.
+
+    Args:
+        rows: Rows of `error_rows`, with `table`, `part`, `predictor` and `seed`. A predictor that lacks a part of a
+            table, because a cell failed, is left out of that table.
+        predictors: Predictors in the order of the table.
+        references: Predictors that the others are compared with.
+        config: Configuration of the bootstrap.
+        columns: Further columns, in which the rows of a table do not differ.
+    """
+    result: list[Row] = []
+    for table, own in grouped(rows, "table"):
+        head = {name: own[0][name] for name in columns} | {"table": table}
+        complete = _complete(own)
+        for name in predictors:
+            if name in complete:
+                result += _predictor_rows({**head, "predictor": name}, complete, references, config)
+    return result
+
+
+def _complete(rows: Sequence[Row]) -> dict[str, dict[int, list[Row]]]:
+    """Rows by predictor and seed, of the predictors that have every part of the table."""
+    parts = {seed: {row["part"] for row in own} for seed, own in grouped(rows, "seed")}
+    found = {name: dict(grouped(own, "seed")) for name, own in grouped(rows, "predictor")}
+    return {
+        name: seeds
+        for name, seeds in found.items()
+        if all({row["part"] for row in own} == parts[seed] for seed, own in seeds.items())
+    }
+
+
+def _predictor_rows(
+    head: Row, complete: dict[str, dict[int, list[Row]]], references: Sequence[str], config: BootstrapConfig
+) -> list[Row]:
+    seeds = complete[head["predictor"]]
+    errors, versus = _errors(seeds, seeds), {}
+    for other in references:
+        common = [seed for seed in seeds if seed in complete.get(other, {})]
+        if other != head["predictor"] and common:
+            versus[other] = compare(_errors(seeds, common), _errors(complete[other], common), config)
+    head = {**head, "seeds": len(seeds)}
+    result = _rows({**head, "object": ALL_OBJECTS}, errors, config, {name: versus.get(name) for name in references})
+    for one in errors.objects if len(errors.objects) > 1 else ():
+        result += _rows({**head, "object": one}, errors.only(one), config, dict.fromkeys(references))
+    return result
+
+
+def _errors(rows: dict[int, list[Row]], seeds: Iterable[int]) -> ObjectErrors:
+    parts = [row for seed in seeds for row in rows[seed]]
+    return ObjectErrors.total(
+        [(row["object"], row["count"], np.array(row["squared"]), np.array(row["reference"])) for row in parts]
+    )
+
+
+def _rows(
+    head: Row, errors: ObjectErrors, config: BootstrapConfig, versus: dict[str, dict[str, Estimate] | None]
+) -> list[Row]:
+    own, rmse = skills(errors, config), errors.rmse()
+    head = {**head, "objects": len(errors.objects), "samples": round(float(errors.counts.sum()) / head["seeds"])}
+    result = []
+    for modality in (*MODALITIES, MEAN):  # a mean of errors of different sensors has no meaning
+        row = {**head, "modality": modality, "rmse": rmse.get(modality), **interval_columns("skill", own[modality])}
+        for name, differences in versus.items():
+            difference = differences[modality] if differences else None
+            row |= interval_columns(f"vs_{name}", difference)
+            row[f"vs_{name}_verdict"] = difference.verdict if difference else None
+        result.append(row)
+    return result
+
+
+def interval_columns(name: str, estimate: Estimate | None) -> Row:
+    """Three columns of an estimate: its value and the ends of its interval."""
+    values = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
+    return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions within a time: for each request the most accurate level of a model that meets it on this machine.
+
+Levels of a model are itself and cheaper forms of it, which need no training. `levels.json` names models by their hash
+and holds for each level the skill on held-out blocks of time, and by how much its errors exceed those of the model, by
+which its intervals are widened; `benchmarks/budget/levels.py` writes it. The last level is the mean of the training
+labels, which looks at no cloud: its predictions are flagged `unfamiliar` and have the intervals of a new object.
+
+How long each level takes here is measured once and kept in the user's cache folder, as a `Profile`. The latest answers
+show how much slower the machine is at present: a level is expected to take as much longer as all but one of them did.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch import __version__
+from foretouch.checked_files import read_json
+from foretouch.errors import FileError
+from foretouch.models.card import write_text
+from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.estimator import by_modality
+from foretouch.models.registry import load_model
+from foretouch.models.touch_model import Estimate, Estimator, TouchModel
+from foretouch.tactile import TactileRanges
+from foretouch.timing import MachineLoad, cpu_name, time_calls
+from foretouch.types import Cloud, Float64, Grasp
+
+_FORMAT: Final = {"format": "foretouch-profile", "format_version": 3}
+_COUNTS: Final = (1, 10, 100, 1000)  # grasps of the requests that are timed
+_POINTS: Final = 3000  # of the object, about the median of the public clouds
+_LIBRARIES: Final = ("numpy", "scipy", "torch")
+
+_RECENT: Final = 100  # answers that show how slow the machine is...
+_RECENT_S: Final = 3.0  # ...at most so old [s]
+_ADDED_S: Final = 2e-3  # to times whose ratio is taken: a delay is neither a factor nor a term, but between the two [s]
+_GUARD_S: Final = 2e-4  # before the end of the budget, from which an answer counts as late: until it is handed over [s]
+
+PAUSE_S: Final = 0.02
+"""Time asleep before what is timed, as between the clouds of a camera [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One way to predict by a model."""
+
+    name: str
+    skill: float | None  # mean skill on held-out blocks of time; None if it is not known
+    model: TouchModel  # predicts in this way
+
+
+@dataclass(frozen=True, eq=False)
+class _Mean:
+    """Predicts the mean of the training labels for every grasp."""
+
+    mean: Float64  # (50,) [counts]
+    ranges: TactileRanges
+
+    def estimate(self, cloud: Cloud, grasps: Sequence[Grasp]) -> Estimate:
+        del cloud
+        return Estimate(np.tile(self.mean, (len(grasps), 1)), np.zeros(len(grasps), np.bool_))
+
+
+_MAKERS: Final[dict[str, Callable[[Any], Estimator]]] = {
+    "10 trees": lambda one: fewer_trees(one, 10),
+    "no surroundings": WithoutSurroundings.of,
+    "touchnet-v1": lambda _: load_model("touchnet-v1").estimator,
+}
+"""Estimators of the levels by name, from the model's own."""
+
+
+def levels_of(model: TouchModel) -> list[Level]:
+    """The levels of a model, itself first, then by descending skill; the mean of its labels last.
+
+    A model that `levels.json` does not name has itself and this mean.
+    """
+    file = resources.files("foretouch.models") / "levels.json"
+    known: dict[str, Any] = json.loads(file.read_text("utf-8")).get(model.sha256, {}).get("levels", {})
+    levels = [Level(model.name, known.get(model.name, {}).get("skill"), model)]
+    for name, entry in sorted(known.items(), key=lambda item: -item[1]["skill"]):
+        if name in _MAKERS:
+            made = _MAKERS[name](model.estimator)
+            levels.append(Level(name, entry["skill"], model.reduced(made, by_modality(np.array(entry["widen"])))))
+    mean = getattr(model.estimator, "mean", None)
+    if isinstance(mean, np.ndarray):
+        reduced = model.reduced(_Mean(mean, model.ranges), np.ones(len(mean)))
+        levels.append(Level("mean of labels", 0.0 if known else None, reduced))
+    return levels
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Times of the levels of one model on one machine."""
+
+    times: Mapping[str, Mapping[int, float]]  # by level, p95 for each number of grasps, ascending, without waits [s]
+    state: str  # of the machine then: `idle` or `loaded`
+    origin: str  # the file, or another description
+
+
+def _interpolated(times: Mapping[int, float], count: int) -> float:
+    """Linear between the numbers of grasps that were timed, and beyond the last two; never below 0."""
+    at, values = list(times), list(times.values())
+    if count <= at[-1] or len(at) < 2:
+        return float(np.interp(count, at, values))
+    return values[-1] + max(0.0, (values[-1] - values[-2]) / (at[-1] - at[-2])) * (count - at[-1])
+
+
+def load_profile(
+    levels: Sequence[Level],
+    *,
+    seconds: float = 10.0,
+    again: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> Profile:
+    """The kept profile of a model, or a new one where there is none, or it is of another machine, version or model.
+
+    Args:
+        levels: Of the model.
+        seconds: Time of a measurement; each level and number of grasps gets five calls at least [s].
+        again: Measure in any case.
+        say: Called with a line on why it is measured, and on a file that cannot be written.
+        progress: Called with the number of calls done and of all.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    path = cache / "foretouch" / f"profile-{levels[0].model.sha256[:16]}.json"
+    own = {
+        "cpu": cpu_name(),
+        "cores": len(os.sched_getaffinity(0)),
+        "machine": platform.machine(),
+        "foretouch": __version__,
+        "python": platform.python_version(),
+        **{name: importlib.metadata.version(name) for name in _LIBRARIES},
+        "model": levels[0].model.sha256,
+        "levels": [level.name for level in levels],
+    }
+    try:
+        if not again:
+            return _read(path, own)
+    except FileError as err:
+        say(f"budget: {err}: measuring how long predictions take here, once")
+    times, state = _measure(levels, seconds, progress)
+    document = {**_FORMAT, "fingerprint": own, "state": state, "p95_s": times}
+    try:
+        write_text(path, json.dumps(document, indent=1) + "\n")
+    except FileError as err:
+        say(f"budget: {err}: the profile is kept in memory, until the end of this process")
+        return Profile(times, state, "measured now, and not kept")
+    return Profile(times, state, str(path))
+
+
+def _read(path: Path, own: Mapping[str, Any]) -> Profile:
+    """Read a profile of this machine, version and model; a `FileError` names what differs."""
+    if not path.exists():
+        raise FileError(path, "there is no profile yet")
+    document = read_json(path)
+    if not isinstance(document, dict) or {name: document.get(name) for name in _FORMAT} != _FORMAT:
+        raise FileError(path, "is no {format} of version {format_version}".format(**_FORMAT))
+    try:
+        found = document["fingerprint"]
+        if differing := next((name for name in own if found.get(name) != own[name]), None):
+            reason = f"is of {found.get(differing)!r}, not of {own[differing]!r}"
+            raise FileError(path, reason, field=differing)
+        times = {
+            name: dict(sorted((int(count), float(value)) for count, value in document["p95_s"][name].items()))
+            for name in own["levels"]
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        raise FileError(path, f"is damaged: {err}") from err
+    if not all(one and np.isfinite(list(one.values())).all() and min(one.values()) > 0.0 for one in times.values()):
+        raise FileError(path, "a time is not above 0 and finite", field="p95_s")
+    return Profile(times, str(document.get("state")), str(path))
+
+
+def _measure(
+    levels: Sequence[Level], seconds: float, progress: Callable[[int, int], None]
+) -> tuple[dict[str, dict[int, float]], str]:
+    cloud, grasps = profile_scene(_COUNTS[-1])
+    functions = {one.name: lambda count, one=one: one.model.predict(cloud, grasps[:count]) for one in levels}
+    load = MachineLoad()
+    found = time_calls(functions, _COUNTS, seconds, progress, PAUSE_S)
+    times: dict[str, dict[int, float]] = {level.name: {} for level in levels}
+    for (name, count), calls in found.items():  # of a call that waits for a core, the processor time is the lesser
+        times[name][count] = float(np.percentile(calls.min(axis=1), 95))
+    return times, str(load.row()["state"])
+
+
+def profile_scene(count: int) -> tuple[Cloud, list[Grasp]]:
+    """A can of 3000 points on a table below the camera, and grasps across it."""
+    rng = np.random.default_rng(0)
+    angle, along = rng.uniform(0.0, np.pi, _POINTS), rng.uniform(-0.055, 0.055, _POINTS)
+    xyz = np.column_stack([along, 0.035 * np.cos(angle), 1.15 - 0.035 * np.sin(angle)])
+    cloud = Cloud((xyz + rng.normal(0.0, 5e-4, xyz.shape)).astype(np.float32))
+    place = rng.uniform(-0.04, 0.04, count)
+    turned = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).T  # z across the can
+    return cloud, [Grasp(np.array([x, 0.034, 1.148]), np.array([x, -0.034, 1.148]), turned) for x in place]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A request that is being answered."""
+
+    level: Level  # by which
+    reduced: bool  # whether it is less than the model itself
+    arrived: float  # time of receipt [s]
+    began: float  # time of the choice [s]
+    expected_s: float  # time from there to the end, by the profile
+    affordable: bool  # whether a level meets the budget on the machine as it was profiled
+
+
+class LatencyBudget:
+    """Chooses the level of each request. Thread-safe.
+
+    Args:
+        budget_s: From the receipt of a request to its answer [s].
+        levels: The best first.
+        profile: Times of the levels.
+        around: By number of grasps, ascending, what a caller needs around a prediction [s].
+        now: Clock [s].
+    """
+
+    def __init__(
+        self,
+        budget_s: float,
+        levels: Sequence[Level],
+        profile: Profile,
+        around: Mapping[int, float] | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.budget_s = budget_s
+        self._levels = tuple(levels)
+        self._profile = profile
+        self._around = around or {1: 0.0}
+        self._now = now
+        self._lock = threading.Lock()
+        self._waits: dict[int, float] = {}  # the least so far between receipt and choice [s], by digits of the number
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)  # when each ended [s], and how slow it was
+        self._overloaded = False
+        self._counts: Counter[str] = Counter()
+        self._last = "none yet"
+
+    def affordable(self, count: int) -> Level | None:
+        """The best level for so many grasps that meets the budget on the machine as it was profiled; None if none."""
+        expected, left = self._expected(count), self.budget_s - self._waits.get(len(str(count)), 0.0)
+        place = _best(expected, left)
+        return self._levels[place] if expected[place] <= left else None
+
+    def begin(self, count: int, arrived: float) -> Answer:
+        """Choose the level of a request of so many grasps that arrived at a time [s]."""
+        began, expected = self._now(), self._expected(count)
+        waited, digits = began - arrived, len(str(count))
+        with self._lock:
+            least = self._waits[digits] = min(waited, self._waits.get(digits, waited))
+            recent = sorted(ratio for ended, ratio in self._recent if ended > began - _RECENT_S)
+            place = _best(expected, self.budget_s - waited, recent)
+            idle = _best(expected, self.budget_s - least)
+            level = self._levels[place]
+            self._last, self._overloaded = level.name, place > idle
+        return Answer(level, place > 0, arrived, began, expected[place], expected[idle] <= self.budget_s - least)
+
+    def is_over(self, answer: Answer) -> bool:
+        """Whether an answer is late by now, or so close to it that it may be when it is handed over."""
+        return self._now() - answer.arrived > self.budget_s - _GUARD_S
+
+    def end(self, answer: Answer) -> bool:
+        """Note the end of an answer, right before it is published, and whether it is late as by `is_over`."""
+        late, ended = self.is_over(answer), self._now()
+        with self._lock:
+            self._recent.append((ended, (ended - answer.began + _ADDED_S) / (answer.expected_s + _ADDED_S)))
+            self._counts[f"by.{answer.level.name}"] += 1
+            self._counts["answered"] += 1
+            self._counts["late"] += late
+            self._counts["reduced"] += answer.reduced
+            self._counts["unaffordable"] += not answer.affordable
+        return late
+
+    def notes(self) -> dict[str, str]:
+        """Entries for /diagnostics."""
+        with self._lock:
+            slowdown = np.median([ratio for _, ratio in self._recent] or 1.0)
+            counts = {"answered": 0, "late": 0, "reduced": 0, "unaffordable": 0, **self._counts}
+            last, overloaded = self._last, self._overloaded
+        return {
+            "budget_ms": f"{self.budget_s * 1e3:g}",
+            "budget.level": last,
+            "budget.overloaded": str(overloaded).lower(),
+            "budget.slowdown": f"{slowdown:.2f}",
+            **{f"budget.{name}": str(count) for name, count in counts.items()},
+            "budget.profile": f"{self._profile.origin} ({self._profile.state})",
+        }
+
+    def _expected(self, count: int) -> list[float]:
+        """Time of an answer by each level [s]."""
+        around = _interpolated(self._around, count)
+        return [_interpolated(self._profile.times[level.name], count) + around for level in self._levels]
+
+
+def _best(expected: Sequence[float], left: float, recent: Sequence[float] = ()) -> int:
+    """Place of the best level that meets a time, else of the fastest.
+
+    Args:
+        expected: Time of each level, the best first [s].
+        left: The time [s].
+        recent: Ascending, how slow the latest answers were. One may be late. Those that would have been late by the
+            fastest level too do not count, unless they are the most of them: then nothing helps but to be done early.
+    """
+    fastest = min(range(len(expected)), key=expected.__getitem__)
+    bounds = [(left + _ADDED_S) / (seconds + _ADDED_S) for seconds in expected]
+    avoidable = [ratio for ratio in recent if ratio <= bounds[fastest]]
+    if 2 * len(avoidable) < len(recent):
+        return fastest
+    slowness = max(1.0, avoidable[-2]) if len(avoidable) > 1 else 1.0
+    return next((place for place, bound in enumerate(bounds) if slowness <= bound), fastest)

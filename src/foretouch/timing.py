@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Time calls in one process and in random order, and distinguish a loaded machine from an idle one."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+_FEWEST: Final = 5  # calls of each function and size
+_MOST: Final = 400
+_SLOWEST_S: Final = 3.0  # a size that would take longer is not timed
+_IDLE_CORES: Final = 0.15  # that other processes may use on an idle machine
+_JIFFY_S: Final = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+class MachineLoad:
+    """What other processes use of this machine from its construction on."""
+
+    def __init__(self) -> None:
+        self._before = os.getloadavg()[0]
+        self._start = self._now()
+
+    def row(self) -> dict[str, Any]:
+        """Columns `state` (idle or loaded), `other_cores`, `load_before` and `load_after`."""
+        busy, own, wall = (now - before for now, before in zip(self._now(), self._start, strict=True))
+        others = max(0.0, busy - own) / max(wall, 1e-9)
+        return {
+            "state": "idle" if others < _IDLE_CORES else "loaded",
+            "other_cores": round(others, 2),
+            "load_before": round(self._before, 2),
+            "load_after": round(os.getloadavg()[0], 2),
+        }
+
+    @staticmethod
+    def _now() -> tuple[float, float, float]:
+        """Busy time of all cores, processor time of this process, and wall time [s]."""
+        fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()[1:]
+        user, nice, system, _idle, _wait, irq, softirq, steal = map(int, fields[:8])
+        return (user + nice + system + irq + softirq + steal) * _JIFFY_S, time.process_time(), time.monotonic()
+
+
+def cpu_name() -> str:
+    """Model of the processor."""
+    info = Path("/proc/cpuinfo")
+    names = re.findall(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8")) if info.exists() else []
+    return names[0] if names else platform.processor()
+
+
+def time_calls(
+    functions: Mapping[str, Callable[[int], object]],
+    sizes: Sequence[int],
+    seconds: float,
+    progress: Callable[[int, int], None] = lambda *_: None,
+    pause_s: float = 0.0,
+    seed: int = 0,
+) -> dict[tuple[str, int], npt.NDArray[np.float64]]:
+    """Time every function with every size of request, all calls in one random order.
+
+    Args:
+        functions: By name.
+        sizes: Ascending. One that would take a function longer than 3 s is left out.
+        seconds: Time of all calls and pauses; each function and size gets the same share, and at least 5 calls [s].
+        progress: Called with the number of calls done and of all.
+        pause_s: Time asleep before each call: a process that waits for its input finds the processor's caches cold [s].
+        seed: Of the order.
+
+    Returns:
+        For each function and size (calls, 2): wall time and processor time [s].
+    """
+    first = {(name, size): s for name, call in functions.items() for size, s in _first_calls(call, sizes).items()}
+    share = seconds / max(len(first), 1)
+    counts = [int(np.clip(share / (s + pause_s), _FEWEST, _MOST)) for s in first.values()]
+    order = np.random.default_rng(seed).permutation(np.repeat(np.arange(len(first)), counts))
+    keys = list(first)
+    times: dict[tuple[str, int], list[tuple[float, float]]] = {key: [] for key in first}
+    for done, k in enumerate(order):
+        name, size = keys[k]
+        call = functions[name]
+        time.sleep(pause_s)
+        start, start_cpu = time.perf_counter(), time.process_time()
+        call(size)
+        times[keys[k]].append((time.perf_counter() - start, time.process_time() - start_cpu))
+        progress(done + 1, len(order))
+    return {key: np.array(found) for key, found in times.items()}
+
+
+def _first_calls(call: Callable[[int], object], sizes: Sequence[int]) -> dict[int, float]:
+    """Warm up, and estimate the time of one call by size [s]."""
+    found: dict[int, float] = {}
+    for size in sizes:
+        if found and (last := max(found)) and found[last] * size / last > _SLOWEST_S:
+            break
+        call(size)
+        start = time.perf_counter()
+        call(size)
+        found[size] = max(time.perf_counter() - start, 1e-7)
+    return found

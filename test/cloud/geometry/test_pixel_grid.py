@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from every_case import every_case
+
+from foretouch.cloud.geometry.pixel_grid import PixelGrid
+from foretouch.errors import CloudError
+
+HEIGHT, WIDTH, FOCAL = 60, 80, 600.0
+
+
+def _depth_image(rng):
+    """A seeded depth image with edges and holes: its points and their pixels."""
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    z = np.where((row // 9 + column // 13) % 2, 1.0, 1.06) + rng.normal(0, 0.001, row.shape)
+    xyz = np.stack([(column - 37.3) / FOCAL * z, (row - 200.8) / FOCAL * z, z], axis=-1).astype(np.float32)
+    pixels = np.flatnonzero(rng.random(z.size) > 0.15)
+    return xyz.reshape(-1, 3)[pixels], pixels
+
+
+def test_pixels_of_a_shuffled_image_are_recovered(rng):
+    xyz, pixels = _depth_image(rng)
+    order = rng.permutation(len(xyz))
+    grid = PixelGrid.from_rays(xyz[order])
+    assert grid is not None
+    np.testing.assert_array_equal(grid.row - grid.row.min(), pixels[order] // WIDTH)
+    np.testing.assert_array_equal(grid.column, pixels[order] % WIDTH)
+
+
+def test_clouds_without_pixels(rng):
+    cases = {
+        "off the lattice": rng.uniform(0.5, 1.0, (500, 3)),
+        "behind the camera": -_depth_image(rng)[0],
+        "next to the lens": [[1, 1, 1], [1, 2, 1e-44], [2, 1, 3]],
+        "one place": np.ones((5, 3)),
+        "one point": np.ones((1, 3)),
+        "no point": np.zeros((0, 3)),
+        "a shared ray": [[0, 0, 1], [0, 0, 2], [0, 1, 1]],
+    }
+
+    def check(xyz):
+        assert PixelGrid.from_rays(np.array(xyz, np.float32)) is None
+
+    every_case(cases, check)
+
+
+def test_pixels_far_apart_make_no_grid(rng):
+    _, pixels = _depth_image(rng)
+    far = pixels.astype(np.int64)
+    for last in (65535 * 65536 + 65535, 65535):  # as a message can say it: 4 GB of cells, or one endless row
+        far[-1] = last
+        assert PixelGrid.from_pixels(far, (65536, 65536)) is None
+
+
+def test_what_is_no_list_of_pixels_is_refused():
+    def check(pixels, message):
+        with pytest.raises(CloudError, match=message):
+            PixelGrid.from_pixels(np.array(pixels), (2, 3))
+
+    cases = [
+        ([3, 4, 3], "pixels: an index occurs twice"),
+        ([0, 6], r"pixels: 0 \.\.\. 6 is outside of an image of 2x3"),
+        ([0.5], "is no list of indices"),
+    ]
+    every_case(cases, check)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Segmentation with the compiled loops and with their references: the same labels, planes and counts, bit by bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from corpus.clouds import scene_cases
+from every_case import every_case
+from kernels.references import segmentation as reference
+
+from foretouch.cloud.segmentation import clusters, objects, plane
+from foretouch.cloud.segmentation import segment as segment_module
+from foretouch.cloud.segmentation.clusters import ClusterConfig
+from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
+from foretouch.selftest import table_scene
+from foretouch.simulation.depth_scene import random_scene
+from foretouch.types import Cloud, Float32
+
+
+def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:
+    with pytest.MonkeyPatch.context() as patch:
+        for module, names in (
+            (segment_module, {"count_range": "count_range", "_every": "every", "label_organised": "label_organised"}),
+            (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
+            (clusters, {"heights": "heights"}),
+            (objects, {"_segments": "segments", "_write_ids": "write_ids"}),
+        ):
+            for name, other in names.items():
+                patch.setattr(module, name, getattr(reference, other))
+        return segment(cloud, config)
+
+
+def _assert_same(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
+    config = config or SegmentationConfig()
+    ours, plain = segment(cloud, config), _with_references(cloud, config)
+    assert (ours.status, ours.reason, ours.counts) == (plain.status, plain.reason, plain.counts)
+    np.testing.assert_array_equal(ours.labels, plain.labels)
+    assert (ours.plane is None) == (plain.plane is None)
+    if ours.plane is not None and plain.plane is not None:
+        np.testing.assert_array_equal(ours.plane.coefficients, plain.plane.coefficients)
+    assert len(ours.objects) == len(plain.objects)
+    for one, other in zip(ours.objects, plain.objects, strict=True):
+        assert one.id == other.id
+        for name in ("pixels", "centroid", "bounds", "cloud.xyz", "cloud.rgb"):
+            first, second = one, other
+            for part in name.split("."):
+                first, second = getattr(first, part), getattr(second, part)
+            np.testing.assert_array_equal(first, second, err_msg=name)
+    return ours
+
+
+def test_hard_scenes() -> None:
+    every_case({case.name: case.cloud for case in scene_cases()}, _assert_same)
+
+
+def test_generated_scenes() -> None:
+    sizes = ((848, 480), (640, 480), (333, 251), (97, 500), (320, 240), (40, 30))
+    images = ((0.0, False), (0.0015, True), (0.004, True))
+
+    def check(seed: int, size: tuple[int, int], noise_m: float, flying: bool) -> None:
+        rng = np.random.default_rng(seed)
+        xyz = random_scene(rng, *size).render(rng, noise_m, flying).cloud().xyz
+        _assert_same(Cloud(xyz, rng.integers(0, 255, xyz.shape, np.uint8)))
+        _assert_same(Cloud(xyz[::3, ::3].reshape(-1, 3)))
+
+    every_case({f"{size} {image}": (k, size, *image) for k, size in enumerate(sizes) for image in images}, check)
+
+
+def test_any_settings(rng: np.random.Generator) -> None:
+    xyz = random_scene(rng, 640, 480).render(rng, 0.001, True).cloud().xyz
+    xyz[rng.random(xyz.shape[:2]) < 0.05] = np.nan
+    settings = {
+        "all apart": ClusterConfig(gap_m=0.001, max_slope=1.0, flying_slope=1.0, min_points=1, min_top_m=0.0),
+        "all connected": ClusterConfig(
+            gap_m=0.1, max_slope=100.0, flying_slope=100.0, noise_factor=0.0, min_height_m=0.001
+        ),
+        "all too large": ClusterConfig(max_extent_m=0.05, min_points=5000),
+    }
+    every_case(settings, lambda one: _assert_same(Cloud(xyz), replace(SegmentationConfig(), clusters=one)))
+
+
+def test_damaged_pixels_within_the_objects_are_counted(rng: np.random.Generator) -> None:
+    xyz = random_scene(rng, 848, 480).render(rng, 0.001, True).cloud().xyz
+    flat = xyz.reshape(-1, 3)
+    flat[rng.random(len(flat)) < 0.02, 0] += np.float32(0.5)
+    assert _assert_same(Cloud(xyz)).counts["off_ray"] > 100
+
+
+def test_an_image_that_is_not_contiguous() -> None:
+    xyz = table_scene()
+    wide = np.full((xyz.shape[0], 2 * xyz.shape[1], 3), np.nan, np.float32)
+    part: Float32 = wide[:, : xyz.shape[1]]
+    part[:] = xyz
+    ours, plain = _assert_same(Cloud(part)), segment(Cloud(xyz))
+    assert ours.counts == plain.counts
+    np.testing.assert_array_equal(ours.labels, plain.labels)

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions within a time: levels of a model, the profile of a machine, and the level of each request."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from contact_model_builders import FEW_TREES
+from every_case import every_case
+from experiment_samples import make_samples
+
+from foretouch.cli.main import main
+from foretouch.learning.data import labels_of
+from foretouch.learning.training.contact import describe_samples, fit_contact
+from foretouch.models import budget as budgets
+from foretouch.models import load_model
+from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
+from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+
+# Levels.
+
+
+def test_cheaper_contact_models() -> None:
+    samples = make_samples()
+    rows = describe_samples(samples, FEW_TREES.features)
+    objects = [sample.object for sample in samples]
+    large, small = (fit_contact(rows, labels_of(samples), objects, FEW_TREES.replace(trees=trees)) for trees in (4, 2))
+    np.testing.assert_array_equal(fewer_trees(large, 2).predict_rows(rows)[0], small.predict_rows(rows)[0])
+    np.testing.assert_array_equal(fewer_trees(large, 9).predict_rows(rows)[0], large.predict_rows(rows)[0])
+    for forest in fewer_trees(large, 2).forests.values():
+        forest._check()
+    changed = rows.copy()
+    changed[:, -14:] += 1.0  # the second contact
+    plain = WithoutSurroundings.of(large)
+    np.testing.assert_array_equal(plain.predict_rows(rows)[0], plain.predict_rows(changed)[0])
+    assert np.abs(large.predict_rows(rows)[0] - plain.predict_rows(rows)[0]).max() > 1e-3
+
+
+def test_levels_of_the_default_model_descend_to_the_mean() -> None:
+    model = load_model()
+    levels = levels_of(model)
+    skills = [level.skill for level in levels]
+    assert levels[0].model is model
+    assert [level.name for level in levels[1:]] == ["10 trees", "no surroundings", "touchnet-v1", "mean of labels"]
+    assert skills == sorted(skills, reverse=True)
+    cloud, grasps = profile_scene(2)
+    first = model.predict(cloud, grasps)[0]
+    for level in levels[1:]:
+        found = level.model.predict(cloud, grasps)[0]
+        assert level.model.sha256 == model.sha256
+        assert found.status == "ok"
+        width = found.upper.pdc_th - found.lower.pdc_th
+        assert width >= 0.999 * (first.upper.pdc_th - first.lower.pdc_th)  # never narrower than the model's
+    mean = levels[-1].model.predict(cloud, grasps)[0]
+    assert mean.flags == ("unfamiliar",)
+    np.testing.assert_allclose(mean.value.vector(), model.estimator.mean)
+
+
+def test_a_model_without_known_levels_has_itself() -> None:
+    assert [(level.name, level.skill) for level in levels_of(load_model("touchnet-v1"))] == [("touchnet-v1", None)]
+
+
+# The profile of a machine.
+
+
+@pytest.fixture
+def measured(monkeypatch, tmp_path):
+    """Counts measurements, and answers them at once: a level takes 2 ms for each of those after it."""
+    calls = []
+
+    def measure(levels, seconds, progress):
+        calls.append(seconds)
+        return {one.name: {1: 0.002 * (len(levels) - k), 100: 0.05} for k, one in enumerate(levels)}, "idle"
+
+    monkeypatch.setattr(budgets, "_measure", measure)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return calls
+
+
+def test_a_profile_is_measured_once_and_again_where_it_does_not_fit(measured, tmp_path, monkeypatch) -> None:
+    levels, said = levels_of(load_model()), []
+    first = load_profile(levels, say=said.append)
+    assert load_profile(levels, say=said.append) == first
+    assert (len(measured), len(said)) == (1, 1)
+    assert "there is no profile yet: measuring" in said[0]
+    file = tmp_path / "cache/foretouch" / f"profile-{levels[0].model.sha256[:16]}.json"
+    assert first.origin == str(file)
+    good = json.loads(file.read_text())
+
+    def check(content, message) -> None:
+        file.write_text(content if isinstance(content, str) else json.dumps(content))
+        measured.clear()
+        said.clear()
+        load_profile(levels, say=said.append)
+        assert len(measured) == 1
+        assert f"{file}: {message}" in said[0]
+
+    others = {"cpu": "another", "cores": 96, "foretouch": "0.0", "numpy": "1.0", "model": "00", "levels": ["x"]}
+    every_case(
+        {
+            **{name: ({**good, "fingerprint": {**good["fingerprint"], name: value}}, f"{name}: is of {value!r}, not of")
+               for name, value in others.items()},
+            "no JSON": ("", ""),
+            "another file": ("{}", "is no foretouch-profile of version"),
+            "a list": ("[1]", "is no foretouch-profile of version"),
+            "no fingerprint": ({name: good[name] for name in ("format", "format_version")}, "is damaged: 'fingerprint'"),
+            **{f"times {times}": ({**good, "p95_s": {**good["p95_s"], levels[0].name: times}}, message)
+               for times, message in [({}, "p95_s: a time is not above 0"), ({"1": 0.0}, "p95_s: a time is not"),
+                                      ({"1": float("inf")}, "p95_s: a time is not"), ({"1": None}, "is damaged"),
+                                      ({"one": 1.0}, "is damaged")]},
+        },
+        check,
+    )  # fmt: skip
+    monkeypatch.setenv("XDG_CACHE_HOME", str(file))
+    assert "and not kept" in load_profile(levels, say=said.append).origin
+    assert f"{file}" in said[-1]
+    assert "kept in memory" in said[-1]
+
+
+def test_a_measured_profile_counts_no_wait_for_a_core(monkeypatch) -> None:
+    monkeypatch.setattr(
+        budgets, "time_calls", lambda *_: {("model", 1): np.array([[0.004, 0.003], [0.002, 0.003], [0.5, 0.003]])}
+    )
+    times, state = budgets._measure([Level("model", None, None)], 1.0, print)
+    assert times["model"][1] == pytest.approx(0.003)
+    assert state in ("idle", "loaded")
+
+
+def test_commands(measured, capsys, tmp_path) -> None:
+    assert main(["tradeoff", "profile", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["status"], next(iter(document["levels"]))) == ("done", "contact-v2")
+    assert main(["tradeoff", "profile"]) == 0
+    assert "mean of" in capsys.readouterr().out
+    cloud, grasps = profile_scene(1)
+    np.savez(tmp_path / "can.npz", xyz=cloud.xyz)
+    contacts = ",".join(f"{value:.6f}" for value in (*grasps[0].g1, *grasps[0].g2))
+    words = ["predict", str(tmp_path / "can.npz"), f"--grasp={contacts}", "--plane=0,0,1,-1.27", "--json"]
+    for budget, level in ((None, None), ("10000", "contact-v2"), ("3", "mean of labels"), ("0.5", "mean of labels")):
+        assert main([*words, *([] if budget is None else ["--budget-ms", budget])]) == 0
+        out, err = capsys.readouterr()
+        record = json.loads(out)
+        assert record.get("level") == level
+        assert ("reduced" in record["predictions"][0]["flags"]) == (level == "mean of labels")
+        assert ("nothing meets it for 1 grasps: mean of labels is used" in err) == (budget == "0.5")
+    with pytest.raises(SystemExit):
+        main([*words, "--budget-ms", "0"])
+    assert "0 is not above 0" in capsys.readouterr().err
+
+
+# The level of each request.
+
+LEVELS = [Level("model", 0.34, None), Level("half", 0.3, None), Level("mean", 0.0, None)]
+TIMES = {
+    "model": {1: 0.003, 10: 0.008, 100: 0.04},
+    "half": {1: 0.002, 10: 0.004, 100: 0.009},
+    "mean": {1: 0.0002, 10: 0.0003, 100: 0.001},
+}
+
+
+class Requests:
+    """A budget and its clock."""
+
+    def __init__(self, budget_ms, around=None):
+        self.now = 100.0
+        self.budget = LatencyBudget(budget_ms / 1e3, LEVELS, Profile(TIMES, "idle", "test"), around, lambda: self.now)
+
+    def answer(self, count=1, slow=1.0, waited=0.0, delay=0.0):
+        """One request that takes `slow` times its profile and a delay [s]; the name of its level, and whether it was late."""
+        self.now += 0.03
+        run = self.budget.begin(count, self.now - waited)
+        self.now += slow * run.expected_s + delay
+        late = self.budget.end(run)
+        assert late == (self.now - run.arrived > self.budget.budget_s - 2e-4)
+        return run.level.name, late
+
+
+def test_the_most_skilful_level_that_meets_the_budget_is_chosen() -> None:
+    def check(budget_ms, count, around, name) -> None:
+        assert Requests(budget_ms, around).answer(count)[0] == name
+
+    cases = [
+        (5, 1, None, "model"), (5, 10, None, "half"), (5, 100, None, "mean"), (20, 100, None, "half"),
+        (50, 100, None, "model"), (0.1, 1, None, "mean"), (23.9, 55, None, "half"), (24.1, 55, None, "model"),
+        (359, 1000, None, "half"), (361, 1000, None, "model"), (4.7, 1, {1: 0.0018, 10: 0.002}, "half"),
+    ]  # fmt: skip
+    every_case({f"{ms} ms, {count} grasps": (ms, count, *rest) for ms, count, *rest in cases}, check)
+
+
+def test_waiting_counts_and_a_queue_steps_down_until_it_is_gone() -> None:
+    requests = Requests(10)
+    assert requests.answer()[0] == "model"
+    assert requests.answer(waited=0.0075)[0] == "half"
+    assert requests.answer()[0] == "model"  # it was that request alone
+    assert requests.answer(waited=0.02) == ("mean", True)
+    assert requests.budget.notes()["budget.overloaded"] == "true"
+    assert requests.answer()[0] == "model"
+
+
+def test_what_every_request_waits_is_no_overload() -> None:
+    requests = Requests(10)
+    for _ in range(50):  # the messages of ten grasps take 5 ms to arrive
+        assert requests.answer(count=10, waited=0.005)[0] == "half"
+        assert requests.budget.notes()["budget.overloaded"] == "false"
+        assert requests.answer()[0] == "model"
+    assert requests.answer(count=10, waited=0.0096)[0] == "mean"
+    assert requests.budget.notes()["budget.overloaded"] == "true"
+    assert Requests(5).budget.affordable(10).name == "half"
+
+
+def test_a_budget_that_nothing_meets_is_reported() -> None:
+    requests = Requests(0.1)
+    assert requests.budget.affordable(1) is None
+    assert not requests.budget.begin(1, requests.now).affordable
+    assert requests.answer() == ("mean", True)
+    assert requests.budget.notes()["budget.unaffordable"] == "1"
+
+
+def test_overload_steps_down_within_three_answers_and_back_up_after_three_seconds() -> None:
+    requests = Requests(5)
+    for _ in range(200):
+        assert requests.answer() == ("model", False)
+    names = [requests.answer(slow=3.0)[0] for _ in range(10)]
+    assert names == ["model"] * 2 + ["mean"] * 8  # half would need 6 ms
+    assert requests.budget.notes()["budget.overloaded"] == "true"
+    eased, names = requests.now, []
+    while requests.now < eased + 6.0:
+        names.append(requests.answer()[0])
+    assert (names[0], names[-1]) == ("mean", "model")
+    assert 80 < names.index("model") < 110
+    assert sum(a != b for a, b in pairwise(names)) == 1
+
+
+def test_a_load_at_the_edge_does_not_make_it_swing() -> None:
+    requests = Requests(5)
+    names = [requests.answer(slow=1.0 + 0.9 * (k % 3 == 0))[0] for k in range(600)]
+    assert sum(a != b for a, b in pairwise(names)) <= 3
+
+
+def test_many_grasps_that_need_a_cheaper_level_leave_few_grasps_the_model() -> None:
+    requests, names = Requests(11), []
+    for _ in range(100):
+        assert requests.answer(slow=1.4)[0] == "model"
+        names.append(requests.answer(count=100, slow=1.4)[0])  # half needs 12.6 ms
+    assert names == ["half"] + ["mean"] * 99
+
+
+def test_delays_that_no_level_avoids_and_single_ones_cost_no_skill() -> None:
+    requests = Requests(10)
+    assert all(requests.answer(delay=0.05 * (k % 10 == 9)) == ("model", k % 10 == 9) for k in range(300))
+    requests = Requests(5)
+    assert all(requests.answer(slow=2.0 if k % 110 == 20 else 1.0)[0] == "model" for k in range(300))
+    assert requests.budget.notes()["budget.late"] == "3"
+    requests = Requests(10)  # all are far too late: the sooner they are done, the better
+    assert [requests.answer(delay=0.05)[0] for k in range(5)] == ["model"] + ["mean"] * 4

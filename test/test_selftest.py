@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`foretouch doctor --self-test`: what it reports of a good machine, and of a broken one."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from every_case import every_case
+
+import foretouch
+from foretouch import selftest
+from foretouch.cli.main import main
+from foretouch.models import available_models, load_model
+from foretouch.tactile import readings
+from foretouch.types import Cloud
+
+PACKAGE = Path(foretouch.__file__).parent
+
+
+@pytest.mark.committed_numbers
+def test_models_and_references_are_as_expected_here() -> None:
+    count = len(available_models())
+    assert selftest.ROWS["models"]() == selftest.RowResult("models", "ok", f"{count} of {count} as expected")
+    assert selftest.ROWS["references"]() == selftest.RowResult("references", "ok", "6 of 6 as expected")
+
+
+def test_one_bit_in_each_coordinate_moves_answers_far_less_than_the_tolerance(rng) -> None:
+    def check(name: str) -> None:
+        model, xyz = load_model(name), selftest.exact_cloud().xyz
+        moved = np.nextafter(xyz, np.where(rng.random(xyz.shape) < 0.5, np.float32(-9), np.float32(9)))
+        one, other = (model.predict(Cloud(points), selftest.exact_grasps()) for points in (xyz, moved))
+        for a, b in zip(one, other, strict=True):
+            assert np.abs(a.value.vector() - b.value.vector()).max() <= selftest._TOLERANCE_COUNTS / 10
+
+    every_case(sorted(available_models()), check)
+
+
+def test_what_is_not_as_expected_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    counts = json.loads(selftest._EXPECTED.read_text())["contact-v2"]["counts"]
+    expected = {"contact-v2": {"sha256": "0" * 64, "counts": counts}, "gone": {}}
+    (tmp_path / "expected.json").write_text(json.dumps(expected))
+    monkeypatch.setattr(selftest, "_EXPECTED", tmp_path / "expected.json")
+    row = selftest.ROWS["models"]()
+    assert (row.state, row.found[0], row.fix) == ("failed", "0", "pip install --force-reinstall foretouch")
+    for name, reason in (
+        ("contact-v2", f"contact-v2: sha256: .* is not {'0' * 64} of this version"),
+        ("touchnet-v1", "touchnet-v1: has no stored values to compare with"),
+        ("gone", "gone"),
+    ):
+        found = selftest._fault(name, 0.5, lambda name=name: selftest._difference(name, expected.get(name)))
+        assert re.search(reason, found)
+    exact = readings.to_kohm
+    monkeypatch.setattr(readings, "to_kohm", lambda counts: exact(counts) * 1.000001)
+    row = selftest.ROWS["references"]()
+    assert (row.state, row.found) == ("failed", "5 of 6 as expected")
+    assert row.cause == "impedance [relative]: the error 1e-06 is not within 1e-12"
+
+
+def test_a_process_that_crashes_or_hangs_is_a_failed_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    interpreter = tmp_path / "python"
+    monkeypatch.setattr(selftest, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(sys, "executable", str(interpreter))
+
+    def check(script: str, cause: str) -> None:
+        interpreter.write_text(f"#!/bin/sh\n{script}\n")
+        interpreter.chmod(0o755)
+        (row,) = selftest.run_rows(["models"])
+        assert (row.row, row.state, row.cause) == ("models", "failed", cause)
+
+    every_case(
+        [
+            ("kill -ABRT $$", "its process ended by SIGABRT"),
+            ("echo words; echo 'first\nlast' >&2; exit 1", "its process ended by exit status 1: last"),
+            ("exec sleep 60", "takes more than 0.5 s"),
+        ],
+        check,
+    )
+
+
+def test_ros_is_skipped_by_name_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setitem(sys.modules, "foretouch_msgs", None)
+    row = selftest.ROWS["ROS"]()
+    assert (row.state, row.found[:14]) == ("skipped", "not installed:")
+
+
+def test_rows_are_shown_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--self-test", "timings"]) == 0
+    out = capsys.readouterr().out
+    assert "segment 848x480" in out.replace("\n", " ")
+    assert out.splitlines()[-1].startswith("1 rows, 0 failed")
+    assert main(["doctor", "--self-test", "engine"]) == 1
+    assert "--self-test: 'engine' is none of models, references, ROS, timings" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_a_damaged_model_in_an_installation(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("foretouch_msgs.msg")
+    shutil.copytree(PACKAGE, tmp_path / "foretouch", ignore=shutil.ignore_patterns("__pycache__"))
+    weights = tmp_path / "foretouch/models/weights/touchnet-v1.safetensors"
+    content = bytearray(weights.read_bytes())
+    content[-5] ^= 1
+    weights.write_bytes(content)
+    words = [sys.executable, "-m", "foretouch.cli.main", "doctor", "--json", "--self-test", "models", "ROS"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    models, ros = (json.loads(line) for line in done.stdout.splitlines())
+    assert (done.returncode, done.stderr, models["state"]) == (1, "", "failed")
+    assert "touchnet-v1" in models["cause"]
+    assert "sha256" in models["cause"]
+    assert (ros["state"], ros["found"]) == ("ok", "cloud over DDS, hostile request refused")
