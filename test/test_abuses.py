@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recording_builders import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 CONFIG = Path(__file__).parents[1] / "config"
 PATIENCE_S = 100.0

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recording_builders import SceneRecordingConfig, record_scenes
 from websocket_client import WebSocketClient
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 pytestmark = pytest.mark.ros
 

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recording_builders import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
 from rich.console import Console
 
 from foretouch.cli.record import record_panel
 from foretouch.cli.screen import FittedPanel
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 from foretouch.types import Grasp, Touch, TouchPrediction
 
 HEIGHT = 24

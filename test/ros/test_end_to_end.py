@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 import torch
+from recording_builders import SceneRecordingConfig, record_scenes, scene_clouds
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -28,7 +29,6 @@ from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.networks import TouchNet
 from foretouch.pipeline import Pipeline, PipelineConfig, PipelineResult
 from foretouch.ros.nodes.replay import ReplayNode
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes, scene_clouds
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Plane
 from foretouch_msgs.msg import Status, TouchPredictionArray

@@ -32,9 +32,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of the data set; must not exist")
     parser.add_argument("--seed", type=seed_number, help="seed in place of the scene's")
     parser.add_argument(
-        "--workers", type=positive_number, help="number of processes (default: one a core); the samples do not depend on it"
+        "--workers",
+        type=positive_number,
+        help="number of processes (default: one a core); the samples do not depend on it",
     )
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting of the scene")
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting of the scene"
+    )
     parser.add_argument(
         "--explain",
         action="store_true",

@@ -29,9 +29,9 @@ class MessageFaults:
         moved: Messages let through whose stamp is not the true one.
     """
 
-    def __init__(self, config: FaultConfig) -> None:
+    def __init__(self, config: FaultConfig, seed: int = 0) -> None:
         self.config = config
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng(seed)
         self.passed = self.dropped = self.moved = 0
 
     def stamp(self, true_ns: int) -> int | None:

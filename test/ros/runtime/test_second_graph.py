@@ -17,9 +17,9 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from recording_builders import SceneRecordingConfig, record_scenes
 
 from foretouch.ros.executables import PERCEPTION
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = pytest.mark.ros

@@ -153,7 +153,7 @@ def _finest_values(name: str, settings: SimulationSettings) -> Mapping[str, Any]
 
 @lru_cache(maxsize=4)
 def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
-    return [made.sample for made in Simulation(scene).samples(count)]
+    return list(Simulation(scene).samples(count))
 
 
 @lru_cache(maxsize=4)
