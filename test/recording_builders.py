@@ -1,10 +1,140 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small recordings of synthetic scenes, written by the example that makes them."""
+"""Small recorded samples and datasets for the tests of recording, reading and conversion."""
 
-import sys
+from __future__ import annotations
+
+import os
+from dataclasses import replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-from make_recording import SceneRecordingConfig, record_scenes, scene_clouds
+import numpy as np
+import pytest
+from experiment_samples import make_samples
 
-__all__ = ["SceneRecordingConfig", "record_scenes", "scene_clouds"]
+from foretouch.dataset.record import DISCARDED
+from foretouch.dataset.recording import (
+    APPROACH,
+    HOLD,
+    REST,
+    Identity,
+    RecordingConfig,
+    RecordingWriter,
+    SampleRecord,
+    TouchSeries,
+)
+from foretouch.grasp.pose import hand_rotation
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
+
+IDENTITY = Identity(
+    hand={"name": "shadow-rh", "serial": "1234", "thumb": "TH", "middle": "MF"},
+    camera={"name": "D415", "serial": "777"},
+)
+QUICK = RecordingConfig(fsync_samples=0, fsync_s=0.0, min_free_mb=0.0)
+TACTILE = "/rh/tactile"
+TACTILE_TYPE = "foretouch_msgs/msg/BiotacAll"
+MESSAGE = b"\0\1\0\0" + bytes(200)
+
+
+def touch(rng: np.random.Generator) -> Touch:
+    """A plausible reading of a working sensor."""
+    return Touch.from_vector(rng.integers(500, 3500, 50).astype(np.float64))
+
+
+def record(number: int = 0, name: str = "ball", points: int = 30, *, labelled: bool = True) -> SampleRecord:
+    """A record with every field set, and different for each number."""
+    rng = np.random.default_rng([number, points])
+    xyz = (0.03 * rng.normal(size=(points, 3)) + [0.0, 0.0, 1.0]).astype(np.float32)
+    rgb = rng.integers(0, 256, (points, 3), dtype=np.uint8)
+    length = 6
+    series = TouchSeries(
+        stamps_ns=np.array([0, 10, 20, 20, 30, 40], np.int64) + 1_700_000_000_000_000_000 + number,
+        counts=rng.integers(0, 4096, (length, 50)).astype(np.float32),
+        phases=np.array([REST, REST, APPROACH, APPROACH, HOLD, HOLD], np.uint8),
+        others={"PAC0_TH": rng.integers(0, 4096, length).astype(np.float32), "TDC_MF": np.ones(length, np.float32)},
+    )
+    cloud = Cloud(xyz, rgb, "camera", 1_700_000_000_000_000_000 + number)
+    sample = GraspSample(
+        id="",
+        object=name,
+        cloud=cloud,
+        grasp=Grasp(xyz[0].astype(float), xyz[1].astype(float), np.eye(3), 0.1 * number, f"grasp-{number}", name),
+        touch=touch(rng) if labelled else None,
+        tare=touch(rng) if labelled else None,
+        stamp_ns=1_700_000_001_000_000_000 * 1 + 7_000_000_000 * number,
+        extra={"TDC_MF": 2000.0, "TDC_TH": 2100.5},
+    )
+    other = replace(sample.grasp, id=f"other-{number}", score=float("nan"))
+    if not labelled:
+        return SampleRecord(sample=sample, candidates=(other,))
+    return SampleRecord(
+        sample=sample,
+        candidates=(other,),
+        outcome="success",
+        note="a note",
+        series=series,
+        contact_ns=1_700_000_000_000_000_030 + number,
+        detector="PDC slope",
+        pairing_error_ns=3_000_000,
+        flags=("arrival_stamped",),
+    )
+
+
+def write_dataset(
+    path: Path, count: int = 5, *, points: int = 30, messages: int = 2, name: str = "ball", first: int = 0
+) -> Path:
+    """Record a session into a dataset; returns its file."""
+    with RecordingWriter(path, IDENTITY, QUICK) as writer:
+        writer.add_topic(TACTILE, TACTILE_TYPE)
+        for number in range(first, first + count):
+            for k in range(messages):
+                writer.receive(TACTILE)
+                writer.write(TACTILE, MESSAGE, 1000 * number + k)
+            writer.append(record(number, name, points))
+    return writer.file
+
+
+def write_grasps(path: Path) -> None:
+    """Record two sessions of grasps on two boxes: 8 samples with candidates, 6 of them with a touch, 1 discarded."""
+    samples = [replace(one, tare=Touch.from_vector(one.touch.vector() - 7.0)) for one in make_samples(2, 4)]
+    for session in (samples[:4], samples[4:]):
+        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+            for number, one in enumerate(session):
+                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 0.0, 1.0]))
+                other = Grasp(one.grasp.g1 + 0.01, one.grasp.g2 + 0.01, rotation, 0.5, "other", one.object)
+                sample = replace(one, grasp=replace(one.grasp, rotation=rotation))
+                if number == 2:
+                    sample = replace(sample, touch=None, tare=None)
+                flags = (DISCARDED,) if one is samples[5] else ()
+                writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
+def assert_same_sample(a: GraspSample, b: GraspSample) -> None:
+    """Compare everything except the ids."""
+    assert (a.object, a.stamp_ns, dict(a.extra)) == (b.object, b.stamp_ns, dict(b.extra))
+    np.testing.assert_array_equal(a.cloud.xyz, b.cloud.xyz)
+    assert (a.cloud.rgb is None) == (b.cloud.rgb is None)
+    if a.cloud.rgb is not None and b.cloud.rgb is not None:
+        np.testing.assert_array_equal(a.cloud.rgb, b.cloud.rgb)
+    for name in ("g1", "g2", "rotation"):
+        np.testing.assert_array_equal(getattr(a.grasp, name), getattr(b.grasp, name))
+    np.testing.assert_array_equal(a.grasp.score, b.grasp.score)
+    for name in ("touch", "tare"):
+        one, other = getattr(a, name), getattr(b, name)
+        assert (one is None) == (other is None)
+        if one is not None:
+            np.testing.assert_array_equal(one.vector(), other.vector())
+
+
+def fail_writes(monkeypatch: pytest.MonkeyPatch, number: int, code: int, part: int | None = None) -> None:
+    """Let one write to a recording fail, after `part` bytes got through in the write before it."""
+    real, calls = os.write, []
+
+    def failing(fd: int, data: memoryview) -> int:
+        if Path(f"/proc/self/fd/{fd}").readlink().suffix != ".mcap":
+            return real(fd, data)
+        calls.append(fd)
+        if len(calls) == number:
+            raise OSError(code, os.strerror(code))
+        return real(fd, data[:part] if len(calls) < number else data)
+
+    monkeypatch.setattr(os, "write", failing)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recording_builders import SceneRecordingConfig, record_scenes
+from scene_recordings import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
 
 from foretouch.cloud.io.files import write_cloud

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recording_builders import SceneRecordingConfig, record_scenes
+from scene_recordings import SceneRecordingConfig, record_scenes
 from websocket_client import WebSocketClient
 
 from foretouch.cloud.io.files import write_cloud

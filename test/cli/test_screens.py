@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recording_builders import SceneRecordingConfig, record_scenes
+from scene_recordings import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
 from rich.console import Console
 

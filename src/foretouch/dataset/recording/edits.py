@@ -156,9 +156,10 @@ def _read(file: Path) -> tuple[list[Edit], str, int]:
 def _edit(line: bytes, before: str, known: int) -> tuple[Edit, str]:
     """The edit in a line, and the digest up to it."""
     content: Any = parse_json(line)
+    if isinstance(content, dict):
+        require_version(content.get("schema_version"), _VERSION)
     if not isinstance(content, dict) or content.pop("sha256", None) != _digest(before, content):
         raise DatasetError("damaged: this line and those before it do not match their checksum")
-    require_version(content.get("schema_version"), _VERSION)
     if content["action"] not in _ACTIONS:
         raise DatasetError(f"action {content['action']!r} is none of {', '.join(_ACTIONS)}")
     edit = Edit(action=content["action"], ids=tuple(content["ids"]), object=content["object"], edit=content["edit"])

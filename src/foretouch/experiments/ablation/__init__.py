@@ -20,7 +20,7 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.experiments.ablation import results as tables
-from foretouch.experiments.ablation.variants import FULL, GROUP_EDITS, ModelVariant, fit_variants
+from foretouch.experiments.ablation.variants import FULL, TRACKER_EDITS, ModelVariant, fit_variants
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.shared.folds import split_by_fold, split_objects, touch_draws
 from foretouch.experiments.shared.scores import error_rows, labelled
@@ -90,7 +90,7 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
     rows: list[Row] = []
     every = np.arange(len(test))
     for name, model in models.items():
-        if name not in GROUP_EDITS:  # these only matter after touches
+        if name not in TRACKER_EDITS:  # these only matter after touches
             rows += score(f"{_GROUNDS[ground]}, no touch", name, model, [(every[:0], every)])
     draws = _touch_draws(test, settings) if calibrated else []
     table = f"{_GROUNDS[ground]}, {'tare and ' if simulated else ''}{settings.shown} touches"

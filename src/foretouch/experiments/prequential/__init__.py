@@ -105,7 +105,7 @@ def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str,
             if whole is None or row is None:
                 return None
             parts.append({"name": name, **whole, "expected": row["expected"]})
-        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts])
+        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts]).astype(np.str_)
         stamps, readings, expected = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
         )
@@ -113,7 +113,7 @@ def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str,
         if settings.tares and any(tare is not None for part in parts for tare in part["tares"]):
             unknown = np.full(readings.shape[1], np.nan)
             tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
-        recordings[target] = Recording.ordered(stamps, names, readings, expected, tares)
+        recordings[target] = Recording(stamps, names, readings, expected, tares).ordered()
     return recordings
 
 

@@ -14,28 +14,22 @@ import numpy.typing as npt
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.shared.scores import ALL_OBJECTS
 from foretouch.learning.evaluation.metrics import ObjectErrors, compare, skills
-from foretouch.learning.evaluation.prequential import (
-    BINS,
-    Recording,
-    baselines,
-    other_objects_mean,
-    replay,
-    replay_memory,
-)
+from foretouch.learning.evaluation.prequential import BINS, Recording, baselines, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import FINGERS
 from foretouch.models.tracker import SensorTracker
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
-from foretouch.types import Float64
+from foretouch.types import TOUCH_SIZE, Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TRACKER: Final = "tracker"
 MEMORY: Final = "memory"
-"""Of the calibration: ends with the object."""
+"""A tracker that ends with the object."""
 
 SIGHT: Final = "sight"
 LATER: Final = "4th on"
@@ -84,11 +78,12 @@ def prequential_rows(
         tracker = SensorTracker(fit_tracker(others, group, group))
         parameters = tracker.parameters
         played = replay(tracker, recording)
-        memory = replay_memory(group, recording)
-        found = {TRACKER: played.counts, MEMORY: memory[0], SIGHT: recording.expected}
+        forgetful = SensorTracker(Calibration(np.zeros(TOUCH_SIZE), {"new": group, "known": group}).tracker_parameters)
+        memory = replay(forgetful, recording, keep_sensors=False)
+        found = {TRACKER: played.counts, MEMORY: memory.counts, SIGHT: recording.expected}
         for method, values in (found | baselines(recording, other_objects_mean(recording))).items():
             counts.setdefault(method, np.full(shape, np.nan))[own] = values[own]
-        half[TRACKER][own], half[MEMORY][own] = played.half[own], memory[1][own]
+        half[TRACKER][own], half[MEMORY][own] = played.half[own], memory.half[own]
         jumps += _jump_rows(name, recording, SensorTracker(parameters), settings)
         for run in np.unique(recording.runs()[own]) if past else ():
             if run:
