@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_recordings import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
+from scene_recordings import SceneRecordingConfig, record_scenes
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene

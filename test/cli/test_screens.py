@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_recordings import SceneRecordingConfig, record_scenes
 from recording_builders import write_dataset
 from rich.console import Console
+from scene_recordings import SceneRecordingConfig, record_scenes
 
 from foretouch.cli.record import record_panel
 from foretouch.cli.screen import FittedPanel

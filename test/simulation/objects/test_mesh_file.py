@@ -97,7 +97,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh
             ObjectConfig(name="thing", shape="mesh", file=path)
 
     cases = {"open.ply": "not shared by two faces", "mesh.dae": "is none of .obj, .ply, .stl, .glb"}
-    cases |= {name: "holds no triangle" for name in ("empty.obj", "damaged.stl", "damaged.glb")}
+    cases |= dict.fromkeys(("empty.obj", "damaged.stl", "damaged.glb"), "holds no triangle")
     every_case([*cases.items(), ("folder.ply", "is a folder")], check)
 
 
