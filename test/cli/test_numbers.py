@@ -56,7 +56,10 @@ def test_the_command_names_option_and_rule_in_one_line(
     def check(words: str, message: str) -> None:
         with pytest.raises(SystemExit, match="2"):
             call(*words.split())
-        assert capsys.readouterr().err.splitlines()[-1] == f"foretouch {words.split()[0]}: error: argument {message}"
+        assert (
+            capsys.readouterr().err.splitlines()[-1]
+            == f"foretouch {words.split(maxsplit=1)[0]}: error: argument {message}"
+        )
 
     every_case(
         [
