@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_samples import make_samples
 
+from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.recording import (
     APPROACH,
     HOLD,
@@ -20,6 +23,10 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.dataset.source import Source
+from foretouch.dataset.vision2tactile import read_sample, sample_folders
+from foretouch.errors import ForetouchError
+from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
 IDENTITY = Identity(
@@ -88,6 +95,45 @@ def write_dataset(
                 writer.write(TACTILE, MESSAGE, 1000 * number + k)
             writer.append(record(number, name, points))
     return writer.file
+
+
+def write_grasps(path: Path) -> None:
+    """Record two sessions of grasps on two boxes: 8 samples with candidates, 6 of them with a touch, 1 discarded."""
+    samples = [replace(one, tare=Touch.from_vector(one.touch.vector() - 7.0)) for one in make_samples(2, 4)]
+    for session in (samples[:4], samples[4:]):
+        with RecordingWriter(path, IDENTITY, QUICK) as writer:
+            for number, one in enumerate(session):
+                rotation = hand_rotation(one.grasp.g1, one.grasp.g2, np.array([0.0, 0.0, 1.0]))
+                other = Grasp(one.grasp.g1 + 0.01, one.grasp.g2 + 0.01, rotation, 0.5, "other", one.object)
+                sample = replace(one, grasp=replace(one.grasp, rotation=rotation))
+                if number == 2:
+                    sample = replace(sample, touch=None, tare=None)
+                flags = (DISCARDED,) if one is samples[5] else ()
+                writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
+def read_folder(path: Path) -> list[GraspSample]:
+    """All samples in folders of vision2tactile."""
+    return [read_sample(folder) for folder in sample_folders(path)]
+
+
+def readable(
+    source: Source, refuse: Callable[[str, ForetouchError], None]
+) -> Iterator[tuple[str, Cloud | GraspSample]]:
+    """The clouds or samples that can be read, with their names; `refuse` is called with name and error of each other."""
+    items = iter(source)
+    while True:
+        name = str(source.path)
+        try:
+            item = next(items, None)
+            if item is None:
+                return
+            name = item.name
+            value = item.value
+        except ForetouchError as err:
+            refuse(name, err)
+            continue
+        yield name, value
 
 
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:

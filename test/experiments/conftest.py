@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 
 from foretouch.experiments import find_experiment, run_sweep
+from foretouch.experiments.framework import sweep
+from foretouch.experiments.framework.executors import run_cell
 
 
 @pytest.fixture
@@ -30,11 +32,19 @@ def scenes() -> Path:
 
 
 @pytest.fixture
-def swept(tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[dict[str, Any]]]:
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells of sweeps run in the process of the test, which saves the start of others."""
+    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
+
+
+@pytest.fixture
+def swept(
+    tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch, in_this_process: None
+) -> Callable[..., list[dict[str, Any]]]:
     """Runs the preset `smoke` with some changes, makes tables and figure, and returns the rows."""
     monkeypatch.chdir(scenes.parents[1])
 
-    def sweep(name: str, source: Path, **changes: Any) -> list[dict[str, Any]]:
+    def run(name: str, source: Path, **changes: Any) -> list[dict[str, Any]]:
         experiment = find_experiment(name)
         result = run_sweep(experiment, experiment.resolve("smoke", changes), tmp_path / "out", source=source)
         assert result.failures == {}
@@ -43,4 +53,4 @@ def swept(tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> Call
         assert figure.stat().st_size > 5000
         return result.rows
 
-    return sweep
+    return run

@@ -12,8 +12,6 @@ import foretouch.experiments
 from foretouch.cli.main import main
 from foretouch.errors import ConfigError
 from foretouch.experiments import find_experiment, list_experiments, run_sweep
-from foretouch.experiments.framework import sweep
-from foretouch.experiments.framework.executors import run_cell
 
 SOURCE = """
 from dataclasses import dataclass
@@ -86,9 +84,9 @@ def test_a_folder_of_ones_own(
     assert summary.endswith("## stiffness\n\n| length |\n| --- |\n| 0 |\n| 6 |\n| 12 |\n")
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_folder_in_the_package(folder: Path, numbers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foretouch.experiments, "__path__", [*foretouch.experiments.__path__, str(folder)])
-    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
     assert [one.name for one in list_experiments()][-1] == "stiffness"  # after those with an order
     experiment = find_experiment("stiffness")
     result = run_sweep(experiment, experiment.resolve("full", {"cells": 2}), folder / "out", source=numbers)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real nodes over real DDS, each test in a domain of its own."""
+"""Real nodes over real DDS. The tests of a worker share one participant; each destroys the nodes that it made."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import contextlib
 import gc
 import itertools
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -23,8 +26,12 @@ from foretouch.ros.runtime.environment import prepare_environment
 prepare_environment()
 
 import rclpy  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import ExternalShutdownException  # noqa: E402
+from rclpy.logging import LoggingSeverity  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -33,24 +40,41 @@ from foretouch.ros.executables import make_nodes  # noqa: E402
 from foretouch.ros.runtime.executor import GraphExecutor  # noqa: E402
 from foretouch.ros.runtime.internal_errors import InternalErrors, spin_on  # noqa: E402
 
-_counter = itertools.count()
-_COLLECTED = 5  # domains between two collections, which take a quarter of a second
+_domains, _closed = itertools.count(), itertools.count(1)
+_COLLECT_EVERY = 20  # graphs between two collections, which take a quarter of a second
 
 
-def next_domain() -> int:
-    """1 to 75, 25 for each of three workers; the same one comes again only after 24 other tests."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    return 25 * (worker % 3) + (os.getpid() + next(_counter)) % 25 + 1
+def open_domain(*, new: bool) -> int:
+    """The domain of the context that all tests of a worker share, or a new one, 1 to 75, that no earlier process is in."""
+    if new or not rclpy.ok():
+        rclpy.try_shutdown()
+        worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+        rclpy.init(domain_id=25 * (worker % 3) + (os.getpid() + next(_domains)) % 25 + 1)
+    return rclpy.get_default_context().get_domain_id()
+
+
+@dataclass(frozen=True)
+class Report:
+    """One report of a node in /diagnostics."""
+
+    level: int
+    message: str
+    values: dict[str, str]
 
 
 class Graph:
-    """Nodes of foretouch, and a plain rclpy node that talks to them, served by one executor thread."""
+    """Nodes of foretouch, and a plain rclpy node that talks to them, served by one executor thread.
 
-    def __init__(self) -> None:
-        self.domain = next_domain()
-        rclpy.init(domain_id=self.domain)
+    With `alone`, the domain is a new one and is left at the end: for tests that start processes.
+    """
+
+    def __init__(self, *, alone: bool = False) -> None:
+        self._alone = alone
+        self.domain = open_domain(new=alone)
         self.probe = Node("probe", namespace="/foretouch")
+        self.probe.get_logger().set_level(LoggingSeverity.FATAL)
         self.nodes: list[Any] = []
+        self._processes: list[subprocess.Popen[str]] = []
         self._errors = InternalErrors(print)
         self._executor = GraphExecutor(self._errors)
         self._closing = threading.Event()
@@ -64,53 +88,99 @@ class Graph:
 
     def add(self, *names: str, **parameters: Any) -> list[Any]:
         """Make and start nodes; parameter names may hold dots written as two underscores."""
-        overrides = [Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
-        made = make_nodes(*names, parameter_overrides=overrides)
+        made = make_nodes(*names, parameter_overrides=_parameters(parameters))
         for node in made:
-            self._executor.add_node(node)
+            self.serve(node)
             node.autostart()
-        self.nodes += made
         return made
+
+    def serve(self, *nodes: Any) -> None:
+        """Serve nodes that the test has made, and destroy them at the end."""
+        for node in nodes:
+            self._executor.add_node(node)
+            self.nodes.append(node)
+
+    def remove(self, *nodes: Any) -> None:
+        """Destroy nodes now."""
+        for node in nodes:
+            self._executor.remove_node(node)
+            node.destroy_node()
+            self.nodes.remove(node)
+
+    @staticmethod
+    def set(node: Any, **values: Any) -> None:
+        """Change parameters of a running node, all or none."""
+        assert node.set_parameters_atomically(_parameters(values)).successful
+
+    def start(self, code: str, *ros_arguments: str) -> subprocess.Popen[str]:
+        """Start a process in the domain: an executable of the package, or a program."""
+        if code.isidentifier():
+            code = f"import sys; from foretouch.ros.executables import {code}; sys.exit({code}())"
+        command = [sys.executable, "-c", code, *(["--ros-args", *ros_arguments] if ros_arguments else [])]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        self._processes.append(subprocess.Popen(command, env=self.environment(), **pipes))
+        return self._processes[-1]
+
+    def environment(self) -> dict[str, str]:
+        """For a process in the domain."""
+        return {**os.environ, "ROS_DOMAIN_ID": str(self.domain)}
 
     def listen(self, message: type, topic: str, *, reliable: bool = True) -> list[Any]:
         """A list that fills with what a topic sends."""
         heard: list[Any] = []
-        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        self.probe.create_subscription(message, topic, heard.append, QoSProfile(depth=100, reliability=reliability))
+        self.probe.create_subscription(message, topic, heard.append, _profile(reliable=reliable))
         return heard
+
+    def reports(self, name: str) -> list[Report]:
+        """A list that fills with what a node reports in /diagnostics."""
+        found: list[Report] = []
+
+        def hear(message: DiagnosticArray) -> None:
+            for one in message.status:
+                if one.name == f"/foretouch/{name}":
+                    values = {pair.key: pair.value for pair in one.values}
+                    found.append(Report(one.level, one.message, values))
+
+        self.probe.create_subscription(DiagnosticArray, "/diagnostics", hear, 100)
+        return found
 
     def talk(self, message: type, topic: str, *, reliable: bool = True) -> Any:
         """A publisher; wait with `matched` before using it."""
-        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        return self.probe.create_publisher(message, topic, QoSProfile(depth=100, reliability=reliability))
+        return self.probe.create_publisher(message, topic, _profile(reliable=reliable))
 
-    def matched(self, topic: str, publishers: int = 1, subscribers: int = 1) -> None:
-        """Wait until all ends of a topic know each other; so many of them at least, nodes of other processes included."""
-        name = self.probe.resolve_topic_name(topic)
-        self.until(lambda: self.probe.count_publishers(name) >= publishers)
-        self.until(lambda: self.probe.count_subscribers(name) >= subscribers)
-        local = [self.probe, *self.nodes]
-        sending = [end for node in local for end in node.publishers if end.topic_name == name]
-        hearing = [end for node in local for end in node.subscriptions if end.topic_name == name]
-        self.until(lambda: all(end.get_subscription_count() >= max(subscribers, len(hearing)) for end in sending))
-        self.until(lambda: all(end.get_publisher_count() >= max(publishers, len(sending)) for end in hearing))
-        if len(sending) < publishers or len(hearing) < subscribers:
-            time.sleep(0.5)  # the ends in other processes cannot be asked
+    def matched(self, *topics: str, publishers: int = 1, subscribers: int = 1) -> None:
+        """Wait until all ends of topics know each other; so many of them at least, nodes of other processes included."""
+        for name in map(self.probe.resolve_topic_name, topics):
+            self.until(lambda name=name: self.probe.count_publishers(name) >= publishers)
+            self.until(lambda name=name: self.probe.count_subscribers(name) >= subscribers)
+            local = [self.probe, *self.nodes]
+            sending = [end for node in local for end in node.publishers if end.topic_name == name]
+            hearing = [end for node in local for end in node.subscriptions if end.topic_name == name]
+            wanted = max(publishers, len(sending)), max(subscribers, len(hearing))
+            self.until(lambda ends=sending, n=wanted[1]: all(one.get_subscription_count() >= n for one in ends))
+            self.until(lambda ends=hearing, n=wanted[0]: all(one.get_publisher_count() >= n for one in ends))
+            if len(sending) < publishers or len(hearing) < subscribers:
+                time.sleep(0.5)  # the ends in other processes cannot be asked
 
-    def call(self, service: type, name: str, request: Any) -> Any:
-        """The answer of a service."""
+    def call(self, service: type, name: str, request: Any = None) -> Any:
+        """The answer of a service, by default to an empty request."""
         client = self.probe.create_client(service, name)
         assert client.wait_for_service(10.0), f"{name} is not offered"
-        future = client.call_async(request)
+        future = client.call_async(service.Request() if request is None else request)
         self.until(future.done)
+        self.probe.destroy_client(client)
         return future.result()
+
+    def change(self, name: str, *transitions: str) -> bool:
+        """Ask a node for transitions such as `deactivate`; whether all have succeeded."""
+        requests = [ChangeState.Request(transition=Transition(label=one)) for one in transitions]
+        return all(self.call(ChangeState, f"{name}/change_state", one).success for one in requests)
 
     def action_client(self, kind: type, name: str) -> Any:
         """A client, on a node that is served once the client is complete: its constructor makes it known too early."""
         node = Node("planner", namespace="/foretouch")
         client = ActionClient(node, kind, name)
-        self.nodes.append(node)
-        self._executor.add_node(node)
+        self.serve(node)
         assert client.wait_for_server(10.0), f"{name} is not offered"
         return client
 
@@ -119,23 +189,44 @@ class Graph:
         end = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < end, "nothing happened in time"
-            time.sleep(0.01)
+            time.sleep(0.005)
 
     def close(self) -> None:
-        """Destroy all and leave the domain."""
+        """Kill the processes that still run and destroy all nodes."""
+        for process in self._processes:
+            process.kill()
+            process.communicate(timeout=10.0)
         self._closing.set()
         self._executor.shutdown(timeout_sec=2.0)
         self._thread.join(5.0)
         for node in (*self.nodes, self.probe):
             node.destroy_node()
-        rclpy.try_shutdown()
-        if self.domain % _COLLECTED == 0:
-            gc.collect()  # participants of contexts that refer to themselves would stay in domains that come again
+        if self._alone:
+            rclpy.try_shutdown()
+        if next(_closed) % _COLLECT_EVERY == 0:
+            gc.collect()
+
+
+def _parameters(values: dict[str, Any]) -> list[Parameter]:
+    return [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+
+
+def _profile(*, reliable: bool) -> QoSProfile:
+    return QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture
 def graph() -> Iterator[Graph]:
+    """In the context of the worker."""
     one = Graph()
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def lone_graph() -> Iterator[Graph]:
+    """In a domain of its own, for tests that start processes."""
+    one = Graph(alone=True)
     yield one
     one.close()
 

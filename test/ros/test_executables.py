@@ -2,13 +2,11 @@
 """Nodes as processes of their own, as a launch file starts them."""
 
 import ast
-import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from every_case import every_case
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.ros import executables
@@ -16,16 +14,7 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import Status, TouchPredictionArray
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-
-def start(name, *ros_arguments, domain=1, **popen):
-    code = f"import sys; from foretouch.ros.executables import {name}; sys.exit({name}())"
-    command = [sys.executable, "-c", code, "--ros-args", *ros_arguments]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **popen
-    )
+pytestmark = pytest.mark.ros
 
 
 def test_one_table_lists_the_executables_of_the_package_and_of_setup():
@@ -43,97 +32,72 @@ def test_one_table_lists_the_executables_of_the_package_and_of_setup():
         executables.toaster  # noqa: B018
 
 
-@pytest.fixture
-def processes(graph):
-    running = {}
-    yield running
-    for process in running.values():
-        if process.poll() is None:
-            process.kill()
-        process.communicate(timeout=10)
-
-
-def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(graph, processes, scene_cloud, model_card):
-    processes["segmentation"] = start("segmentation", domain=graph.domain)
-    processes["grasp"] = start("grasp", domain=graph.domain)
-    processes["touch"] = start("touch_predictor", "-p", f"model:={model_card}", domain=graph.domain)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    publisher = graph.talk(PointCloud2, "points")
-    for topic, ends in {
-        "points": (1, 1),
-        "table": (1, 2),
-        "object_cloud": (1, 2),
-        "grasps": (1, 1),
-        "touch": (1, 1),
-    }.items():
-        graph.matched(topic, *ends)
+@pytest.mark.slow
+def test_three_processes_make_one_chain_and_end_cleanly_on_ctrl_c(lone_graph, scene_cloud, model_card):
+    graph = lone_graph
+    arguments = {"segmentation": (), "grasp": (), "touch_predictor": ("-p", f"model:={model_card}")}
+    processes = {name: graph.start(name, *words) for name, words in arguments.items()}
+    heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
+    graph.matched("points", "grasps", "touch")
+    graph.matched("table", "object_cloud", subscribers=2)
     stamps = [1_700_000_000_000_000_000 + k for k in range(5)]
-    for k, stamp in enumerate(stamps):
+    for k, stamp in enumerate(stamps, 1):
         publisher.publish(cloud_to_msg(scene_cloud(k, stamp_ns=stamp)))
-        graph.until(lambda wanted=k + 1: len(heard) >= wanted)
+        graph.until(lambda wanted=k: len(heard) >= wanted)
     assert [stamp_ns(message.header.stamp) for message in heard] == stamps
     assert all(message.predictions[0].model == "small" for message in heard)
     for process in processes.values():
         process.send_signal(signal.SIGINT)
     for name, process in processes.items():
         _, stderr = process.communicate(timeout=20)
-        assert process.returncode == 0, (name, stderr)
-        assert "Traceback" not in stderr, (name, stderr)
+        assert (process.returncode, "Traceback" in stderr) == (0, False), (name, stderr)
 
 
-def test_namespace_and_topics_can_be_remapped(graph, processes, scene_cloud):
-    processes["segmentation"] = start(
-        "segmentation", "-r", "__ns:=/left", "-r", "points:=/camera/points", domain=graph.domain
-    )
-    heard = graph.listen(PointCloud2, "/left/object_cloud")
-    publisher = graph.talk(PointCloud2, "/camera/points")
-    graph.matched("/camera/points")
-    graph.matched("/left/object_cloud")
+@pytest.mark.slow
+def test_namespace_and_topics_can_be_remapped_and_an_unknown_parameter_is_a_warning(lone_graph, scene_cloud):
+    graph = lone_graph
+    remapped = ("-r", "__ns:=/left", "-r", "points:=/camera/points")
+    process = graph.start("segmentation", *remapped, "-p", "target.moed:=all")
+    heard, publisher = graph.listen(PointCloud2, "/left/object_cloud"), graph.talk(PointCloud2, "/camera/points")
+    graph.matched("/camera/points", "/left/object_cloud")
     publisher.publish(cloud_to_msg(scene_cloud()))
     graph.until(lambda: heard)
     assert heard[0].width > 0
+    process.send_signal(signal.SIGTERM)
+    _, stderr = process.communicate(timeout=20)
+    assert "parameter target.moed: unknown to segmentation" in stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("-p", "target.mode:=prettiest"), "'prettiest' is none of nearest, largest, point, all"),
-        (("-p", "queue_depth:=0"), "queue_depth"),
-        (("-p", "queue_depth:=many"), "queue_depth"),
-    ],
-)
-def test_a_bad_parameter_is_one_line_and_exit_1(graph, processes, arguments, message):
-    processes["segmentation"] = start("segmentation", *arguments, domain=graph.domain)
-    _, stderr = processes["segmentation"].communicate(timeout=30)
-    assert processes["segmentation"].returncode == 1
-    (line,) = stderr.strip().splitlines()
-    assert line.startswith("foretouch: ")
-    assert message in line
+@pytest.mark.slow
+def test_a_start_that_must_fail_is_one_line_and_exit_1(lone_graph):
+    def check(name, parameter, message):
+        process = lone_graph.start(name, "-p", parameter)
+        _, stderr = process.communicate(timeout=30)
+        assert process.returncode == 1
+        (line,) = stderr.strip().splitlines()
+        assert message in line
+
+    every_case(
+        [
+            (
+                "segmentation",
+                "target.mode:=prettiest",
+                "foretouch: TargetConfig.mode: 'prettiest' is none of nearest, largest, point, all",
+            ),
+            ("segmentation", "queue_depth:=0", "foretouch: queue_depth"),
+            ("segmentation", "queue_depth:=many", "foretouch: queue_depth"),
+            ("replay", "path:=/nope", "[foretouch.replay]: /nope: does not exist"),
+        ],
+        check,
+    )
 
 
-def test_a_replay_without_its_source_ends_with_exit_1(graph, processes):
-    processes["replay"] = start("replay", "-p", "path:=/nope", domain=graph.domain)
-    _, stderr = processes["replay"].communicate(timeout=30)
-    assert processes["replay"].returncode == 1
-    (line,) = stderr.strip().splitlines()
-    assert line.endswith("[foretouch.replay]: /nope: does not exist")
-
-
-def test_an_unknown_parameter_is_a_warning(graph, processes):
-    processes["grasp"] = start("grasp", "-p", "grasp.tip_nm:=25.0", domain=graph.domain)
-    graph.until(lambda: graph.probe.count_publishers("/foretouch/grasps"))
-    processes["grasp"].send_signal(signal.SIGTERM)
-    _, stderr = processes["grasp"].communicate(timeout=20)
-    assert "parameter grasp.tip_nm: unknown to grasp" in stderr
-
-
-def test_an_absent_model_is_told_and_every_cloud_still_answered(graph, processes, scene_cloud):
-    processes["perception"] = start("perception", "-p", "model:=absent.json", domain=graph.domain)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    publisher = graph.talk(PointCloud2, "points")
-    graph.matched("points")
-    graph.matched("touch")
+@pytest.mark.slow
+def test_an_absent_model_is_named_and_every_cloud_still_answered(lone_graph, scene_cloud):
+    graph = lone_graph
+    graph.start("perception", "-p", "model:=absent.json")
+    heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
+    graph.matched("points", "touch")
     publisher.publish(cloud_to_msg(scene_cloud()))
     graph.until(lambda: heard)
-    assert heard[0].status == Status.NO_MODEL
-    assert "absent.json" in heard[0].reason
+    assert (heard[0].status, "absent.json" in heard[0].reason) == (Status.NO_MODEL, True)

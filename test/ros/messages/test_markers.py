@@ -3,21 +3,25 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
-from foretouch.ros.messages.markers import fingertip_rotation, object_markers, touch_markers
+from foretouch.ros.messages.markers import object_markers, touch_markers
 from foretouch.tactile import P2_RANGES
 from foretouch.types import Grasp, Touch, TouchPrediction
 from foretouch_msgs.msg import ObjectArray, Status
 
 HEADER = Header(frame_id="cam")
 # Contacts left and right of the view, object axis up: Z = +x, X = Z x axis, Y completes it.
-GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.column_stack([[0, 0, 1], [0, 1, 0], [1, 0, 0]]) * np.array([1.0, -1.0, 1.0]))  # fmt: skip
+GRASP = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.array([[0, 0, 1], [0, -1, 0], [1, 0, 0.0]]))
 
 
-def predict(e_th, e_mf):
+def drawn(e_th, e_mf, **options):
+    """Markers of a prediction by their namespace."""
     touch = Touch(2800.0, 1800.0, np.asarray(e_th, float), np.asarray(e_mf, float))
-    return prediction_to_msg(TouchPrediction(GRASP, touch), grasp_to_msg(GRASP), HEADER)
+    message = prediction_to_msg(TouchPrediction(GRASP, touch), grasp_to_msg(GRASP), HEADER)
+    return by_name(touch_markers(message, P2_RANGES, **options))
 
 
 def by_name(array):
@@ -31,66 +35,60 @@ def points(marker):
     return np.array([[p.x, p.y, p.z] for p in marker.points])
 
 
-def test_the_grasp_of_this_file_is_a_proper_rotation():
-    np.testing.assert_allclose(GRASP.rotation @ GRASP.rotation.T, np.eye(3))
-    assert np.linalg.det(GRASP.rotation) == pytest.approx(1.0)
+def assert_rotation(matrix):
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(matrix) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("contact", [GRASP.g1, GRASP.g2])
-def test_a_fingertip_is_a_rotation_whose_pad_faces_the_other_contact(contact):
-    rotation = fingertip_rotation(GRASP, contact)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(rotation) == pytest.approx(1.0)
-    inward = (GRASP.midpoint - contact) / np.linalg.norm(GRASP.midpoint - contact)
-    np.testing.assert_allclose(-rotation[:, 2], inward, atol=1e-12)
-    assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
+def test_a_fingertip_is_a_rotation_whose_pad_faces_the_other_contact():
+    assert_rotation(GRASP.rotation)
+    for contact in (GRASP.g1, GRASP.g2):
+        rotation = fingertip_rotation(GRASP, contact)
+        assert_rotation(rotation)
+        inward = (GRASP.midpoint - contact) / np.linalg.norm(GRASP.midpoint - contact)
+        np.testing.assert_allclose(-rotation[:, 2], inward, atol=1e-12)
+        assert rotation[:, 0] @ GRASP.midpoint > 0.0  # the tip points away from the camera
 
 
-@pytest.mark.parametrize("width_m", [5e-324, 1e-200, 1e-13, 0.05])
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])  # the hand's Z, or its X, along the contacts
-def test_a_closed_or_turned_hand_has_fingertips_too(width_m, order):
-    axes = np.eye(3)[:, list(order)]
-    grasp = Grasp(np.array([0.0, 0.0, width_m]), np.zeros(3), axes)
-    for contact in (grasp.g1, grasp.g2):
-        rotation = fingertip_rotation(grasp, contact)
-        np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
-    first, second = (fingertip_rotation(grasp, contact)[:, 2] for contact in (grasp.g1, grasp.g2))
-    np.testing.assert_allclose(first, -second, atol=1e-12)
+def test_a_closed_or_turned_hand_has_fingertips_too():
+    for width_m in (5e-324, 1e-200, 1e-13, 0.05):
+        for order in ((0, 1, 2), (2, 0, 1)):  # the hand's Z, or its X, along the contacts
+            grasp = Grasp(np.array([0.0, 0.0, width_m]), np.zeros(3), np.eye(3)[:, list(order)])
+            first, second = (fingertip_rotation(grasp, contact) for contact in (grasp.g1, grasp.g2))
+            for rotation in (first, second):
+                np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+            np.testing.assert_allclose(first[:, 2], -second[:, 2], atol=1e-12)
 
 
 def test_electrodes_lie_on_the_outer_side_of_their_contact_and_thumb_takes_g1():
-    markers = by_name(touch_markers(predict(np.full(24, 3000.0), np.full(24, 3000.0)), P2_RANGES))
+    markers = drawn(np.full(24, 3000.0), np.full(24, 3000.0))
     thumb, finger = points(markers["thumb"][0]), points(markers["middle_finger"][0])
     assert thumb.shape == finger.shape == (24, 3)
     assert (thumb[:, 0] >= 0.04 - 1e-9).all()
     assert (finger[:, 0] <= -0.04 + 1e-9).all()
     assert np.linalg.norm(thumb - GRASP.g1, axis=1).max() < 0.02
-    swapped = by_name(touch_markers(predict(np.ones(24), np.ones(24)), P2_RANGES, thumb_takes_g1=False))
-    assert (points(swapped["thumb"][0])[:, 0] < 0.0).all()
+    assert (points(drawn(np.ones(24), np.ones(24), thumb_takes_g1=False)["thumb"][0])[:, 0] < 0.0).all()
 
 
 def test_a_drop_is_red_and_none_is_green():
     low, high = P2_RANGES.of("E_TH")
     counts = np.full(24, high)
-    counts[5] = low
-    counts[6] = (low + high) / 2
-    colours = by_name(touch_markers(predict(counts, counts), P2_RANGES))["thumb"][0].colors
-    assert (colours[0].r, colours[0].g) == (0.0, 1.0)
-    assert (colours[5].r, colours[5].g) == (1.0, 0.0)
-    assert (colours[6].r, colours[6].g) == (1.0, 1.0)
+    counts[5], counts[6] = low, (low + high) / 2
+    colours = drawn(counts, counts)["thumb"][0].colors
+    assert [(colours[k].r, colours[k].g) for k in (0, 5, 6)] == [(0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
 
 
 def test_contacts_and_hand_axes_are_where_the_grasp_is():
-    markers = by_name(touch_markers(predict(np.ones(24), np.ones(24)), P2_RANGES))
+    markers = drawn(np.ones(24), np.ones(24))
     balls = [[m.pose.position.x, m.pose.position.y, m.pose.position.z] for m in markers["contacts"]]
     np.testing.assert_array_equal(balls, [GRASP.g1, GRASP.g2])
     for arrow, axis in zip(markers["hand"], GRASP.rotation.T, strict=True):
         start, end = points(arrow)
         np.testing.assert_allclose(start, GRASP.midpoint)
         np.testing.assert_allclose((end - start) / np.linalg.norm(end - start), axis)
-    identities = [(m.ns, m.id) for group in markers.values() for m in group]
-    assert len(set(identities)) == len(identities)
-    assert all(m.header.frame_id == "cam" for group in markers.values() for m in group)
+    flat = [marker for group in markers.values() for marker in group]
+    assert len({(m.ns, m.id) for m in flat}) == len(flat)
+    assert {m.header.frame_id for m in flat} == {"cam"}
 
 
 def test_a_refusal_draws_nothing():
@@ -99,12 +97,10 @@ def test_a_refusal_draws_nothing():
 
 
 def test_boxes_enclose_their_objects(scene_cloud):
-    from foretouch.pipeline import Pipeline
-
-    sight = Pipeline().segment(scene_cloud())
-    objects = [object_to_msg(one, target=one.id == 1) for one in sight.segmentation.objects]
-    boxes = by_name(object_markers(ObjectArray(header=HEADER, objects=objects)))["objects"]
-    for box, one in zip(boxes, sight.segmentation.objects, strict=True):
+    found = Pipeline().segment(scene_cloud()).segmentation.objects
+    message = ObjectArray(header=HEADER, objects=[object_to_msg(one, target=one.id == 1) for one in found])
+    boxes = by_name(object_markers(message))["objects"]
+    for box, one in zip(boxes, found, strict=True):
         centre = np.array([box.pose.position.x, box.pose.position.y, box.pose.position.z])
         half = np.array([box.scale.x, box.scale.y, box.scale.z]) / 2
         assert (np.abs(one.cloud.xyz - centre) <= half + 1e-6).all()

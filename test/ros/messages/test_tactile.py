@@ -1,13 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tactile messages of the hand, and classes of messages that may be missing."""
-
-from __future__ import annotations
-
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from std_msgs.msg import String
 
 from foretouch.errors import MissingDependencyError
@@ -18,7 +11,7 @@ from foretouch.tactile.messages.table import stamp_ns
 START = 1_763_000_000_000_000_000
 
 
-def test_messages_hold_each_finger_at_its_index() -> None:
+def test_messages_hold_each_finger_at_its_index():
     counts = {name: np.arange(25, dtype=np.int16) + 100 * k for k, name in enumerate(("TH", "FF"))}
     sent = biotac_all_to_msg(counts, "hand", START)
     assert (sent.header.frame_id, stamp_ns(sent.header.stamp)) == ("hand", START)
@@ -27,7 +20,7 @@ def test_messages_hold_each_finger_at_its_index() -> None:
         np.testing.assert_array_equal(finger_counts(sent, name), counts.get(name, np.zeros(25)))
 
 
-def test_classes_by_type_and_packages_that_are_not_installed() -> None:
+def test_a_class_is_found_by_its_type_and_a_missing_package_is_named():
     assert tactile_class("std_msgs/String") is String
     with pytest.raises(MissingDependencyError, match="sr_robot_msgs is not installed"):
         tactile_class("sr_robot_msgs/BiotacAll")

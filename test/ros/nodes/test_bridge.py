@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bridge over a real WebSocket: what a client reads is what the graph published."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time
@@ -11,22 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import PointCloud2
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 from websocket_client import WebSocketClient
 
+from foretouch.ros.foxglove_layout import foxglove_layout
 from foretouch.ros.messages.clouds import cloud_to_msg
-from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import TouchPredictionArray
 
 pytestmark = pytest.mark.ros
 
-TOUCH, POINTS = "/foretouch/touch", "/foretouch/points"
+TOUCH, POINTS, MARKERS = "/foretouch/touch", "/foretouch/points", "/foretouch/markers"
 
 
 def decoded(client, data):
@@ -47,22 +44,19 @@ def subscribed(graph, node, client, *topics):
 
 def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
     heard = graph.listen(TouchPredictionArray, "touch")
-    graph.add("segmentation", "grasp")
-    graph.add("touch_predictor", model=str(model_card))
-    (bridge,) = graph.add("bridge", port=0)
+    *_, bridge = graph.add("segmentation", "grasp", "touch_predictor", "bridge", model=model_card, port=0)
     publisher = graph.talk(PointCloud2, "points")
     with WebSocketClient(bridge.url) as client:
-        subscribed(graph, bridge, client, TOUCH, POINTS, "/foretouch/markers")
-        graph.matched("points", 1, 2)
-        for topic, subscribers in (("table", 2), ("object_cloud", 2), ("grasps", 1), ("touch", 2)):
-            graph.matched(topic, 1, subscribers)
+        subscribed(graph, bridge, client, TOUCH, POINTS, MARKERS)
+        graph.matched("points", "table", "object_cloud", "touch", subscribers=2)
+        graph.matched("grasps")
         stamps = [1_700_000_000_000_000_000 + k for k in range(3)]
         clouds = [scene_cloud(k, stamp_ns=stamp) for k, stamp in enumerate(stamps)]
         for k, cloud in enumerate(clouds):
             publisher.publish(cloud_to_msg(cloud))
             graph.until(lambda wanted=k + 1: len(heard) >= wanted)
-        received = {TOUCH: [], POINTS: [], "/foretouch/markers": []}
-        while len(received[TOUCH]) < 3 or len(received[POINTS]) < 3 or not received["/foretouch/markers"]:
+        received = {TOUCH: [], POINTS: [], MARKERS: []}
+        while len(received[TOUCH]) < 3 or len(received[POINTS]) < 3 or not received[MARKERS]:
             data = client.next_data()
             received[data.topic].append(decoded(client, data))
     assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in received[TOUCH]] == stamps
@@ -75,7 +69,7 @@ def test_a_client_reads_what_the_graph_predicts(graph, scene_cloud, model_card):
         assert (message.height, message.width) == cloud.xyz.shape[:2]
         xyz = np.frombuffer(message.data, np.uint8).reshape(-1, message.point_step)[:, :12].copy().view(np.float32)
         np.testing.assert_array_equal(xyz, cloud.xyz.reshape(-1, 3))
-    assert all(marker.header.frame_id for one in received["/foretouch/markers"] for marker in one.markers)
+    assert all(marker.header.frame_id for one in received[MARKERS] for marker in one.markers)
 
 
 def test_it_subscribes_only_to_what_a_client_asks_for(graph):
@@ -93,15 +87,20 @@ def test_it_subscribes_only_to_what_a_client_asks_for(graph):
     assert bridge.statistics.summary().waiting == 0
 
 
-def test_it_listens_on_this_machine_alone_unless_asked(graph):
+def test_it_listens_on_this_machine_alone_and_serves_again_after_it_was_stopped(graph):
     (bridge,) = graph.add("bridge", port=0)
-    port = int(bridge.url.rpartition(":")[2])
+    first, port = bridge.url, int(bridge.url.rpartition(":")[2])
     assert bridge.url == f"ws://127.0.0.1:{port}"
     listening = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    addresses = {
-        line[1].split(":")[0] for line in listening if line[3] == "0A" and int(line[1].split(":")[1], 16) == port
-    }
-    assert addresses == {"0100007F"}
+    ends = [line[1].split(":") for line in listening if line[3] == "0A"]
+    assert {address for address, number in ends if int(number, 16) == port} == {"0100007F"}
+    bridge.trigger_deactivate()
+    assert bridge.url == ""
+    with pytest.raises(ConnectionError):
+        WebSocketClient(first)
+    bridge.trigger_activate()
+    with WebSocketClient(bridge.url) as client:
+        client.learn(TOUCH)
 
 
 def test_a_port_that_is_taken_is_one_line_and_the_node_does_not_start(graph, capfd):
@@ -114,52 +113,25 @@ def test_a_port_that_is_taken_is_one_line_and_the_node_does_not_start(graph, cap
     graph.until(lambda: f"127.0.0.1:{port}: " in (text := capfd.readouterr().err) or text)
 
 
-def test_it_serves_again_after_it_was_stopped(graph):
-    (bridge,) = graph.add("bridge", port=0)
-    first = bridge.url
-    bridge.trigger_deactivate()
-    assert bridge.url == ""
-    with pytest.raises(ConnectionError):
-        WebSocketClient(first)
-    bridge.trigger_activate()
-    with WebSocketClient(bridge.url) as client:
-        client.learn(TOUCH)
-
-
 def test_a_slow_client_is_reported_and_disturbs_nobody(graph):
     (bridge,) = graph.add("bridge", port=0, backlog=4, diagnostics_period_s=0.2)
-    reports = graph.listen(DiagnosticArray, "/diagnostics")
-    publisher = graph.talk(MarkerArray, "markers")
-    from visualization_msgs.msg import Marker
-
+    reports, publisher = graph.reports("bridge"), graph.talk(MarkerArray, "markers")
     big = MarkerArray(markers=[Marker(text="x" * 200_000)])
     with WebSocketClient(bridge.url, receive_buffer=4096) as slow:
-        subscribed(graph, bridge, slow, "/foretouch/markers")
-        graph.matched("markers", 1, 1)
+        subscribed(graph, bridge, slow, MARKERS)
+        graph.matched("markers")
 
-        def is_reported() -> bool:
+        def is_reported():
             publisher.publish(big)
             time.sleep(0.01)
-            values = [
-                {pair.key: pair.value for pair in status.values}
-                for message in list(reports)
-                for status in message.status
-                if status.name.endswith("bridge")
-                and status.level == DiagnosticStatus.WARN
-                and "too slowly" in status.message
-            ]
-            return any(one.get("slow_clients") == "1" for one in values)
+            slow_ones = [one for one in reports if one.level == DiagnosticStatus.WARN and "too slowly" in one.message]
+            return any(one.values.get("slow_clients") == "1" for one in slow_ones)
 
         graph.until(is_reported)
-    assert stamp_ns(reports[-1].header.stamp) > 0
+    graph.until(lambda: not bridge.notes()["topics"])
 
 
 def test_the_layout_in_the_repository_is_the_one_that_is_made():
-    from foretouch.ros.foxglove_layout import foxglove_layout
-
-    path = Path(__file__).parents[3] / "config" / "foxglove.json"
-    committed = json.loads(path.read_text(encoding="utf-8"))
-    assert committed == json.loads(
-        foxglove_layout()
-    )  # to renew: python -m foretouch.ros.foxglove_layout > config/foxglove.json
-    assert TOUCH in path.read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "config" / "foxglove.json").read_text(encoding="utf-8")
+    assert json.loads(text) == json.loads(foxglove_layout())  # to renew: see foretouch.ros.foxglove_layout
+    assert TOUCH in text

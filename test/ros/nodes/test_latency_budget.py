@@ -5,7 +5,6 @@ import sys
 import time
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.models import budget as budgets
@@ -35,17 +34,51 @@ def profile(monkeypatch, tmp_path):
 
 def request(count=1):
     cloud, grasps = profile_scene(count)
-    target = FoundObject("1", cloud, ASSUMED_TABLE)
-    return PredictTouch.Request(cloud=objects_to_msg([target], "cam", 5), grasps=[grasp_to_msg(one) for one in grasps])
+    message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", 5)
+    return PredictTouch.Request(cloud=message, grasps=[grasp_to_msg(one) for one in grasps])
+
+
+def ask(graph, count=1):
+    return graph.call(PredictTouch, "predict_touch", request(count)).touch
+
+
+@pytest.fixture
+def topics(graph):
+    """Starts a predictor; gives it, a function that sends it a cloud with grasps, and its answers."""
+
+    def run(**parameters):
+        (node,) = graph.add("touch_predictor", late_after_s=0.0, **parameters)
+        heard = graph.listen(TouchPredictionArray, "touch")
+        clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
+        graph.matched("object_cloud", "grasps", "touch")
+
+        def send(stamp):
+            message = request()
+            message.cloud.header = header_to_msg("cam", stamp)
+            clouds.publish(message.cloud)
+            grasps.publish(GraspArray(header=message.cloud.header, grasps=message.grasps))
+
+        return node, send, heard
+
+    return run
+
+
+def delayed(monkeypatch, owner, name, seconds):
+    original = getattr(owner, name)
+
+    def slowly(*args, **kwargs):
+        time.sleep(seconds)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(owner, name, slowly)
 
 
 def test_without_a_budget_nothing_changes(graph):
-    (node,) = graph.add("touch_predictor")
-    message = graph.call(PredictTouch, "predict_touch", request()).touch
+    (node,) = graph.add("touch_predictor", late_after_s=0.0)
+    (prediction,) = ask(graph).predictions
     cloud, grasps = profile_scene(1)
-    expected = load_model().predict(cloud, grasps)[0].value
-    assert message.predictions[0].pdc_th.value == pytest.approx(expected.pdc_th, rel=1e-6)
-    assert not {"reduced", "late"} & set(message.predictions[0].flags) - {"late"}  # the stamp is long past
+    assert prediction.pdc_th.value == pytest.approx(load_model().predict(cloud, grasps)[0].value.pdc_th, rel=1e-6)
+    assert not {"reduced", "late"} & set(prediction.flags)
     assert "budget_ms" not in node.notes()
 
 
@@ -54,86 +87,47 @@ def test_a_wide_budget_gets_the_model_itself_and_a_narrow_one_a_flagged_mean(gra
     levels = levels_of(load_model())
     for budget_ms, level, reduced in ((10_000.0, levels[0], False), (4.0, levels[-1], True)):
         (node,) = graph.add("touch_predictor", latency_budget_ms=budget_ms, late_after_s=0.0)
-        message = graph.call(PredictTouch, "predict_touch", request()).touch
+        message = ask(graph)
         assert message.status == Status.OK
-        (prediction,) = message.predictions
-        expected = level.model.predict(cloud, grasps)[0]
+        (prediction,), (expected,) = message.predictions, level.model.predict(cloud, grasps)
         assert prediction.pdc_th.value == pytest.approx(expected.value.pdc_th, rel=1e-6)
         assert prediction.pdc_th.lower == pytest.approx(expected.lower.pdc_th, rel=1e-6)
         assert ("reduced" in prediction.flags) == reduced
         assert node.notes()["budget.level"] == level.name
-        node.destroy_node()
-        graph.nodes.remove(node)
+        graph.remove(node)
 
 
-def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, monkeypatch):
-    (node,) = graph.add("touch_predictor", latency_budget_ms=60.0, late_after_s=0.0, diagnostics_period_s=0.1)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    reports = graph.listen(DiagnosticArray, "/diagnostics")
-    clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
-    for topic in ("object_cloud", "grasps", "touch"):
-        graph.matched(topic)
-    original = type(node._predictor).array
-
-    def slowly(self, *args, **kwargs):
-        time.sleep(0.1)
-        return original(self, *args, **kwargs)
-
-    monkeypatch.setattr(type(node._predictor), "array", slowly)
+def test_waiting_in_the_queue_counts_and_late_answers_are_flagged(graph, topics, monkeypatch):
+    reports = graph.reports("touch_predictor")
+    node, send, heard = topics(latency_budget_ms=60.0, diagnostics_period_s=0.1)
+    delayed(monkeypatch, type(node._predictor), "array", 0.1)
     for stamp in (1, 2, 3):
-        message = request()
-        message.cloud.header = header_to_msg("cam", stamp)
-        clouds.publish(message.cloud)
-        grasps.publish(GraspArray(header=message.cloud.header, grasps=message.grasps))
+        send(stamp)
     graph.until(lambda: len(heard) == 3)
-    assert all("late" in one.predictions[0].flags for one in heard)
-    assert "reduced" not in heard[0].predictions[0].flags
-    assert "reduced" in heard[2].predictions[0].flags  # it waited for 0.2 s
-    graph.until(lambda: any(v.key == "budget.late" and v.value == "3" for r in reports for v in r.status[0].values))
+    flags = [one.predictions[0].flags for one in heard]
+    assert all("late" in one for one in flags)
+    assert ["reduced" in one for one in flags[::2]] == [False, True]  # the last waited for 0.2 s
+    graph.until(lambda: reports[-1].values["budget.late"] == "3")
 
 
-def test_a_budget_that_nothing_meets_is_used_and_said(graph):
+def test_a_budget_that_nothing_meets_uses_the_fastest_level_and_is_reported(graph):
     before = sys.getswitchinterval()
     (node,) = graph.add("touch_predictor", latency_budget_ms=0.01, late_after_s=0.0)
     assert sys.getswitchinterval() <= 0.0005  # another thread must not hold up an answer for a whole budget
-    message = graph.call(PredictTouch, "predict_touch", request(3)).touch
-    assert [one.flags[-2:] for one in message.predictions] == [["reduced", "late"]] * 3
+    assert [one.flags[-2:] for one in ask(graph, 3).predictions] == [["reduced", "late"]] * 3
     assert node.notes()["budget.unaffordable"] == "1"
     node.trigger_deactivate()
     node.trigger_cleanup()
     assert sys.getswitchinterval() == before
 
 
-def test_an_answer_of_the_service_that_becomes_late_while_it_is_made_says_so(graph, monkeypatch):
-    (node,) = graph.add("touch_predictor", latency_budget_ms=1000.0, late_after_s=0.0)
-    original = TouchAnswer.prediction
-
-    def slowly(self, k):
-        time.sleep(0.6)
-        return original(self, k)
-
-    monkeypatch.setattr(TouchAnswer, "prediction", slowly)
-    message = graph.call(PredictTouch, "predict_touch", request(2)).touch
-    assert [one.flags.count("late") for one in message.predictions] == [1, 1]
+def test_an_answer_that_becomes_late_while_it_is_made_or_encoded_is_flagged(graph, topics, monkeypatch):
+    node, send, heard = topics(latency_budget_ms=1000.0)
+    delayed(monkeypatch, TouchAnswer, "prediction", 0.6)
+    assert [one.flags.count("late") for one in ask(graph, 2).predictions] == [1, 1]
     assert node.notes()["budget.late"] == "1"
-
-
-def test_an_answer_that_becomes_late_while_it_is_encoded_says_so(graph, monkeypatch):
-    (node,) = graph.add("touch_predictor", latency_budget_ms=1000.0, late_after_s=0.0)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
-    for topic in ("object_cloud", "grasps", "touch"):
-        graph.matched(topic)
-    original = TouchAnswer.encoded
-
-    def slowly(self):
-        time.sleep(1.1)
-        return original(self)
-
-    monkeypatch.setattr(TouchAnswer, "encoded", slowly)
-    message = request()
-    clouds.publish(message.cloud)
-    grasps.publish(GraspArray(header=message.cloud.header, grasps=message.grasps))
+    delayed(monkeypatch, TouchAnswer, "encoded", 1.1)
+    send(5)
     graph.until(lambda: heard)
     assert "late" in heard[0].predictions[0].flags
-    assert node.notes()["budget.late"] == "1"
+    assert node.notes()["budget.late"] == "2"

@@ -10,6 +10,7 @@ import numpy as np
 import planner_type_builder
 import pytest
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 
 from foretouch.errors import ConfigError
@@ -42,17 +43,11 @@ def planner_type():
         yield importlib.import_module(f"{planner_type_builder.PACKAGE}.action").SampleGraspPoses
 
 
-@pytest.fixture(scope="module")
-def target(scene_cloud):
-    return Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0]
-
-
 def send_latest(graph, node, target):
     """Give the predictor an object and its table, on which it then answers goals."""
-    clouds, tables = graph.talk(PointCloud2, "object_cloud"), graph.talk(TablePlane, "table")
-    grasps = graph.talk(GraspArray, "grasps")
-    for topic in ("object_cloud", "table", "grasps"):
-        graph.matched(topic)
+    topics = {"object_cloud": PointCloud2, "table": TablePlane, "grasps": GraspArray}
+    clouds, tables, grasps = (graph.talk(kind, topic) for topic, kind in topics.items())
+    graph.matched(*topics)
     header = header_to_msg(CAMERA, 11)
     tables.publish(TablePlane(header=header, plane=plane_to_msg(target.plane)))
     clouds.publish(objects_to_msg([target], CAMERA, 11))
@@ -62,94 +57,75 @@ def send_latest(graph, node, target):
 
 def sample(graph, kind, name, goal):
     """The status, the result and all feedback of a goal."""
-    client = graph.action_client(kind, name)
-    feedback = []
+    client, feedback = graph.action_client(kind, name), []
     sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback.append(message.feedback))
     graph.until(sent.done)
     future = sent.result().get_result_async()
     graph.until(future.done)
-    if future.result().status == GoalStatus.STATUS_SUCCEEDED:
-        graph.until(lambda: feedback)
-    return future.result().status, future.result().result, feedback
+    status, result = future.result().status, future.result().result
+    graph.until(lambda: feedback or status != GoalStatus.STATUS_SUCCEEDED)
+    return status, result, feedback
 
 
+@pytest.mark.slow
 def test_moveit_task_constructor_gets_all_grasps_in_one_feedback_of_its_own_type(
-    graph, model_card, target, planner_type, tmp_path
+    graph, model_card, planner_type, tmp_path, scene_cloud
 ):
     path = tmp_path / "hand_eye.yaml"
     path.write_text("translation: [0.4, 0.0, 0.9]\nrotation: [1, 0, 0, 0]\n")
-    (node,) = graph.add(
-        "touch_predictor", model=model_card, planner_action_count=5, sample_cost="harder_finger", output_frame="base_link",
-        hand_eye=str(path),
-    )  # fmt: skip
+    frame = {"output_frame": "base_link", "hand_eye": str(path)}
+    sampling = {"planner_action_count": 5, "sample_cost": "harder_finger"}
+    (node,) = graph.add("touch_predictor", model=model_card, **frame, **sampling)
     assert node.notes()["sample_grasp_poses"] == "moveit_task_constructor_msgs/SampleGraspPoses"
-    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", planner_type.Goal(action_name="a"))
+    goal = planner_type.Goal(action_name="a")
+    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", goal)
     assert (status, feedback) == (GoalStatus.STATUS_ABORTED, [])
     assert result.grasp_state.startswith("empty_cloud: cloud: is empty, and no object_cloud with a table")
-    send_latest(graph, node, target)
-    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", planner_type.Goal(action_name="a"))
+    send_latest(graph, node, Pipeline().segment(scene_cloud(n_objects=3, width=848)).targets[0])
+    status, result, feedback = sample(graph, planner_type, "sample_grasp_poses", goal)
     assert (status, result.grasp_state, len(feedback)) == (GoalStatus.STATUS_SUCCEEDED, "success", 1)
     _, own, _ = sample(graph, SampleGrasps, "sample_grasps", SampleGrasps.Goal(count=5))
     assert feedback[0].grasp_candidates == own.grasp_candidates
     assert list(feedback[0].costs) == list(own.costs) == sorted(own.costs)
-    assert len(own.costs) == 5
-    assert {(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates} == {
-        ("base_link", 11)
-    }
+    headers = [(pose.header.frame_id, pose.header.stamp.nanosec) for pose in feedback[0].grasp_candidates]
+    assert headers == [("base_link", 11)] * 5
     assert not node.internal_errors.counts()
 
 
 def test_without_its_package_the_action_is_not_offered(graph, model_card, monkeypatch):
-    monkeypatch.setitem(sys.modules, "moveit_task_constructor_msgs", None)
-    monkeypatch.setitem(sys.modules, "moveit_task_constructor_msgs.action", None)
+    for module in ("moveit_task_constructor_msgs", "moveit_task_constructor_msgs.action"):
+        monkeypatch.setitem(sys.modules, module, None)
     (node,) = graph.add("touch_predictor", model=model_card)
     assert "sample_grasp_poses" not in node.notes()
     graph.until(lambda: graph.probe.count_services("/foretouch/sample_grasps/_action/send_goal"))
     assert not graph.probe.count_services("/foretouch/sample_grasp_poses/_action/send_goal")
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("SampleGraspPoses", "is not package/Type"),
-        ("a/b/c", "is not package/Type"),
-        ("foretouch_msgs/SampleGrasps", ""),
-        ("nowhere_msgs/Other", ""),
-    ],
-)
-def test_the_type_is_a_parameter(name, reason):
-    if reason:
-        with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' {reason}"):
+def test_the_type_is_a_parameter():
+    for name in ("SampleGraspPoses", "a/b/c"):
+        with pytest.raises(ConfigError, match=f"planner_action_type: '{name}' is not package/Type"):
             planner_action_class(name)
-    else:
-        assert planner_action_class(name) is {"foretouch_msgs/SampleGrasps": SampleGrasps}.get(name)
+    assert planner_action_class("foretouch_msgs/SampleGrasps") is SampleGrasps
+    assert planner_action_class("nowhere_msgs/Other") is None
 
 
 def test_grasps_without_a_finite_cost_are_left_out_and_none_is_a_refusal():
-    result = SampleGrasps.Result(costs=[1.0, math.inf, math.inf])
-    result.grasp_candidates = [_pose(number) for number in range(3)]
+    poses = [PoseStamped() for _ in range(3)]
+    for number, pose in enumerate(poses):
+        pose.pose.position.x = float(number)
+    result = SampleGrasps.Result(costs=[1.0, math.inf, math.inf], grasp_candidates=poses)
     found = planner_feedback(SampleGrasps, result)
-    assert (list(found.costs), found.grasp_candidates) == ([1.0], [_pose(0)])
+    assert (list(found.costs), found.grasp_candidates) == ([1.0], poses[:1])
     result.costs = [math.inf] * 3
     with pytest.raises(RefusalError, match="no grasp has a finite cost"):
         planner_feedback(SampleGrasps, result)
 
 
-def _pose(number: int):
-    from geometry_msgs.msg import PoseStamped
-
-    pose = PoseStamped()
-    pose.pose.position.x = float(number)
-    return pose
-
-
 def test_costs_by_each_rule():
     ranges = TactileRanges()
     (low_th, high_th), (low_mf, high_mf) = ranges.of("PDC_TH"), ranges.of("PDC_MF")
-    one = TouchPrediction(
-        pdc_th=Interval(value=low_th + 0.25 * (high_th - low_th)),
-        pdc_mf=Interval(value=low_mf + 0.75 * (high_mf - low_mf)),
-    )
+    pdc_th, pdc_mf = low_th + 0.25 * (high_th - low_th), low_mf + 0.75 * (high_mf - low_mf)
+    one = TouchPrediction(pdc_th=Interval(value=pdc_th), pdc_mf=Interval(value=pdc_mf))
     one.grasp.score = 4.0
     costs = {rule: cost_of(rule, one, ranges) for rule in COSTS}
     assert costs == pytest.approx({"pressure": 0.5, "harder_finger": 0.75, "score": -4.0}, rel=1e-3)

@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder over real DDS: a hand that reads what we know, and what of it is found in the file."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from pair_builders import REST, level
 from rclpy.serialization import serialize_message
 from robot_builders import MS, QUICK, accounts, start
@@ -23,7 +18,16 @@ from foretouch_msgs.srv import LabelGrasp, StartRecording, StopRecording
 pytestmark = pytest.mark.ros
 
 
-def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path) -> None:
+def outcomes(status):
+    return dict(zip(status.outcomes, status.outcome_counts, strict=True))
+
+
+def stored(path):
+    with RecordedDataset(path) as dataset:
+        return [dataset[k] for k in range(len(dataset))]
+
+
+def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_is_accounted(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     clouds = []
     for number in range(3):
@@ -31,7 +35,7 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
         clouds.append(robot.cloud)
         graph.until(lambda number=number: node.status().samples == number + 1)
     graph.until(lambda: sum(topic.received for topic in node.status().topics) == sum(robot.sent.values()))
-    answer = graph.call(StopRecording, "stop_recording", StopRecording.Request())
+    answer = graph.call(StopRecording, "stop_recording")
     assert (answer.success, answer.samples, answer.path) == (True, 3, str(tmp_path / "set"))
 
     status = node.status()
@@ -40,54 +44,42 @@ def test_grasps_become_samples_with_their_own_cloud_and_touch_and_every_message_
         assert (one.received, one.written, list(one.drop_reasons), one.lost, one.waiting) == (sent, sent, [], 0, 0)
         assert one.reliable
     assert status.received == status.used == sum(robot.sent.values())
-    assert dict(zip(status.outcomes, status.outcome_counts, strict=True)) == {"recorded": 3}
-    assert dict(zip(status.sensors, status.sensor_states, strict=True)) == {
-        "TH": "alive",
-        "MF": "alive",
-        "camera": "alive",
-    }
+    assert outcomes(status) == {"recorded": 3}
+    states = dict(zip(status.sensors, status.sensor_states, strict=True))
+    assert states == dict.fromkeys(("TH", "MF", "camera"), "alive")
 
     (report,) = verify_dataset(tmp_path / "set")
     assert not report.faults
-    with RecordedDataset(tmp_path / "set") as dataset:
-        stored = [dataset[k] for k in range(len(dataset))]
-    assert [one.record.sample.id for one in stored] == ["can/000001", "can/000002", "can/000003"]
-    for number, one in enumerate(stored):
-        record = one.record
-        np.testing.assert_array_equal(record.sample.cloud.xyz, clouds[number].xyz)
-        np.testing.assert_allclose(record.sample.touch.vector(), level(number), atol=5.0)
-        np.testing.assert_allclose(record.sample.tare.vector(), REST, atol=5.0)
-        assert (record.sample.grasp.id, [g.id for g in record.candidates]) == (f"g-{number}", [f"g-{number} too"])
-        assert record.outcome == "success"
-        assert record.flags == ()
-        assert record.pairing_error_ns == 10 * MS
+    for number, one in enumerate(stored(tmp_path / "set")):
+        record, sample = one.record, one.record.sample
+        assert sample.id == f"can/00000{number + 1}"
+        np.testing.assert_array_equal(sample.cloud.xyz, clouds[number].xyz)
+        np.testing.assert_allclose(sample.touch.vector(), level(number), atol=5.0)
+        np.testing.assert_allclose(sample.tare.vector(), REST, atol=5.0)
+        assert (sample.grasp.id, [g.id for g in record.candidates]) == (f"g-{number}", [f"g-{number} too"])
+        assert (record.outcome, record.flags, record.pairing_error_ns) == ("success", (), 10 * MS)
         assert (record.series.phases == HOLD).sum() == 20
-        assert record.contact_ns == record.sample.stamp_ns
+        assert record.contact_ns == sample.stamp_ns
         assert one.identity.hand["thumb"] == "TH"
 
 
-def test_what_cannot_be_paired_is_counted_out_with_the_reason_and_kept_as_messages(graph, tmp_path) -> None:
+def test_what_cannot_be_paired_is_counted_with_the_reason_and_kept_as_messages(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
     times = robot.grasp("g-0", 0)
     for name, values in (("unheard of", times), ("g-0", times), ("g-0 too", dict.fromkeys(times, stamp_to_msg(0)))):
         robot.told.publish(ExecutedGrasp(grasp_id=name, success=bool(values["start"].sec), **values))
     graph.until(lambda: sum(node.status().outcome_counts) == 4)
-    status = node.status()
-    assert dict(zip(status.outcomes, status.outcome_counts, strict=True)) == {
-        "recorded": 1,
-        "grasp_failed": 1,
-        "grasp_unknown": 1,
-        "told_twice": 1,
-    }
-    assert accounts(status)["executed_grasp"].received == 4
+    reasons = ("recorded", "grasp_failed", "grasp_unknown", "told_twice")
+    assert outcomes(node.status()) == dict.fromkeys(reasons, 1)
+    assert accounts(node.status())["executed_grasp"].received == 4
 
 
-def test_a_label_marks_a_grasp_that_the_robot_does_not_tell_of(graph, tmp_path) -> None:
+def test_a_label_marks_a_grasp_that_the_robot_does_not_report(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", contact__window_s=0.1, contact__lag_s=0.05, pairing__settle_s=0.02)
     graph.until(lambda: node.recording)
-    request = LabelGrasp.Request(object="cup", note="slipped", outcome=LabelGrasp.Request.FAILURE)
     robot.see("g-0")
     graph.until(lambda: accounts(node.status())["grasps"].written)
+    request = LabelGrasp.Request(object="cup", note="slipped", outcome=LabelGrasp.Request.FAILURE)
     answer = graph.call(LabelGrasp, "label_grasp", request)
     assert (answer.success, answer.grasp_id, answer.message) == (True, "g-0", "waits for its contact")
     robot.now += MS
@@ -95,62 +87,55 @@ def test_a_label_marks_a_grasp_that_the_robot_does_not_tell_of(graph, tmp_path) 
         robot.feel(counts, readings)
     graph.until(lambda: node.status().samples == 1)
     late = graph.call(LabelGrasp, "label_grasp", LabelGrasp.Request(grasp_id="g-0"))
-    assert (late.success, late.message) == (
-        False,
-        "grasp g-0: is recorded already; a label comes before or with its grasp",
-    )
+    reason = "grasp g-0: is recorded already; a label comes before or with its grasp"
+    assert (late.success, late.message) == (False, reason)
     node.end()
-    with RecordedDataset(tmp_path / "set") as dataset:
-        record = dataset[0].record
+    record = stored(tmp_path / "set")[0].record
     assert (record.sample.object, record.note, record.outcome) == ("cup", "slipped", "failure")
     assert record.flags == ("detected_interval",)
     np.testing.assert_allclose(record.sample.touch.vector(), level(1), atol=5.0)
 
 
-def test_clouds_that_were_not_grasped_become_samples_without_a_touch(graph, tmp_path) -> None:
+def test_clouds_that_were_not_grasped_become_samples_without_a_touch(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set", unlabelled_s=0.5)
     for k in range(4):
         robot.see(f"g-{k}")
         robot.now += 300 * MS
     graph.until(lambda: accounts(node.status())["grasps"].received == 4)
-    view = node.end()
-    assert (view.samples, view.unlabelled) == (0, 2)  # the first and the third: 0.6 s apart
-    with RecordedDataset(tmp_path / "set") as dataset:
-        assert [dataset[k].record.sample.touch for k in range(2)] == [None, None]
-        assert [dataset[k].record.sample.grasp.id for k in range(2)] == ["g-0", "g-2"]
+    last = node.end()
+    assert (last.samples, last.unlabelled) == (0, 2)  # the first and the third: 0.6 s apart
+    samples = [one.record.sample for one in stored(tmp_path / "set")]
+    assert [(one.touch, one.grasp.id) for one in samples] == [(None, "g-0"), (None, "g-2")]
 
 
-def test_a_dataset_goes_on_and_one_of_another_hand_is_refused(graph, tmp_path) -> None:
+def test_a_dataset_is_extended_and_one_of_another_hand_is_refused(graph, tmp_path):
     node, robot, _ = start(graph, tmp_path / "set")
+    begin = lambda **fields: graph.call(StartRecording, "start_recording", StartRecording.Request(**fields))  # noqa: E731
     robot.grasp("g-0", 0)
     graph.until(lambda: node.status().samples == 1)
-    busy = graph.call(StartRecording, "start_recording", StartRecording.Request(path=str(tmp_path / "other")))
+    busy = begin(path=str(tmp_path / "other"))
     assert (busy.success, busy.message) == (False, f"{tmp_path / 'set'} is being recorded; stop it first")
     node.end()
-    again = graph.call(
-        StartRecording, "start_recording", StartRecording.Request(path=str(tmp_path / "set"), object="x")
-    )
-    assert again.success
+    assert begin(path=str(tmp_path / "set"), object="x").success
     robot.grasp("g-1", 1)
     graph.until(lambda: node.status().samples == 1)
     node.end()
-    with RecordedDataset(tmp_path / "set") as dataset:
-        assert [dataset[k].record.sample.id for k in range(2)] == ["can/000001", "x/000002"]
+    assert [one.record.sample.id for one in stored(tmp_path / "set")] == ["can/000001", "x/000002"]
+    bad = begin(path="y", object="../x")
+    assert (bad.success, "is no plain name" in bad.message) == (False, True)
+    graph.remove(node)
     (other,) = graph.add("recorder", identity__hand_serial="1234")
     with pytest.raises(Exception, match=r"hand\.serial: .* there, 1234 here"):
         other.begin(str(tmp_path / "set"))
-    bad = graph.call(StartRecording, "start_recording", StartRecording.Request(path="y", object="../x"))
-    assert not bad.success
-    assert "is no plain name" in bad.message
 
 
-def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
+def test_a_best_effort_sensor_is_heard_and_its_dead_electrodes_are_named(graph, tmp_path):
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
     sender = graph.talk(BiotacAll, "/rh/tactile", reliable=False)
     graph.until(lambda: not accounts(node.status())["/rh/tactile"].reliable)
     message = biotac_all_to_msg({}, "rh", time.time_ns())
 
-    def heard() -> bool:
+    def heard():
         sender.publish(message)
         time.sleep(0.05)
         return accounts(node.status())["/rh/tactile"].received > 3
@@ -159,52 +144,48 @@ def test_losses_and_offers_of_the_middleware_are_seen(graph, tmp_path) -> None:
     graph.until(lambda: node.status().sensor_states[0].startswith("e_th: all 24 electrodes are 0") or heard())
 
 
-def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path) -> None:
+def test_gaps_in_a_publishers_numbers_are_losses_and_a_message_received_twice_is_one(graph, tmp_path):
     (node,) = graph.add("recorder", record=str(tmp_path / "set"), **QUICK)
     data = serialize_message(biotac_all_to_msg({}, "rh", time.time_ns()))
     one = node._input_topics.inputs["/rh/tactile"]
     for publisher, sequence in ((b"a", 1), (b"a", 2), (b"b", 7), (b"a", 5), (b"a", 5), (b"b", 8), (b"a", 6)):
-        gid = {"data": publisher}
         stamps = {"received_timestamp": 1, "source_timestamp": 1}
-        one._receive(data, {"publication_sequence_number": sequence, "publisher_gid": gid, **stamps})
+        one._receive(data, {"publication_sequence_number": sequence, "publisher_gid": {"data": publisher}, **stamps})
     graph.until(lambda: accounts(node.status())["/rh/tactile"].written == 6)
-    assert accounts(node.status())["/rh/tactile"].lost == 2
-    assert node.status().lost == 2
+    lost = lambda: (accounts(node.status())["/rh/tactile"].lost, node.status().lost)  # noqa: E731
+    assert lost() == (2, 2)
     node.end()
-    assert accounts(node.status())["/rh/tactile"].lost == 2
+    assert lost() == (2, 2)
     (report,) = verify_dataset(tmp_path / "set")
     account = report.counts.topics["/rh/tactile"]
     assert (account.received, account.written, account.lost) == (6, 6, 2)
 
 
-def test_a_full_disk_ends_the_recording_with_a_readable_file_and_says_so(graph, tmp_path) -> None:
-    node, robot, told = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
+def test_a_full_disk_ends_the_recording_with_a_readable_file_and_the_reason(graph, tmp_path):
+    node, robot, statuses = start(graph, tmp_path / "set", writing__min_free_mb=0.0)
     robot.grasp("g-0", 0)
     graph.until(lambda: node.status().samples == 1)
-    session = node._session
-    session.writer.config = session.writer.config.replace(min_free_mb=1e9)
+    writer = node._session.writer
+    writer.config = writer.config.replace(min_free_mb=1e9)
     robot.feel(REST, 30)
     graph.until(lambda: not node.recording and node._session is None)
     status = node.status()
-    assert "disk almost full" in status.reason
-    assert not status.recording
-    graph.until(lambda: told and "disk almost full" in told[-1].reason)
+    assert ("disk almost full" in status.reason, status.recording) == (True, False)
+    graph.until(lambda: statuses and "disk almost full" in statuses[-1].reason)
     robot.feel(REST, 7)
     graph.until(lambda: sum(node.status().drop_counts) >= sum(status.drop_counts) + 7)
-    status = node.status()
     (report,) = verify_dataset(tmp_path / "set")
     assert not report.faults
-    for topic in status.topics:
+    for topic in node.status().topics:
         dropped = dict(zip(topic.drop_reasons, topic.drop_counts, strict=True))
-        assert topic.received == topic.written + sum(dropped.values())
-        assert topic.waiting == 0
-        # What the file tells and what only the status can tell add up to all that was sent.
+        assert (topic.received, topic.waiting) == (topic.written + sum(dropped.values()), 0)
+        # What the file holds and what only the status can report add up to all that was sent.
         late = dropped.pop("after close", 0)
         account = report.counts.topics.get(topic.topic, TopicCounts())
         assert (account.received, account.dropped) == (topic.received - late, dropped)
-    graph.until(lambda: accounts(node.status())["/rh/tactile"].received == robot.sent["/rh/tactile"])
-    assert "after close" in accounts(node.status())["/rh/tactile"].drop_reasons
+    tactile = lambda: accounts(node.status())["/rh/tactile"]  # noqa: E731
+    graph.until(lambda: tactile().received == robot.sent["/rh/tactile"])
+    assert "after close" in tactile().drop_reasons
     node.end()
-    assert accounts(node.status())["/rh/tactile"].received == robot.sent["/rh/tactile"]
-    with RecordedDataset(tmp_path / "set") as dataset:
-        assert len(dataset) == 1
+    assert tactile().received == robot.sent["/rh/tactile"]
+    assert len(stored(tmp_path / "set")) == 1

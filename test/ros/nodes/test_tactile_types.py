@@ -1,16 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A type of tactile messages that was added to the table is recorded, and adapted to."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
 from calibrated_models import save_calibrated_network
 from geometry_msgs.msg import Point32, Polygon, PolygonStamped
 from pair_builders import level
@@ -26,13 +18,13 @@ pytestmark = pytest.mark.ros
 class OtherHand(Robot):
     tactile = PolygonStamped
 
-    def message(self, counts: np.ndarray) -> PolygonStamped:
+    def message(self, counts):
         rows = np.r_[counts, 0].reshape(17, 3).astype(float)
         points = [Point32(x=x, y=y, z=z) for x, y, z in rows.tolist()]
         return PolygonStamped(header=header_to_msg("rh", self.now), polygon=Polygon(points=points))
 
 
-def test_recorder_and_touch_predictor_accept_it(graph: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recorder_and_touch_predictor_accept_it(graph, tmp_path, monkeypatch):
     add_tactile_type(tmp_path, monkeypatch)
     card = save_calibrated_network(tmp_path)
     (recorder,) = graph.add("recorder", record=str(tmp_path / "set"), tactile__type=MADE_UP_TYPE, **QUICK)
@@ -46,7 +38,7 @@ def test_recorder_and_touch_predictor_accept_it(graph: Any, tmp_path: Path, monk
     assert predictor.notes()["tactile.unreadable"] == "0"
     recorder.end()
     with RecordedDataset(tmp_path / "set") as dataset:
-        stored = dataset[0]
-    np.testing.assert_allclose(stored.record.sample.touch.vector(), level(0), atol=5.0)
-    assert stored.identity.hand["tactile"] == MADE_UP_TYPE
-    assert (stored.identity.hand["thumb"], stored.identity.hand["middle_finger"]) == ("thumb", "middle")
+        one = dataset[0]
+    np.testing.assert_allclose(one.record.sample.touch.vector(), level(0), atol=5.0)
+    names = {"tactile": MADE_UP_TYPE, "thumb": "thumb", "middle_finger": "middle"}
+    assert {key: one.identity.hand[key] for key in names} == names

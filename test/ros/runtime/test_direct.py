@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages handed over within a process: the same answers and counts as over DDS."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +18,7 @@ from foretouch.ros.executables import PERCEPTION, make_nodes
 from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.direct import SUPPORTED
 from foretouch.tactile.messages.table import stamp_ns
+from foretouch.types import Cloud
 from foretouch_msgs.msg import GraspArray, ObjectArray, TablePlane, TouchPredictionArray
 
 pytestmark = [
@@ -37,57 +34,52 @@ RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 class Outsider:
     """A node in a participant of its own, as one in another process: hears serialised messages."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain):
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.node = Node("outsider", namespace="/foretouch", context=self.context)
-        self.heard: dict[str, list[bytes]] = {}
-        self.numbers: dict[str, list[int]] = {}
+        self.heard, self.numbers = {}, {}
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
-    def listen(self, topic: str) -> None:
+    def listen(self, topic):
         heard, numbers = self.heard.setdefault(topic, []), self.numbers.setdefault(topic, [])
 
-        def receive(data: bytes, info: Any) -> None:
+        def receive(data, info):
             numbers.append(info["publication_sequence_number"])
             heard.append(data)
 
         self.node.create_subscription(OUTPUTS[topic], topic, receive, RELIABLE, raw=True)
 
-    def close(self) -> None:
+    def close(self):
         self.executor.shutdown(timeout_sec=2.0)
         self._thread.join(5.0)
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
-    def _serve(self) -> None:
+    def _serve(self):
         while self.context.ok() and not self.executor._is_shutdown:
             self.executor.spin_once(timeout_sec=0.2)
 
 
 @pytest.fixture
-def outsider(graph) -> Iterator[Outsider]:
+def outsider(graph):
     one = Outsider(graph.domain)
     yield one
     one.close()
 
 
-def counts(nodes):
-    """What each node reports of its inputs, and its numbers of answers by status."""
-    return [(s.received, s.used, dict(s.dropped), s.waiting, s.lost, node.notes()) for node in nodes
-            for s in [node.statistics.summary()]]  # fmt: skip
-
-
 def settle(graph, nodes, received):
-    """Wait until nothing is on its way any more."""
+    """Wait until nothing is on its way any more; gives the counts of each node's inputs."""
     graph.until(lambda: nodes[0].statistics.summary().received == received)
     graph.until(lambda: all(node.statistics.summary().waiting == 0 for node in nodes))
+    summaries = [node.statistics.summary() for node in nodes]
+    return [(one.received, one.used, dict(one.dropped), one.lost) for one in summaries]
 
 
-def content(topic: str, data: bytes) -> str:
+def content(topic, data):
     """Every number of a message; its bytes hold gaps, which the middleware leaves as they were."""
     message = deserialize_message(data, OUTPUTS[topic])
     for one in getattr(message, "predictions", ()):
@@ -96,35 +88,26 @@ def content(topic: str, data: bytes) -> str:
         return str(message)
 
 
-def answers(graph, outsider, model_card, clouds, *, direct):
-    """The content of every topic, and the counts, of one graph for these clouds, one after the other."""
-    nodes = graph.add(*PERCEPTION, model=model_card, direct=direct, target__mode="all", grasp__count=3)
-    publisher = graph.talk(PointCloud2, "points")
-    for topic in OUTPUTS:
-        outsider.listen(topic)
-        graph.matched(topic)
-        graph.until(lambda topic=topic: outsider.node.count_publishers(f"/foretouch/{topic}"))
-    graph.matched("points")
-    for number, cloud in enumerate(clouds):
-        publisher.publish(cloud_to_msg(cloud))
-        graph.until(lambda wanted=number + 1: all(len(heard) >= wanted for heard in outsider.heard.values()))
-    settle(graph, nodes, len(clouds))
-    heard = {topic: [content(topic, data) for data in messages] for topic, messages in outsider.heard.items()}
-    return heard, counts(nodes)
-
-
 def test_another_participant_gets_the_same_content_and_the_counts_are_the_same(graph, scene_cloud, model_card):
     clouds = [scene_cloud(seed, stamp_ns=7 + seed, n_objects=3) for seed in range(3)]
-    clouds.append(type(clouds[0])(clouds[0].xyz[:0].reshape(0, 3), None, "cam", 77))  # refused
-    found = []
+    clouds.append(Cloud(clouds[0].xyz[:0].reshape(0, 3), None, "cam", 77))  # refused
+    publisher, found = graph.talk(PointCloud2, "points"), []
     for direct in (True, False):
-        one = graph if direct else type(graph)()  # of another domain
-        outsider = Outsider(one.domain)
-        try:
-            found.append(answers(one, outsider, model_card, clouds, direct=direct))
-        finally:
-            outsider.close()
-            one.close()
+        outsider = Outsider(graph.domain)
+        nodes = graph.add(*PERCEPTION, model=model_card, direct=direct, target__mode="all", grasp__count=3)
+        for topic in OUTPUTS:
+            outsider.listen(topic)
+            graph.until(lambda topic=topic, one=outsider: one.node.count_publishers(f"/foretouch/{topic}") == 1)
+            graph.matched(topic)
+        graph.matched("points")
+        for number, cloud in enumerate(clouds, 1):
+            publisher.publish(cloud_to_msg(cloud))
+            graph.until(lambda n=number, one=outsider: all(len(heard) >= n for heard in one.heard.values()))
+        counts = settle(graph, nodes, len(clouds)), [node.notes() for node in nodes]
+        heard = {topic: [content(topic, data) for data in messages] for topic, messages in outsider.heard.items()}
+        found.append((heard, counts))
+        outsider.close()
+        graph.remove(*nodes)
     (heard_on, counts_on), (heard_off, counts_off) = found
     for topic in OUTPUTS:
         assert len(heard_on[topic]) == len(clouds), topic
@@ -139,7 +122,7 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     publisher = graph.talk(PointCloud2, "points")
     graph.matched("points")
     graph.until(lambda: outsider.node.count_publishers("/foretouch/touch"))
-    graph.until(lambda: nodes[2]._touch.wanted)
+    graph.until(lambda: nodes[2]._touch.get_subscription_count() == 1)
     for stamp in (1, 2, 3):
         publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=stamp)))
         graph.until(lambda stamp=stamp: len(outsider.heard["touch"]) == stamp)
@@ -150,8 +133,7 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=4)))
     graph.until(lambda: outsider.heard["object_cloud"] and outsider.heard["table"])
     assert outsider.numbers["table"] == outsider.numbers["object_cloud"] == [1]  # the first that was sent
-    settle(graph, nodes, 4)
-    assert [node.statistics.summary().used for node in nodes] == [4, 4, 4]
+    assert [used for _, used, *_ in settle(graph, nodes, 4)] == [4, 4, 4]
     assert outsider.node.count_subscribers("/foretouch/table") == 3  # tools show who subscribes
     assert {node._worker._thread for node in nodes} == {nodes[0]._worker._thread}
 
@@ -159,10 +141,8 @@ def test_topics_without_other_subscribers_are_not_sent(graph, outsider, scene_cl
 @pytest.mark.parametrize("direct", [True, False])
 def test_a_node_deactivated_in_the_middle_counts_its_clouds(graph, scene_cloud, model_card, direct):
     nodes = graph.add(*PERCEPTION, model=model_card, direct=direct)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    publisher = graph.talk(PointCloud2, "points")
-    for topic in ("points", "touch"):
-        graph.matched(topic)
+    heard, publisher = graph.listen(TouchPredictionArray, "touch"), graph.talk(PointCloud2, "points")
+    graph.matched("points", "touch")
     graph.matched("object_cloud", subscribers=2)
 
     def send(stamp):
@@ -180,8 +160,9 @@ def test_a_node_deactivated_in_the_middle_counts_its_clouds(graph, scene_cloud, 
     graph.until(lambda: len(heard) == 2)
     assert [stamp_ns(message.header.stamp) for message in heard] == [1, 4]
     graph.until(lambda: nodes[2].statistics.summary().used == 2)
-    assert [(s.received, s.used, dict(s.dropped)) for s in (node.statistics.summary() for node in nodes)] == [
-        (4, 4, {}), (4, 2, {"inactive": 2}), (4, 2, {})]  # fmt: skip
+    summaries = [node.statistics.summary() for node in nodes]
+    counts = [(one.received, one.used, dict(one.dropped)) for one in summaries]
+    assert counts == [(4, 4, {}), (4, 2, {"inactive": 2}), (4, 2, {})]  # the last has two clouds without grasps
 
 
 def test_overload_is_superseded_at_the_first_node_only(graph, scene_cloud, model_card):
@@ -203,17 +184,12 @@ def test_overload_is_superseded_at_the_first_node_only(graph, scene_cloud, model
 def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cloud, model_card):
     """Its clouds are answered beside those of the node of this process, none of which is answered twice."""
     nodes = graph.add(*PERCEPTION, model=model_card)
-    heard = graph.listen(TouchPredictionArray, "touch")
-    taken = graph.listen(PointCloud2, "object_cloud")
-    tables = graph.listen(TablePlane, "table")
+    heard, taken, tables = (graph.listen(OUTPUTS[topic], topic) for topic in ("touch", "object_cloud", "table"))
     publisher = graph.talk(PointCloud2, "points")
-    for topic in ("points", "touch", "table", "object_cloud"):
-        graph.matched(topic)
+    graph.matched("points", "touch", "table", "object_cloud")
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=1)))
     graph.until(lambda: len(heard) == 1 and taken and tables)
-    foreign = {
-        topic: outsider.node.create_publisher(OUTPUTS[topic], topic, RELIABLE) for topic in ("table", "object_cloud")
-    }
+    foreign = {one: outsider.node.create_publisher(OUTPUTS[one], one, RELIABLE) for one in ("table", "object_cloud")}
     for topic, one in foreign.items():
         graph.until(lambda one=one: one.get_subscription_count() == 3)
         graph.until(lambda topic=topic: graph.probe.count_publishers(f"/foretouch/{topic}") == 2)
@@ -224,21 +200,16 @@ def test_a_publisher_of_another_process_is_still_heard(graph, outsider, scene_cl
         graph.until(lambda stamp=stamp: stamp in [m.header.stamp.nanosec for m in heard])
     publisher.publish(cloud_to_msg(scene_cloud(stamp_ns=2)))
     graph.until(lambda: len(heard) == 4)
-    settle(graph, nodes, 2)
+    assert settle(graph, nodes, 2) == [(2, 2, {}, 0), (4, 4, {}, 0), (4, 4, {}, 0)]
     assert sorted(message.header.stamp.nanosec for message in heard) == [1, 2, 10, 11]
-    assert [(s.received, s.used, s.lost) for s in (node.statistics.summary() for node in nodes)] == [
-        (2, 2, 0), (4, 4, 0), (4, 4, 0)]  # fmt: skip
 
 
 def test_inputs_are_taken_in_a_thread_of_their_own(graph):
+    (node,) = graph.add("grasp", autostart=False)
     threads = {}
-    node = make_nodes("grasp", parameter_overrides=[Parameter("autostart", value=False)])[0]
-    graph.nodes.append(node)
-    graph._executor.add_node(node)
-    node.subscribe(TablePlane, "other", lambda _: threads.setdefault("input", threading.current_thread().name))
-    node.create_subscription(
-        TablePlane, "other", lambda _: threads.setdefault("plain", threading.current_thread().name), 1
-    )
+    note = lambda key: lambda _: threads.setdefault(key, threading.current_thread().name)  # noqa: E731
+    node.subscribe(TablePlane, "other", note("input"))
+    node.create_subscription(TablePlane, "other", note("plain"), 1)
     publisher = graph.talk(TablePlane, "other")
     graph.matched("other", subscribers=2)
     publisher.publish(TablePlane())
@@ -247,15 +218,12 @@ def test_inputs_are_taken_in_a_thread_of_their_own(graph):
 
 
 def test_graphs_of_two_namespaces_do_not_mix(graph, scene_cloud, model_card):
-    overrides = [Parameter("model", value=model_card)]
-    left, right = (
-        make_nodes(*PERCEPTION, parameter_overrides=overrides, namespace=name) for name in ("/left", "/right")
-    )
+    model = [Parameter("model", value=model_card)]
+    left, right = (make_nodes(*PERCEPTION, parameter_overrides=model, namespace=name) for name in ("/left", "/right"))
+    graph.serve(*left, *right)
     for node in (*left, *right):
-        graph._executor.add_node(node)
         node.autostart()
-    graph.nodes += [*left, *right]
-    publisher = graph.probe.create_publisher(PointCloud2, "/left/points", RELIABLE)
+    publisher = graph.talk(PointCloud2, "/left/points")
     graph.until(lambda: publisher.get_subscription_count() == 1)
     publisher.publish(cloud_to_msg(scene_cloud()))
     graph.until(lambda: left[2].statistics.summary().used == 1)

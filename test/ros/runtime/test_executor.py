@@ -7,10 +7,10 @@ import time
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.models.budget import profile_scene
-from foretouch.pipeline import FoundObject
+from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
+from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.types import ASSUMED_TABLE
 from foretouch_msgs.msg import GraspArray, TablePlane, TouchPredictionArray
 
@@ -18,21 +18,21 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-def predictor(graph):
-    """A touch predictor, its publishers of cloud and grasps, and its answers."""
-    (node,) = graph.add("touch_predictor")
+def predictor(graph, model_card):
+    """A touch predictor, a function that sends it a cloud with grasps, and its answers."""
+    (node,) = graph.add("touch_predictor", model=model_card)
     heard = graph.listen(TouchPredictionArray, "touch")
-    talkers = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
-    for topic in ("object_cloud", "grasps", "touch"):
-        graph.matched(topic)
-    return node, talkers, heard
+    clouds, grasps = graph.talk(PointCloud2, "object_cloud"), graph.talk(GraspArray, "grasps")
+    graph.matched("object_cloud", "grasps", "touch")
+    target = Pipeline().segment(warm_up_cloud()).targets[0]
+    planned = [grasp_to_msg(one) for one in Pipeline().plan(target).grasps]
 
+    def send(stamp):
+        message = objects_to_msg([FoundObject("1", target.cloud, ASSUMED_TABLE)], "cam", stamp)
+        clouds.publish(message)
+        grasps.publish(GraspArray(header=message.header, grasps=planned))
 
-def send(talkers, stamp):
-    cloud, grasps = profile_scene(1)
-    message = objects_to_msg([FoundObject("1", cloud, ASSUMED_TABLE)], "cam", stamp)
-    talkers[0].publish(message)
-    talkers[1].publish(GraspArray(header=message.header, grasps=[grasp_to_msg(one) for one in grasps]))
+    return node, send, heard
 
 
 def slowed(monkeypatch, node, seconds, begun=None):
@@ -51,28 +51,29 @@ def slowed(monkeypatch, node, seconds, begun=None):
 
 
 def test_a_request_is_answered_in_the_thread_that_takes_it(graph, predictor, monkeypatch):
-    node, talkers, heard = predictor
+    node, send, heard = predictor
     threads = slowed(monkeypatch, node, 0.0)
     for stamp in (1, 2, 3):
-        send(talkers, stamp)
+        send(stamp)
         graph.until(lambda stamp=stamp: len(heard) == stamp)
     assert threads == ["inputs"] * 3
 
 
 def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeypatch):
-    node, talkers, heard = predictor
+    node, send, heard = predictor
     tables = graph.talk(TablePlane, "table")
     graph.matched("table")
     begun = threading.Event()
     slowed(monkeypatch, node, 1.0, begun)
-    send(talkers, 1)
+    send(1)
     assert begun.wait(5.0)
     for stamp in (2, 3):
         tables.publish(TablePlane(header=header_to_msg("cam", stamp)))
         graph.until(lambda stamp=stamp: stamp in node._tables, timeout_s=0.8)
     assert not heard
+    monkeypatch.undo()
     for stamp in (4, 5):  # of the queue, in order
-        send(talkers, stamp)
+        send(stamp)
     graph.until(lambda: len(heard) == 3)
     assert [one.header.stamp.nanosec for one in heard] == [1, 4, 5]
     summary = node.statistics.summary()
@@ -80,7 +81,7 @@ def test_messages_are_taken_while_an_answer_takes_long(graph, predictor, monkeyp
 
 
 def test_an_error_in_taking_is_reported_and_the_next_message_is_taken(graph, predictor, monkeypatch):
-    node, talkers, heard = predictor
+    node, send, heard = predictor
     add, failed = node._synchronizer.add, []
 
     def fail_once(*args):
@@ -90,8 +91,8 @@ def test_an_error_in_taking_is_reported_and_the_next_message_is_taken(graph, pre
         return add(*args)
 
     monkeypatch.setattr(node._synchronizer, "add", fail_once)
-    send(talkers, 1)
+    send(1)
     graph.until(lambda: bool(failed))
-    send(talkers, 2)
+    send(2)
     graph.until(lambda: len(heard) == 1)
     assert sum(node.internal_errors.counts().values()) == 1

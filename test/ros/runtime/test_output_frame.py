@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import tf2_stand_in
+from every_case import every_case
 from numpy.testing import assert_allclose
 from rclpy.node import Node
 from scipy.spatial.transform import Rotation
@@ -26,32 +27,23 @@ rotation: [0.5, -0.5, 0.5, 0.5]
 frame_id: base
 child_frame_id: cam
 """
-
 EASY = """
 parameters:
-  name: demo
-  calibration_type: {kind}
+  calibration_type: KIND
   robot_base_frame: base
   robot_effector_frame: tool0
   tracking_base_frame: cam
   tracking_marker_frame: marker
-  freehand_robot_movement: true
 transform:
-  translation:
-    x: 0.45
-    y: -0.2
-    z: 0.8
-  rotation:
-    x: 0.5
-    y: -0.5
-    z: 0.5
-    w: 0.5
+  translation: {x: 0.45, y: -0.2, z: 0.8}
+  rotation: {x: 0.5, y: -0.5, z: 0.5, w: 0.5}
 """
+ON_BASE = EASY.replace("KIND", "eye_on_base")
 
 
 @pytest.fixture
 def write(tmp_path):
-    def to_file(text: str) -> str:
+    def to_file(text):
         path = tmp_path / "hand_eye.yaml"
         path.write_text(text)
         return str(path)
@@ -59,57 +51,50 @@ def write(tmp_path):
     return to_file
 
 
-@pytest.mark.parametrize(
-    ("text", "robot"),
-    [(OWN, "base"), (EASY.format(kind="eye_on_base"), "base"), (EASY.format(kind="eye_in_hand"), "tool0")],
-)
-def test_both_forms_of_file_give_the_transform_to_the_robot(write, text, robot):
-    found = read_hand_eye(write(text))
-    assert (found.target, found.source) == (robot, "cam")
+def test_both_forms_of_file_give_the_transform_to_the_robot(write):
     turn = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
-    assert_allclose(found.points(np.eye(3)), turn.apply(np.eye(3)) + np.array([0.45, -0.2, 0.8]), atol=1e-15)
+    for text, robot in ((OWN, "base"), (ON_BASE, "base"), (EASY.replace("KIND", "eye_in_hand"), "tool0")):
+        found = read_hand_eye(write(text))
+        assert (found.target, found.source) == (robot, "cam")
+        assert_allclose(found.points(np.eye(3)), turn.apply(np.eye(3)) + np.array([0.45, -0.2, 0.8]), atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (OWN.replace("0.5, -0.5", "0.6, -0.5"), r"rotation: length 1.05357 of \[0.6, -0.5, 0.5, 0.5\] is not 1"),
-        (OWN.replace("0.45", ".nan"), r"translation\[0\]: nan is not finite"),
-        (OWN.replace("0.45", "450"), r"translation\[0\]: 450.0 is above 100.0 m"),
-        (OWN.replace("0.5]", "fast]"), r"rotation\[3\]: 'fast' is not a number"),
-        (OWN.replace("-0.2, ", ""), r"translation: \[0.45, 0.8\] is not 3 numbers"),
-        (OWN.replace("translation", "position"), "position: unknown setting; known: translation, rotation"),
-        (OWN.replace("frame_id: base\n", "frame_id: 3\n", 1), "frame_id: 3 is not text"),
-        ("rotation: [0, 0, 0, 1]", r"translation: \[\] is not 3 numbers"),
-        ("- 1", "holds a list, not a mapping"),
-        (EASY, "is not a calibration of easy_handeye2"),
-        (EASY.format(kind="eye_on_base").replace("    w: 0.5", "    w: 0.4"), "rotation: length 0.953"),
-        (
-            EASY.format(kind="eye_on_base").replace("    z: 0.8\n", ""),
-            "is not a calibration of easy_handeye2: there is no 'z'",
-        ),
-        ("transform: 3", "is not a calibration of easy_handeye2"),
-    ],
-)
-def test_a_file_that_cannot_be_used_is_named_with_the_field_in_one_line(write, text, reason):
-    path = write(text)
-    with pytest.raises(ConfigError, match=reason) as caught:
-        read_hand_eye(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
+def test_a_file_that_cannot_be_used_is_named_with_the_field_in_one_line(write, tmp_path):
+    def check(reason, text):
+        path = write(text)
+        with pytest.raises(ConfigError, match=reason) as caught:
+            read_hand_eye(path)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert "\n" not in str(caught.value)
 
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
+    every_case(
+        [
+            (r"rotation: length 1.05357 of \[0.6, -0.5, 0.5, 0.5\] is not 1", OWN.replace("0.5, -0.5", "0.6, -0.5")),
+            (r"translation\[0\]: nan is not finite", OWN.replace("0.45", ".nan")),
+            (r"translation\[0\]: 450.0 is above 100.0 m", OWN.replace("0.45", "450")),
+            (r"rotation\[3\]: 'fast' is not a number", OWN.replace("0.5]", "fast]")),
+            (r"translation: \[0.45, 0.8\] is not 3 numbers", OWN.replace("-0.2, ", "")),
+            ("position: unknown setting; known: translation, rotation", OWN.replace("translation", "position")),
+            ("frame_id: 3 is not text", OWN.replace("frame_id: base\n", "frame_id: 3\n", 1)),
+            (r"translation: \[\] is not 3 numbers", "rotation: [0, 0, 0, 1]"),
+            ("holds a list, not a mapping", "- 1"),
+            ("is not a calibration of easy_handeye2", EASY),
+            ("rotation: length 0.953", ON_BASE.replace("w: 0.5", "w: 0.4")),
+            ("is not a calibration of easy_handeye2: there is no 'z'", ON_BASE.replace(", z: 0.8", "")),
+            ("is not a calibration of easy_handeye2", "transform: 3"),
+        ],
+        check,
+    )
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         read_hand_eye(str(tmp_path / "none.yaml"))
 
 
-def of_file(path: str, frame: str = "base") -> OutputFrame:
-    return OutputFrame(None, OutputFrameConfig(output_frame=frame, hand_eye=path))  # type: ignore[arg-type]
+def of_file(path, frame="base"):
+    return OutputFrame(None, OutputFrameConfig(output_frame=frame, hand_eye=path))
 
 
 def test_by_default_answers_stay_in_the_frame_of_their_cloud():
-    frame = OutputFrame(None, OutputFrameConfig())  # type: ignore[arg-type]
+    frame = OutputFrame(None, OutputFrameConfig())
     assert frame.transform(Header(frame_id="cam")) is None
     assert frame.notes() == {}
     frame.close()
@@ -127,9 +112,6 @@ def test_a_calibration_is_for_the_frames_that_it_names(write):
         of_file(path, "world")
     anywhere = of_file(write(OWN.replace("frame_id: base\n", "").replace("child_frame_id: cam", "")), "world")
     assert anywhere.transform(Header(frame_id="any")).source == "any"
-
-
-def test_a_calibration_needs_an_output_frame():
     with pytest.raises(ConfigError, match=r"hand_eye: 'x\.yaml' is given without output_frame"):
         OutputFrameConfig(hand_eye="x.yaml")
 
@@ -141,7 +123,7 @@ def test_without_tf2_and_calibration_a_frame_is_refused(monkeypatch):
 
 
 @pytest.fixture
-def tf2(monkeypatch) -> type[tf2_stand_in.Buffer]:
+def tf2(monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_ros", tf2_stand_in.module())
     return tf2_stand_in.Buffer
 
@@ -163,14 +145,13 @@ def test_a_transform_of_tf2_is_that_of_the_stamp_of_the_cloud(tf2):
 
 def test_a_transform_of_tf2_that_is_no_rotation_is_refused(tf2, monkeypatch):
     tf2.known["base", "cam"] = [(0, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))]
-    frame = OutputFrame(Node.__new__(Node), OutputFrameConfig(output_frame="base"))
-    real = tf2.lookup_transform
+    frame, real = OutputFrame(Node.__new__(Node), OutputFrameConfig(output_frame="base")), tf2.lookup_transform
 
-    def spoilt(*arguments, **options):
+    def too_short(*arguments, **options):
         found = real(*arguments, **options)
         found.transform.rotation.w = 0.5
         return found
 
-    monkeypatch.setattr(tf2, "lookup_transform", spoilt)
+    monkeypatch.setattr(tf2, "lookup_transform", too_short)
     with pytest.raises(RefusalError, match=r"no_transform: from 'cam' to 'base': orientation: length 0\.5"):
         frame.transform(header_to_msg("cam", 0))

@@ -2,14 +2,15 @@
 from dataclasses import dataclass
 
 import pytest
-import rclpy
+from every_case import every_case
 from rcl_interfaces.msg import ParameterType
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from foretouch.cloud.segmentation.objects import TargetConfig
 from foretouch.config import Settings, setting, setting_infos
 from foretouch.errors import ConfigError
-from foretouch.ros.runtime.parameters import NodeSettings, describe
+from foretouch.ros.runtime.parameters import NodeSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,75 +38,60 @@ def test_every_setting_becomes_a_parameter_with_its_facts(node):
     for info in setting_infos(Outer):
         assert node.has_parameter(info.name)
     speed = node.describe_parameter("speed")
-    assert speed.type == ParameterType.PARAMETER_DOUBLE
-    assert speed.description == "How fast [m/s]"
+    assert (speed.type, speed.description) == (ParameterType.PARAMETER_DOUBLE, "How fast [m/s]")
     assert speed.floating_point_range[0].from_value == 0.0
+    assert speed.floating_point_range[0].to_value > 1e308  # an open bound is the end of the type
     depth = node.describe_parameter("inner.depth")
     assert (depth.integer_range[0].from_value, depth.integer_range[0].to_value) == (1, 9)
     assert node.describe_parameter("fixed").read_only
     assert "a, b" in node.describe_parameter("word").additional_constraints
 
 
-def test_a_good_change_is_taken_and_told(node):
-    told = []
-    settings = NodeSettings(node, Outer, told.append)
-    (result,) = node.set_parameters([Parameter("inner.depth", value=5)])
-    assert result.successful
+def test_a_valid_change_is_accepted_and_passed_on_as_a_whole(node):
+    changes = []
+    settings = NodeSettings(node, Outer, changes.append)
+    assert node.set_parameters([Parameter("inner.depth", value=5)])[0].successful
     assert settings.value.inner.depth == 5
-    assert told == [settings.value]
-    (result,) = node.set_parameters([Parameter("numbers", value=[1.0, 2.0])])
-    assert result.successful
+    assert changes == [settings.value]
+    assert node.set_parameters([Parameter("numbers", value=[1.0, 2.0])])[0].successful
     assert settings.value.numbers == (1.0, 2.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("inner.depth", 10, "10"),
-        ("speed", -0.5, "-0.5"),
-        ("speed", float("nan"), "nan"),
-        ("word", "c", "'c' is none of a, b"),
-        ("fixed", False, "read-only"),
-        ("speed", "fast", "type"),
-        ("target.mode", "point", "TargetConfig.point: is empty"),
-        ("numbers", ["x"], "is not a number"),
-    ],
-)
-def test_a_bad_change_is_refused_with_the_reason_and_changes_nothing(node, name, value, reason):
-    settings = NodeSettings(node, Outer)
-    before = settings.value
-    (result,) = node.set_parameters([Parameter(name, value=value)])
-    assert not result.successful
-    assert reason in result.reason
-    assert settings.value == before
-
-
-def test_changes_that_belong_together_are_taken_together(node):
-    settings = NodeSettings(node, Outer)
     both = [Parameter("target.mode", value="point"), Parameter("target.point", value=[0.0, 0.0, 1.0])]
     assert node.set_parameters_atomically(both).successful
     assert settings.value.target.mode == "point"
 
 
-def test_one_bad_change_spoils_the_set(node):
+def test_an_invalid_change_is_refused_with_the_reason_and_changes_nothing(node):
     settings = NodeSettings(node, Outer)
+    before = settings.value
+
+    def check(name, value, reason):
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert reason in result.reason
+        assert settings.value == before
+
+    every_case(
+        [
+            ("inner.depth", 10, "10"),
+            ("speed", -0.5, "-0.5"),
+            ("speed", float("nan"), "nan"),
+            ("word", "c", "'c' is none of a, b"),
+            ("fixed", False, "read-only"),
+            ("speed", "fast", "type"),
+            ("target.mode", "point", "TargetConfig.point: is empty"),
+            ("numbers", ["x"], "is not a number"),
+        ],
+        check,
+    )
     both = [Parameter("speed", value=2.0), Parameter("word", value="c")]
     assert not node.set_parameters_atomically(both).successful
-    assert settings.value.speed == 1.0
-    assert node.get_parameter("speed").value == 1.0
+    assert (settings.value.speed, node.get_parameter("speed").value) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize(("name", "value"), [("speed", -1.0), ("word", "c"), ("speed", "fast")])
-def test_a_bad_value_at_the_start_is_one_line_that_names_it(graph, name, value):
-    node = rclpy.create_node("starter", parameter_overrides=[Parameter(name, value=value)])
-    try:
+def test_an_invalid_value_at_the_start_is_named_in_one_line(graph):
+    for name, value in (("speed", -1.0), ("word", "c"), ("speed", "fast")):
+        node = Node("starter", parameter_overrides=[Parameter(name, value=value)])
         with pytest.raises(ConfigError, match=name) as caught:
             NodeSettings(node, Outer)
-        assert "\n" not in str(caught.value)
-    finally:
         node.destroy_node()
-
-
-def test_an_open_bound_is_the_end_of_the_type():
-    (speed, *_) = setting_infos(Outer)
-    assert describe(speed).floating_point_range[0].to_value > 1e308
+        assert "\n" not in str(caught.value)

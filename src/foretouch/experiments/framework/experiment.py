@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
@@ -60,13 +60,6 @@ def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
     return source
-
-
-class ReadData(NamedTuple):
-    """Data of an experiment that were read, so that its next step need not read them again."""
-
-    path: Path  # where other processes read them
-    values: Any  # as `Experiment.load` returns them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,11 +120,6 @@ class Experiment(Generic[S, D]):
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
 
-    def read(self, settings: S, source: Path | None, out: Path) -> ReadData:
-        """Prepare and load the data; arguments as those of `prepare`."""
-        path = self.prepare(settings, source, out)
-        return ReadData(path, self.load(settings, path))
-
     def finish(
         self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
     ) -> list[Row]:
@@ -147,6 +135,11 @@ class Experiment(Generic[S, D]):
         del settings, data, out, progress
         return rows
 
+    def facts(self, rows: Sequence[Row]) -> dict[str, Any]:
+        """Further entries of the command's result in JSON."""
+        del rows
+        return {}
+
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """Tables of `results.csv` for the terminal and `summary.md`; none without rows."""
         return list(self.summarise(rows)) if rows else []
@@ -158,8 +151,7 @@ class Experiment(Generic[S, D]):
 
 def list_experiments() -> list[Experiment[Any, Any]]:
     """The experiments of this package, in order of lists."""
-    modules = pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)
-    found = [one for module in modules for one in _held_by(f"{_PACKAGE}.{module.name}")]
+    found = [one for module in _modules() for one in _held_by(module)]
     return sorted(found, key=lambda one: (one.order, one.name))
 
 
@@ -173,18 +165,26 @@ def find_experiment(name: str) -> Experiment[Any, Any]:
     """
     module, _, own = name.partition(":")
     if "." not in module:
-        found, own = list_experiments(), name
-    else:
-        try:
-            found = _held_by(module)
-        except ModuleNotFoundError as err:
-            raise ConfigError(f"experiment: {name}: {err}") from err
-        if not found:
-            raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
+        for place in sorted(_modules(), key=lambda place: not place.endswith(f".{name}")):  # imports as few as it can
+            for one in _held_by(place):
+                if one.name == name:
+                    return one
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in list_experiments())}")
+    try:
+        found = _held_by(module)
+    except ModuleNotFoundError as err:
+        raise ConfigError(f"experiment: {name}: {err}") from err
+    if not found:
+        raise ConfigError(f"experiment: {name}: contains no EXPERIMENT")
     chosen = [one for one in found if own in ("", one.name)]
     if len(chosen) != 1:
-        raise ConfigError(f"experiment: {name!r} is none of {', '.join(one.name for one in found)}")
+        raise ConfigError(f"experiment: {name!r} is none of {', '.join(f'{module}:{one.name}' for one in found)}")
     return chosen[0]
+
+
+def _modules() -> list[str]:
+    """Modules and folders of the package."""
+    return [f"{_PACKAGE}.{one.name}" for one in pkgutil.iter_modules(importlib.import_module(_PACKAGE).__path__)]
 
 
 def _held_by(module: str) -> list[Experiment[Any, Any]]:

@@ -18,7 +18,8 @@ P2's figures are for other objects: its lowest error and the differences in its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,13 +27,16 @@ import numpy as np
 
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Row, Table
+from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
+from foretouch.experiments.shared.figures import legend_of
+from foretouch.experiments.shared.rows import grouped, select, unique
+from foretouch.experiments.shared.skill_tables import findings
 from foretouch.report.panels import Rows, new_figure, save
 from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 TREES: Final = "geometry_trees"
@@ -60,12 +64,11 @@ P2_LOWEST: Final = {"PDC_TH": 6.37, "E_TH": 5.17, "PDC_MF": 4.83, "E_MF": 6.06}
 P2_AVERAGES: Final = {"PDC_TH": 4, "PDC_MF": 4, "E_TH": 3, "E_MF": 1}
 """P2, section IV: number of the five ratios at which the SR-GAN's mean error is lower."""
 
-_LEVEL: Final = 0.95
-_WIN, _TIE, _LOSS = "win", "tie", "loss"
-
-_MODELS: Final = (("pointnet", "P", "#8d99ae"), ("srgan", "S", "#00798c"))
+_TAIL: Final = 0.025
+_BARS: Final = (("pointnet", "P: PointNet", "#8d99ae"), ("srgan", "S: SR-GAN", "#00798c"))
 _BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees on geometry", "#edae49"))
-_VERDICTS: Final = {"win": "#2a9d4e", "tie": "#555555", "loss": "#d1495b", None: "#555555"}
+_VERDICTS: Final = {"win": ">", "tie": "=", "loss": "<"}
+_COLOURS: Final = {"win": "#2a9d4e", "loss": "#d1495b"}
 _HALF: Final = 0.38
 _LEAST_SPAN: Final = 5.0  # lower limit of the axis of differences [%]
 
@@ -83,51 +86,42 @@ def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed:
         DatasetError: If the compared models were not tested on the same samples.
     """
     found = {(row["ratio"], row["modality"], row["model"], row["seed"]): row for row in rows}
-    cells = dict.fromkeys((row["ratio"], row["modality"]) for row in rows)
-    order = sorted(cells, key=lambda cell: (MODALITIES.index(cell[1]), cell[0]))
+    seeds = sorted(set(unique(rows, "seed")))
     result = []
-    for ratio, modality in order:
-        seeds = sorted({row["seed"] for row in rows})
-        pairs = [[found.get((ratio, modality, model, seed)) for model in ("pointnet", "srgan")] for seed in seeds]
+    for modality, ratio in sorted({(MODALITIES.index(row["modality"]), row["ratio"]) for row in rows}):
+        name = MODALITIES[modality]
+        pairs = [tuple(found.get((ratio, name, model, seed)) for model in MODELS) for seed in seeds]
         runs = [(one, other) for one, other in pairs if one is not None and other is not None]
-        if runs:
-            low, high = ranges.of(modality)
-            result.append({"modality": modality, "ratio": ratio, **_compared(runs, high - low, draws, seed)})
-            result[-1]["p2_change"] = P2_CHANGES.get((modality, ratio))
-            result[-1] |= _baselines(runs[0][0], found.get((ratio, modality, TREES, 0)))
+        if not runs:
+            continue
+        low, high = ranges.of(name)
+        row = {"modality": name, "ratio": ratio, **_compared(runs, high - low, draws, seed)}
+        row["p2_change"] = P2_CHANGES.get((name, ratio))
+        trees = found.get((ratio, name, TREES, 0))
+        _sizes([(runs[0][0], trees or runs[0][0])])
+        row["mean_rmse"] = np.sqrt(np.mean(_samples(runs[0][0], "reference")))
+        row["trees_rmse"] = np.sqrt(np.mean(_samples(trees, "squared"))) if trees else None
+        result.append(row)
     return result
 
 
 def _compared(runs: Sequence[tuple[Row, Row]], width: float, draws: int, seed: int) -> Row:
     """Both models in one cell; `width` is that of the range [counts]."""
     pointnet, srgan = (np.array([_samples(run[k], "squared") for run in runs]) for k in range(2))
-    reference = np.array([_samples(run[0], "reference") for run in runs])
     sizes = _sizes(runs)
-    first = runs[0][0]
-    result: Row = {"runs": len(runs), "samples": int(sum(sizes)), "labelled": first["labelled"]}
-    result["updates"] = first["updates"]
-    for (name, squared), row in zip((("pointnet", pointnet), ("srgan", srgan)), runs[0], strict=True):
+    head = {"runs": len(runs), "samples": sum(sizes), "labelled": runs[0][0]["labelled"]}
+    result: Row = {**head, "updates": runs[0][0]["updates"]}
+    for name, squared, row in zip(MODELS, (pointnet, srgan), runs[0], strict=True):
         rmse = np.sqrt(squared.mean(axis=1))
         result |= {
             f"{name}_trial": row["trial"],
-            f"{name}_rmse": _rounded(rmse.mean()),
-            f"{name}_sd": _rounded(rmse.std(ddof=1)) if len(runs) > 1 else None,
-            f"{name}_percent": _rounded(100.0 * rmse.mean() / width),
-            f"{name}_skill": _rounded(1.0 - squared.mean() / reference.mean()),
+            f"{name}_rmse": rmse.mean(),
+            f"{name}_sd": rmse.std(ddof=1) if len(runs) > 1 else None,
+            f"{name}_percent": 100.0 * rmse.mean() / width,
         }
     change, low, high = _change(srgan, pointnet, sizes, draws, seed)
-    verdict = None if low is None or high is None else _WIN if high < 0.0 else _LOSS if low > 0.0 else _TIE
-    ends = {"change": change, "change_low": low, "change_high": high}
-    return result | {name: _rounded(value) for name, value in ends.items()} | {"verdict": verdict}
-
-
-def _baselines(network: Row, trees: Row | None) -> Row:
-    """RMSE [counts] of the mean of the training labels, and of the trees if they were run."""
-    _sizes([(network, trees or network)])
-    return {
-        "mean_rmse": _rounded(np.sqrt(np.mean(_samples(network, "reference")))),
-        "trees_rmse": _rounded(np.sqrt(np.mean(_samples(trees, "squared")))) if trees else None,
-    }
+    verdict = None if low is None or high is None else "win" if high < 0.0 else "loss" if low > 0.0 else "tie"
+    return result | {"change": change, "change_low": low, "change_high": high, "verdict": verdict}
 
 
 def _change(
@@ -146,8 +140,7 @@ def _change(
     drawn = (np.sqrt(weights @ srgan.T) - np.sqrt(weights @ pointnet.T)).mean(axis=1)
     spread = each.std(ddof=1) / np.sqrt(len(each))
     drawn += spread * rng.standard_t(len(each) - 1, draws)
-    tail = (1.0 - _LEVEL) / 2.0
-    low, high = scale * np.quantile(drawn, [tail, 1.0 - tail])
+    low, high = scale * np.quantile(drawn, [_TAIL, 1.0 - _TAIL])
     return change, float(low), float(high)
 
 
@@ -165,35 +158,38 @@ def _sizes(runs: Sequence[tuple[Row, Row]]) -> list[int]:
     return [sizes[0][name] for name in sorted(sizes[0])]
 
 
-def summarise(rows: Sequence[Row]) -> list[Table]:
-    """Tables of the errors of both models and of the baselines, and of the differences."""
-    notes = [
-        "difference of the SR-GAN's RMSE from the PointNet's [95 % interval]",
-        "`>` SR-GAN significantly better, `<` significantly worse, `=` no significant difference",
+def summarise_models(rows: Sequence[Row]) -> list[Table]:
+    """Sentences, and tables of the errors of both models, of the baselines, and of the differences."""
+    cells = len(rows)
+    below = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model in MODELS]
+    sentences = [
         *tally(rows),
-        _against_mean(rows),
+        f"mean error below that of the mean of the labels: PointNet in {below[0]} of {cells} cells, SR-GAN in {below[1]}",
     ]
-    errors = Table(
-        "RMSE in counts, PointNet / SR-GAN, mean ± standard deviation over the runs",
-        ["", *MODALITIES],
-        list(_body(rows, _errors)),
-    )
-    baselines = Table(
-        "Baselines with the same labels: mean of the labels / trees on geometry, RMSE in counts",
-        ["", *MODALITIES],
-        list(_body(rows, _baseline_errors)),
-    )
+    with_trees = [row for row in rows if row["trees_rmse"] is not None]
+    lower = sum(row["trees_rmse"] < min(row[f"{model}_rmse"] for model in MODELS) for row in with_trees)
+    sentences += [f"trees on geometry have a lower error than both networks in {lower} of {cells} cells"] * bool(lower)
+    notes = [
+        "difference of the SR-GAN's RMSE from the PointNet's [95 % interval, without correction for the number of cells]",
+        "`>` SR-GAN significantly better, `<` significantly worse, `=` no significant difference",
+    ]
+    columns = ["", *MODALITIES]
+    baselines = "Baselines with the same labels: mean of the labels / trees on geometry, RMSE in counts"
     return [
-        errors,
-        baselines,
-        Table("SR-GAN against PointNet [%]", ["", *MODALITIES], list(_body(rows, _change_text)), notes),
+        findings(sentences),
+        Table(
+            "RMSE in counts, PointNet / SR-GAN, mean ± standard deviation over the runs", columns, _body(rows, _errors)
+        ),
+        Table(baselines, columns, _body(rows, _baseline_errors)),
+        Table("SR-GAN against PointNet [%]", columns, _body(rows, _change_text), notes),
     ]
 
 
-def tally(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def tally(rows: Rows) -> list[str]:
     """Wins, ties and losses by interval, and by mean error alone, as P2 counts."""
     verdicts = [row["verdict"] for row in rows]
-    counts = ", ".join(f"{verdicts.count(name)} {plural}" for name, plural in _PLURALS.items())
+    plurals = {"win": "wins", "tie": "ties", "loss": "losses"}
+    counts = ", ".join(f"{verdicts.count(name)} {plural}" for name, plural in plurals.items())
     counts += f"; {verdicts.count(None)} with a single run" if None in verdicts else ""
     lower = sum(row["change"] < 0.0 for row in rows)
     return [
@@ -202,28 +198,17 @@ def tally(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _against_mean(rows: Sequence[Row]) -> str:
-    lower = [sum(row[f"{model}_rmse"] < row["mean_rmse"] for row in rows) for model, *_ in _MODELS]
-    cells = len(rows)
-    return f"mean error below that of the mean of the labels: PointNet in {lower[0]} of {cells} cells, SR-GAN in {lower[1]}"
-
-
-_PLURALS: Final = {_WIN: "wins", _TIE: "ties", _LOSS: "losses"}
-_SIGNS: Final = {_WIN: ">", _TIE: "=", _LOSS: "<"}
-
-
-def _body(rows: Sequence[Row], text: Any) -> Iterator[list[str]]:
-    for ratio in sorted({row["ratio"] for row in rows}):
-        subset = {row["modality"]: row for row in rows if row["ratio"] == ratio}
-        yield [f"T{ratio}", *(text(subset[name]) if name in subset else "" for name in MODALITIES)]
+def _body(rows: Sequence[Row], text: Callable[[Row], str]) -> list[list[str]]:
+    body = []
+    for ratio, own in sorted(grouped(rows, "ratio")):
+        found = {row["modality"]: text(row) for row in own}
+        body.append([f"T{ratio}", *(found.get(name, "") for name in MODALITIES)])
+    return body
 
 
 def _errors(row: Row) -> str:
-    parts = (
-        f"{row[f'{name}_rmse']:.1f}" + ("" if row[f"{name}_sd"] is None else f" ± {row[f'{name}_sd']:.1f}")
-        for name in ("pointnet", "srgan")
-    )
-    return " / ".join(parts)
+    spreads = ("" if row[f"{name}_sd"] is None else f" ± {row[f'{name}_sd']:.1f}" for name in MODELS)
+    return " / ".join(f"{row[f'{name}_rmse']:.1f}{spread}" for name, spread in zip(MODELS, spreads, strict=True))
 
 
 def _baseline_errors(row: Row) -> str:
@@ -234,73 +219,99 @@ def _change_text(row: Row) -> str:
     text = f"{row['change']:+.1f}"
     if row["verdict"] is None:
         return text
-    return f"{text} {_SIGNS[row['verdict']]}\n[{row['change_low']:+.1f}, {row['change_high']:+.1f}]"
+    return f"{text} {_VERDICTS[row['verdict']]}\n[{row['change_low']:+.1f}, {row['change_high']:+.1f}]"
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(float(value), 4)
+def draw_models(rows: Rows, folder: Path) -> list[Path]:
+    """Draw `figure.png`: P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
+    figure, above, below = panels(rows)
+    above[0].set_ylabel("RMSE [% of the range]\nmean ± standard deviation of the runs")
+    below[0].set_ylabel("difference of the SR-GAN's RMSE [%]\n95 % interval")
+    legend_of(figure, above[0], "lower center", ncols=5)
+    figure.suptitle("; ".join(tally(rows)), fontsize=10)
+    return [save(figure, folder / "figure.png")]
 
 
-def draw_label_ratio_figure(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `figure.png`."""
-    return [save(draw_panels(rows), folder / "figure.png")]
-
-
-def draw_panels(rows: Rows) -> Figure:
-    """Draw P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
-    names = list(dict.fromkeys(row["modality"] for row in rows))
+def panels(rows: Rows) -> tuple[Any, Sequence[Axes], Sequence[Axes]]:
+    """The figure, its panels of errors and those of differences."""
+    names = unique(rows, "modality")
     figure = new_figure(3.6 * len(names) + 0.6, 7.2)
     above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
     for top, bottom, name in zip(above, below, names, strict=True):
-        subset = sorted((row for row in rows if row["modality"] == name), key=lambda row: row["ratio"])
-        draw_errors(top, subset)
-        draw_changes(bottom, subset)
+        own = sorted(select(rows, modality=name), key=lambda row: row["ratio"])
+        _draw_errors(top, own)
+        _draw_changes(bottom, own)
         top.set_title(name)
     low, high = below[0].get_ylim()  # shared by the panels, so it is widened after all are drawn
     below[0].set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
-    above[0].set_ylabel("RMSE [% of the range]\nmean ± standard deviation of the runs")
-    below[0].set_ylabel("difference of the SR-GAN's RMSE [%]\n95 % interval")
-    figure.legend(*above[0].get_legend_handles_labels(), fontsize=9, loc="outside lower center", ncols=5)
-    figure.suptitle("; ".join(tally(rows)), fontsize=10)
-    return figure
+    return figure, above, below
 
 
-def draw_errors(axes: Axes, rows: Rows) -> None:
+def _draw_errors(axes: Axes, rows: Rows) -> None:
     """Draw bars of both models at each ratio, S and P as in P2, baselines across them, and P2's lowest error."""
-    for side, (model, letter, colour) in zip((-0.5, 0.5), _MODELS, strict=True):
-        x = [k + side * _HALF for k in range(len(rows))]
+    for side, (model, label, colour) in zip((-0.5, 0.5), _BARS, strict=True):
+        places = [k + side * _HALF for k in range(len(rows))]
         heights = [row[f"{model}_percent"] for row in rows]
         widths = [row[f"{model}_percent"] / row[f"{model}_rmse"] * (row[f"{model}_sd"] or np.nan) for row in rows]
-        label = f"{letter}: {'SR-GAN' if model == 'srgan' else 'PointNet'}"
-        axes.bar(x, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
-    for name, label, colour in _BASELINES:
-        for k, row in enumerate(rows):
-            if row[f"{name}_rmse"] is not None:
-                height = row["srgan_percent"] / row["srgan_rmse"] * row[f"{name}_rmse"]
-                ends = [k - 1.1 * _HALF, k + 1.1 * _HALF]
-                axes.plot(ends, [height, height], color=colour, linewidth=2, label=label if k == 0 else None)
+        axes.bar(places, heights, _HALF, yerr=widths, capsize=2.5, color=colour, label=label)
+    for (name, label, colour), (k, row) in product(_BASELINES, enumerate(rows)):
+        if row[f"{name}_rmse"] is not None:
+            height = row["srgan_percent"] / row["srgan_rmse"] * row[f"{name}_rmse"]
+            ends = [k - 1.1 * _HALF, k + 1.1 * _HALF]
+            axes.plot(ends, [height, height], color=colour, linewidth=2, label=label if k == 0 else None)
     lowest = P2_LOWEST[rows[0]["modality"]]
     axes.axhline(lowest, color="black", linestyle=":", linewidth=1, label="lowest in P2 (its P30), other objects")
-    _ticks(axes, rows)
+    _ticks(axes, [f"T{row['ratio']}" for row in rows])
 
 
-def draw_changes(axes: Axes, rows: Rows) -> None:
+def _draw_changes(axes: Axes, rows: Rows) -> None:
     """Draw the difference in each cell with its interval, coloured by verdict; P2's is given below where known."""
     for x, row in enumerate(rows):
-        colour = _VERDICTS[row["verdict"]]
+        colour = _COLOURS.get(row["verdict"], "#555555")
         axes.plot(x, row["change"], marker="o", color=colour)
         if row["change_low"] is not None:
             axes.plot([x, x], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
     axes.axhline(0.0, color="black", linewidth=0.8)
     axes.margins(x=0.15)
     published = ["–" if row["p2_change"] is None else f"{row['p2_change']:+.1f}" for row in rows]
-    _ticks(axes, rows, published)
+    _ticks(axes, [f"T{row['ratio']}\n({text})" for row, text in zip(rows, published, strict=True)])
     axes.set_xlabel("share without labels (P2's difference [%])")
 
 
-def _ticks(axes: Axes, rows: Rows, below: Sequence[str] = ()) -> None:
-    names = [f"T{row['ratio']}" for row in rows]
-    names = [f"{name}\n({text})" for name, text in zip(names, below, strict=True)] if below else names
-    axes.set_xticks(range(len(rows)), names)
+def _ticks(axes: Axes, names: Sequence[str]) -> None:
+    axes.set_xticks(range(len(names)), names)
     axes.grid(visible=True, axis="y", alpha=0.3)
     axes.set_axisbelow(True)
+
+
+def compare_trials(rows: Sequence[Row], seeds: int, modalities: Sequence[str]) -> list[Row]:
+    """RMSE relative to the training mean, averaged over the modalities of a kind; the lowest trial is chosen."""
+    result: list[Row] = []
+    kinds = {name: kind_of(name) for name in modalities}
+    for ratio, kind, model in product(unique(rows, "ratio"), dict.fromkeys(kinds.values()), MODELS):
+        trials = []
+        for trial in TRIALS[model]:
+            own = [row for row in select(rows, ratio=ratio, model=model, trial=trial) if kinds[row["modality"]] == kind]
+            if own and len(own) == seeds * list(kinds.values()).count(kind):
+                counts = {"labelled": own[0]["labelled"], "held_out": len(_samples(own[0], "squared"))}
+                relative = float(np.mean([_relative_rmse(row) for row in own]))
+                trials.append({"trial": trial, **counts, "updates": own[0]["updates"], "relative_rmse": relative})
+        lowest = min((one["relative_rmse"] for one in trials), default=None)
+        head = {"ratio": ratio, "kind": kind, "model": model}
+        result += [{**head, **one, "chosen": one["relative_rmse"] == lowest} for one in trials]
+    return result
+
+
+def _relative_rmse(row: Row) -> float:
+    """RMSE of a network relative to that of the training mean."""
+    return float(np.sqrt(sum(_samples(row, "squared")) / sum(_samples(row, "reference"))))
+
+
+def summarise_trials(rows: Sequence[Row]) -> list[Table]:
+    """A table of the trials at each ratio, for each kind of modality."""
+    tables = []
+    for (ratio, kind), own in grouped(rows, "ratio", "kind"):
+        body = [[r["model"], r["trial"], f"{r['relative_rmse']:.3f}", "chosen" if r["chosen"] else ""] for r in own]
+        title = f"T{ratio}, {kind}: RMSE relative to the training mean, on {own[0]['held_out']} held-out samples"
+        tables.append(Table(title, ["model", "trial", "relative RMSE", ""], body))
+    return tables

@@ -243,7 +243,7 @@ class ReplayNode(ForetouchNode[ReplayConfig]):
         self._stopping.clear()
         self.ended.clear()
         self.played.clear()
-        self.unanswered = 0
+        self.unanswered, self._last_answer_ns = 0, -1
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
         self._thread.start()
 

@@ -80,7 +80,7 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         try:
             self.settings = NodeSettings(self, config_class, self.config_changed)
         except ForetouchError:
-            super().destroy_node()  # or the context would, through the hooks of a node that is incomplete
+            self._destroy()  # or the context would, through the hooks of a node that is incomplete
             raise
         self.statistics = InputStatistics()
         self._began_s = time.monotonic()
@@ -322,7 +322,11 @@ class ForetouchNode(GuardedCallbacks, LifecycleNode, Generic[_C]):
         """Stop and clean up, whatever the state."""
         self._attempt(self.stop)
         self._release()
+        self._destroy()
+
+    def _destroy(self) -> None:
         super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()  # else the node would be listed until it is garbage
 
     def _attempt(self, hook: Callable[[], None]) -> bool:
         try:
