@@ -542,7 +542,7 @@ def _range_gap(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud = float32_cloud(rng.uniform(-0.05, 0.05, (30, 3)))
     frame = UnitSphereFrame.fit(cloud)
     points = frame.apply_points(cloud).astype(np.float32)
-    g1 = frame.invert_points(points[:1])[0] + span(t, 0.5, 1e-6) * frame.scale * rotation(rng)[0]
+    g1 = points[0] * frame.scale + frame.centre + span(t, 0.5, 1e-6) * frame.scale * rotation(rng)[0]
     grasp = Grasp(g1, g1 + 1e-9, np.eye(3))
     found = grasp_lengths(PreparedCloud(points, frame), [grasp])[0, 4] / frame.scale
     targets = (exact(np.stack([grasp.g1, grasp.g2])) - exact(frame.centre)) / exact(frame.scale)
