@@ -11,7 +11,7 @@ import pytest
 from every_case import every_case
 from sim_builders import CAN, SPONGE, run, scene
 
-from foretouch.simulation.execution import CourseConfig, SimulatedHand
+from foretouch.simulation.execution import GraspTimingConfig, SimulatedHand
 from foretouch.tactile.contact_detector import (
     ContactConfig,
     ContactDetector,
@@ -36,7 +36,7 @@ def test_onsets_of_simulated_grasps_are_found_within_50_ms_live_and_afterwards()
 
 def _check_onsets(_: str, item: dict[str, Any], slot: int) -> None:
     config = scene(item, fingers={"timeline": {}, "noise": {}, "scan": {}, "drift": {}})
-    course = SimulatedHand(config, CourseConfig(rest_s=1.0)).execute(run(config, "grasp", slot=slot).grasp, slot)
+    course = SimulatedHand(config, GraspTimingConfig(rest_s=1.0)).execute(run(config, "grasp", slot=slot).grasp, slot)
     series = vectors(course.counts)
     stamps = np.arange(len(series)) * PERIOD
     for onset in find_contact(stamps, series, series[: course.start]):
