@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.common import markdown, scene
+from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.errors import SimulationError
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.fingertip import steady_noise
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation
 from foretouch.simulation.world import SampleKey
