@@ -17,7 +17,7 @@ from foretouch.simulation.contact import (
 )
 from foretouch.simulation.disturbances import NoiseConfig
 from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
-from foretouch.tactile import check_touch, electrode_normals, electrode_positions, to_kohm
+from foretouch.tactile import P2_RANGES, electrode_normals, electrode_positions, to_kohm, touch_faults
 from foretouch.types import Touch
 
 PAD = PadConfig()
@@ -61,9 +61,9 @@ def test_same_pdc_with_another_pattern():
 def test_counts_are_whole_clipped_and_those_of_a_working_sensor():
     middle = draw_finger(FingerConfig(), np.random.default_rng(1))
     thumb, other = quantise(np.array([read(3.0), read(3.0, finger=middle)])).astype(float)
-    check = check_touch(Touch(thumb[0], other[0], thumb[1:], other[1:]))
-    assert check.valid
-    assert not check.out_of_range
+    touch = Touch(thumb[0], other[0], thumb[1:], other[1:])
+    assert touch_faults(touch) == ()
+    assert not P2_RANGES.outside(touch.vector()).any()
     assert_array_equal(quantise(np.array([1676.4, -3.0, 1.6, 5000.0])), [1676, 0, 2, 4095])
     with pytest.raises(TactileError, match="counts: 1 values are not finite"):
         quantise(np.array([1.0, np.nan]))
