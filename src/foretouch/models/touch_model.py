@@ -22,7 +22,7 @@ from foretouch.grasp.pose import check_rotation, fast_accept_rotations
 from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_accept_reach
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import TactileRanges, check_touch
+from foretouch.tactile import TactileRanges, touch_faults
 from foretouch.types import (
     Cloud,
     Evidence,
@@ -247,7 +247,7 @@ class TouchModel:
             TactileError: If the tare is not a reading of working sensors.
         """
         rest = self._calibrated().rest
-        faults = check_touch(tare).faults
+        faults = touch_faults(tare)
         if faults:
             raise TactileError(f"tare: {faults[0]}")
         return tare.vector() - rest

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kills a recorder with SIGKILL at random instants, and counts acknowledged and lost samples.
+
+Each round starts a process that records samples and messages as fast as it can, ending its session and resuming
+the dataset every few samples. It writes the id of each sample to a pipe once `append` has returned. It is killed after
+a random time, measured from its start or, every second round, from its first sample. Then the dataset is repaired and
+verified: every acknowledged id must be in it, with the content that belongs to that id.
+
+    python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from foretouch.dataset.recording import (
+    Identity,
+    RecordedDataset,
+    RecordingConfig,
+    RecordingWriter,
+    SampleRecord,
+    repair_dataset,
+    verify_dataset,
+)
+from foretouch.types import Cloud, Grasp, GraspSample, Touch
+
+IDENTITY = Identity(hand={"name": "campaign"}, camera={"name": "campaign"})
+POINTS = 5000
+LONGEST_S = 0.6
+ROUNDS_A_DATASET = 5
+TOPIC = "/rh/tactile"
+
+
+@dataclass
+class Round:
+    """The result of one kill."""
+
+    number: int
+    killed_after_ms: float
+    acknowledged: int
+    sessions: int
+    cut_bytes: int
+    found: int
+    lost: int
+    wrong: int
+    clean: bool
+
+
+def made_sample(number: int) -> GraspSample:
+    """A sample whose content is determined by its number."""
+    rng = np.random.default_rng(number)
+    xyz = rng.normal(size=(POINTS, 3)).astype(np.float32)
+    rgb = rng.integers(0, 256, (POINTS, 3), dtype=np.uint8)
+    touch = Touch.from_vector(rng.integers(100, 3000, 50).astype(float))
+    grasp = Grasp(xyz[0].astype(float), xyz[1].astype(float), np.eye(3), float(number), str(number))
+    return GraspSample("", "ball", Cloud(xyz, rgb, "camera", number), grasp, touch, None, number)
+
+
+def record_forever(folder: Path, fsync_samples: int) -> None:
+    """Record until killed; runs in the child process."""
+    rng = np.random.default_rng()
+    message = b"\0\1\0\0" + bytes(300)
+    config = RecordingConfig(fsync_samples=fsync_samples, chunk_s=0.01, accounts_s=0.1)
+    number = _highest(folder)
+    os.write(1, b"ready\n")
+    while True:
+        with RecordingWriter(folder, IDENTITY, config) as writer:
+            writer.add_topic(TOPIC, "foretouch_msgs/msg/BiotacAll")
+            for _ in range(int(rng.integers(1, 30))):
+                for k in range(5):
+                    writer.receive(TOPIC)
+                    writer.write(TOPIC, message, time.time_ns() + k)
+                number += 1
+                given = writer.append(SampleRecord(sample=made_sample(number)))
+                os.write(1, f"{given} {number}\n".encode())
+
+
+def kill_once(number: int, folder: Path, delay_s: float, fsync_samples: int) -> Round:
+    """Start the recorder, kill it after a while, repair, verify and compare.
+
+    Every second kill waits for the first sample, so that the kill hits appending, not only starting, on a busy machine too.
+    """
+    known = set(_contents(folder))
+    command = [sys.executable, __file__, "--child", str(folder), "--fsync-samples", str(fsync_samples)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        if process.stdout.readline() != b"ready\n":
+            raise SystemExit("the recorder did not start")
+        first = process.stdout.readline() if number % 2 else b""
+        time.sleep(delay_s)
+        process.send_signal(signal.SIGKILL)
+        output = (first + process.stdout.read()).decode()
+    printed = [line.split() for line in output.splitlines() if line.count(" ") == 1]
+    acknowledged = {given: int(content) for given, content in printed}
+    repairs = repair_dataset(folder) if folder.exists() and (folder / "manifest.json").exists() else []
+    cut = sum(r.original.stat().st_size - r.path.stat().st_size for r in repairs if r.original)
+    clean = all(report.clean for report in verify_dataset(folder)) if repairs else not acknowledged
+    there = _contents(folder)
+    return Round(
+        number=number,
+        killed_after_ms=1e3 * delay_s,
+        acknowledged=len(acknowledged),
+        sessions=len(repairs),
+        cut_bytes=max(0, cut),
+        found=len(there.keys() - known),
+        lost=len((acknowledged.keys() | known) - there.keys()),
+        wrong=sum(there.get(given, content) != content for given, content in acknowledged.items()),
+        clean=clean,
+    )
+
+
+def campaign(rounds: int, seed: int, fsync_samples: int, show: bool) -> list[Round]:
+    """Run many kills; several consecutive ones hit one dataset, which each recorder resumes."""
+    rng = np.random.default_rng(seed)
+    results = []
+    root = Path(tempfile.mkdtemp(prefix="foretouch-kill-"))
+    try:
+        for number in range(rounds):
+            folder = root / f"dataset-{number // ROUNDS_A_DATASET}"
+            if number % ROUNDS_A_DATASET == 0:
+                shutil.rmtree(root / f"dataset-{number // ROUNDS_A_DATASET - 1}", ignore_errors=True)
+            results.append(kill_once(number, folder, float(rng.uniform(0.0, LONGEST_S)), fsync_samples))
+            if show:
+                print_round(results[-1])
+    finally:
+        shutil.rmtree(root, ignore_errors=True)
+    return results
+
+
+def print_round(result: Round) -> None:
+    if result.number % 25 == 0:
+        print("round  killed after  acknowledged  found  lost  wrong  verify")
+    state = "clean" if result.clean else "FAULTS"
+    print(
+        f"{result.number:5d}  {result.killed_after_ms:9.1f} ms  {result.acknowledged:12d}  {result.found:5d}"
+        f"  {result.lost:4d}  {result.wrong:5d}  {state}",
+        flush=True,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--fsync-samples", type=int, default=1, help="0: never wait for the disk")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.child:
+        record_forever(arguments.child, arguments.fsync_samples)
+    results = campaign(arguments.rounds, arguments.seed, arguments.fsync_samples, not arguments.json)
+    total = {
+        "kills": len(results),
+        "acknowledged": sum(r.acknowledged for r in results),
+        "lost": sum(r.lost for r in results),
+        "wrong": sum(r.wrong for r in results),
+        "not_clean": sum(not r.clean for r in results),
+    }
+    if arguments.json:
+        print(json.dumps({**total, "rounds": [asdict(r) for r in results]}))
+    else:
+        print(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in total.items()))
+    return int(total["lost"] + total["wrong"] + total["not_clean"] > 0)
+
+
+def _highest(folder: Path) -> int:
+    return max(_contents(folder).values(), default=0)
+
+
+def _contents(folder: Path) -> dict[str, int]:
+    """Id and number of every sample; -1 if its content differs from that of its number."""
+    if not (folder / "manifest.json").exists():
+        return {}
+    result = {}
+    with RecordedDataset(folder) as dataset:
+        for stored in dataset:
+            sample = stored.record.sample
+            number = int(sample.grasp.score)
+            same = np.array_equal(sample.cloud.xyz, made_sample(number).cloud.xyz)
+            result[sample.id] = number if same else -1
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Close both fingers until they touch the object: where each pad meets it, and the object's surface around that point."""
+
+import math
+
+import numpy as np
+
+from foretouch.errors import ContactError, SimulationError
+from foretouch.simulation.campaign import object_index
+from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.finger_contact import FingerFrame, pad_of, surface_behind
+from foretouch.simulation.scene import SurfaceConfig
+from foretouch.simulation.scene.ranges import draw
+from foretouch.simulation.solids import Body
+from foretouch.types import Float64
+
+_BACK_M = 0.03  # how far outside the planned contact the rays start
+_SEARCH_M = 0.02  # side of the square that is searched for first touch: most of the pad
+_SEARCH_CELLS = 21
+_NEAR_M = 2e-4  # cells whose gap is within this of the least give the surface's mean normal
+_WAVES = 12  # that make up a fine relief
+_WAVELENGTH_M = 3e-3  # between its crests
+_FINGERS = ("thumb", "middle finger")
+
+
+def _posture(job: Job, state: SampleState) -> None:
+    """The orientation of each fingertip: the chosen place of its pad looks along the approach."""
+    fingers, rng = job.scene.fingers, job.rng()
+    postures = []
+    for finger, frame in zip((fingers.thumb_posture, fingers.middle_posture), state.fingers, strict=True):
+        pitch, roll = (np.radians(draw(rng, limits)) for limits in (finger.pitch_deg, finger.roll_deg))
+        pad = contact_frame(fingers.pad, pad_direction(pitch, roll))
+        postures.append((pad, frame.rotation @ pad.rotation.T))
+    state.postures = postures[0], postures[1]
+
+
+def _first_touch(job: Job, state: SampleState) -> None:
+    """Close each finger along its approach until skin and object meet.
+
+    They meet where their normals are opposite, which on a slope is beside the place that the hand aimed with.
+    The contact is solved in the tangent plane there. A slope outside of the friction cone lets the finger slip.
+    """
+    pad_config, item = pad_of(job.scene, job.item), job.item
+    met = []
+    for finger, (aimed, tip), name in zip(state.fingers, state.postures, _FINGERS, strict=True):
+        point, normal = _meet(pad_config, state.bodies[0], finger, aimed)
+        if point is None or normal is None:
+            raise SimulationError(f"{item.name}: the {name} closes beside the object", "misses")
+        slope = _slope(-float(normal @ finger.approach))
+        if slope > item.friction:
+            raise SimulationError(
+                f"{item.name}: the {name} meets a slope of {slope:.2f}, friction holds {item.friction:g}", "slips"
+            )
+        try:
+            pad = pad_window(pad_config, -normal @ tip)
+        except ContactError as err:
+            raise SimulationError(f"{item.name}: {name}: {err}", "misses") from err
+        met.append((pad, FingerFrame(point, tip @ pad.frame.rotation)))
+    state.pads = met[0][0], met[1][0]
+    state.touches = met[0][1], met[1][1]
+
+
+def _slope(cosine: float) -> float:
+    """Tangent of the angle between approach and surface normal; infinite where the surface turns away."""
+    return math.sqrt(1.0 / cosine**2 - 1.0) if 0.0 < cosine < 1.0 else (math.inf if cosine <= 0.0 else 0.0)
+
+
+def _meet(
+    config: PadConfig, body: Body, finger: FingerFrame, aimed: ContactFrame
+) -> tuple[Float64 | None, Float64 | None]:
+    """First touch of a pad that moves along its approach: the point on the object and the normal about it."""
+    offset = np.linspace(-_SEARCH_M / 2.0, _SEARCH_M / 2.0, _SEARCH_CELLS)
+    x, y = np.meshgrid(offset, offset)
+    starts = finger.points(x, y, -_BACK_M).reshape(-1, 3)
+    hits = body.cast(starts, np.broadcast_to(finger.approach, starts.shape))
+    gap = pad_depth(config, aimed, x, y).reshape(-1) + hits.t
+    least = int(np.argmin(gap))
+    if not np.isfinite(gap[least]):
+        return None, None
+    near = gap < gap[least] + _NEAR_M
+    normal = body.world_normals(hits.normal[near]).mean(axis=0)
+    return starts[least] + hits.t[least] * finger.approach, normal / np.linalg.norm(normal)
+
+
+def _relief(_job: Job, state: SampleState) -> None:
+    body = state.bodies[0]
+    state.relief = np.stack(
+        [surface_behind(window, body, frame) for window, frame in zip(state.pads, state.touches, strict=True)]
+    )
+
+
+def _surface(job: Job, state: SampleState) -> None:
+    """Waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
+    surface: SurfaceConfig = job.settings
+    body = state.bodies[0]
+    rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
+    axes = rng.standard_normal((_WAVES, 3))
+    axes *= 2.0 * np.pi / _WAVELENGTH_M / np.linalg.norm(axes, axis=1, keepdims=True)
+    phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+    waves = []
+    for window, frame in zip(state.pads, state.touches, strict=True):
+        points = (frame.points(window.x, window.y, 0.0) - body.position) @ body.rotation
+        waves.append(np.cos(points @ axes.T + phase).sum(axis=-1) * surface.relief_m * np.sqrt(2.0 / _WAVES))
+    state.relief = state.relief + np.stack(waves)
+
+
+_TOUCHED = ("bodies", "pads", "touches")
+
+EFFECTS = (
+    Effect("posture", _posture, "fingers", reads=("fingers",), writes=("postures",)),
+    Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
+    Effect("relief", _relief, "fingers", reads=_TOUCHED, writes=("relief",)),
+    Effect("surface", _surface, "objects.surface", reads=(*_TOUCHED, "relief"), writes=("relief",)),
+)

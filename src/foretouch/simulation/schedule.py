@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene over time: which of its samples is on the table at a given stamp.
+
+Camera and hand are separate nodes, perhaps in separate processes; the stamp is all that they share about a cloud.
+So the sample is a function of the stamp, and the hand touches the very object that the camera saw.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ConfigError
+from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.types import Float64
+
+_MS_NS = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleConfig(Settings):
+    """A scene whose samples follow each other in time; camera and hand are given the same."""
+
+    path: str = setting("", "Path of the scene file (YAML)", read_only=True)
+    dwell_s: float = setting(
+        3.0, "Time that each sample stays on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
+    )
+    samples: int = setting(
+        1000, "Number of samples that are shown before the first comes again", minimum=1, read_only=True
+    )
+    origin_ns: int = setting(
+        0, "Time when the first sample is laid on the table, since 1970", unit="ns", minimum=0, read_only=True
+    )
+
+    def load(self) -> SceneConfig:
+        """The scene.
+
+        Raises:
+            ConfigError: If there is no path, or the file breaks a rule.
+        """
+        if not self.path:
+            raise ConfigError("path: is empty; name a scene file")
+        return load_scene(self.path)
+
+    def slot(self, stamp_ns: int) -> int:
+        """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
+        dwell_ns = round(self.dwell_s * 1e3) * _MS_NS
+        return max(0, stamp_ns - self.origin_ns) // dwell_ns % self.samples
+
+
+def centre_of_objects(scene: SceneConfig) -> Float64:
+    """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
+
+    The mean of the places where objects may lie, at half their mean height.
+    """
+    places = [(np.mean(item.pose.x_m), np.mean(item.pose.y_m), np.mean(item.size_m) / 2.0) for item in scene.objects]
+    view = scene.camera.view()
+    return np.asarray((np.mean(places, axis=0) - view.eye) @ view.R_world_camera, np.float64)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from sim_builders import CAN, run, scene, unit
+
+from foretouch.errors import SimulationError
+from foretouch.simulation.finger_contact import finger_frames
+
+BALL = {"name": "ball", "shape": "ball", "size_m": [0.08, 0.08, 0.08]}
+MET = ("fingers", "touches", "pads", "postures", "bodies", "relief", "grasp")
+
+
+def test_fingers_close_towards_each_other_and_point_down() -> None:
+    g1, g2 = np.array([0.0, 0.03, 0.05]), np.array([0.0, -0.03, 0.05])
+    hand = np.column_stack([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])  # X up, Y along, Z = g1 - g2
+    thumb, middle = finger_frames(g1, g2, hand, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_array_equal(thumb.approach, [0.0, -1.0, 0.0])
+    np.testing.assert_array_equal(middle.approach, [0.0, 1.0, 0.0])
+    for finger in (thumb, middle):
+        np.testing.assert_array_equal(finger.rotation[:, 0], [0.0, 0.0, -1.0])
+        assert np.linalg.det(finger.rotation) == pytest.approx(1.0)
+
+
+def test_fingers_are_at_the_planned_points_lowered_by_the_insertion() -> None:
+    plain = run(scene(BALL), *MET)
+    lower = run(scene(BALL, grasps={"insertion_m": 0.01}), *MET)
+    for a, b in zip(plain.fingers, lower.fingers, strict=True):
+        np.testing.assert_allclose(a.origin - b.origin, [0.0, 0.0, 0.01], atol=1e-12)
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+
+
+def test_pad_and_ball_meet_where_their_normals_are_opposite() -> None:
+    """On the upper half of a ball the surface faces up, so it meets the pad behind its middle; the relief is a cap."""
+    state = run(scene(BALL), *MET)
+    centre = state.bodies[0].position
+    for touch, pad, (_, tip), behind in zip(state.touches, state.pads, state.postures, state.relief, strict=True):
+        assert np.linalg.norm(touch.origin - centre) == pytest.approx(0.04, abs=3e-5)
+        outward = unit(touch.origin - centre)
+        assert outward @ -touch.approach > np.cos(0.08)  # the search steps by 1 mm on a radius of 40
+        np.testing.assert_allclose(tip @ pad.frame.rotation, touch.rotation, atol=1e-12)
+        assert touch.approach[2] < -0.1  # pressed down onto the slope
+        assert pad.frame.origin[0] > 1e-3  # x is towards the tip, which points down
+        local = (centre - touch.origin) @ touch.rotation
+        square = 0.04**2 - (pad.x - local[0]) ** 2 - (pad.y - local[1]) ** 2
+        np.testing.assert_allclose(behind, local[2] - np.sqrt(square), atol=5e-5)
+
+
+def test_beside_an_edge_there_is_no_surface() -> None:
+    thin = {"name": "plate", "shape": "box", "size_m": [0.1, 0.08, 0.006]}
+    relief = run(scene(thin), "relief").relief
+    assert np.isinf(relief).any()
+    assert np.isfinite(relief).any()
+
+
+def test_the_relief_of_a_surface_has_its_height_and_is_fixed_to_the_object() -> None:
+    rough = CAN | {"surface": {"relief_m": 1e-4}}
+    plain = [run(scene(), "relief", slot=slot).relief for slot in range(8)]
+    heights = [run(scene(rough), "relief", slot=slot).relief - plain[slot] for slot in range(8)]
+    assert np.std(heights) == pytest.approx(1e-4, rel=0.25)
+    again = run(scene(rough, grasps={"thumb": {"force_n": [2.0, 2.0]}}), "relief", slot=5)
+    np.testing.assert_array_equal(again.relief - plain[5], heights[5])
+
+
+def test_the_posture_moves_the_contact_over_the_pad() -> None:
+    postures = ({"thumb_posture": {"pitch_deg": [pitch, pitch]}} for pitch in (-20.0, 0.0, 20.0))
+    places = [run(scene(BALL, fingers=fingers), "pads").pads[0].frame.origin[0] for fingers in postures]
+    assert places == sorted(places)
+
+
+def test_the_execution_error_moves_both_fingers_as_one_hand() -> None:
+    config = scene(BALL, grasps={"error": {"position_m": 0.002, "angle_deg": 3.0}})
+    shifts = []
+    for slot in range(30):
+        before, after = run(scene(BALL), "fingers", slot=slot).fingers, run(config, "fingers", slot=slot).fingers
+        width = [np.linalg.norm(a.origin - b.origin) for a, b in (before, after)]
+        assert width[0] == pytest.approx(width[1])
+        shift = (after[0].origin + after[1].origin - before[0].origin - before[1].origin) / 2.0
+        assert abs(shift @ before[0].approach) < 1e-12  # only in the tangent plane
+        shifts.append(shift)
+    assert np.sqrt(np.mean(np.sum(np.square(shifts), axis=1))) == pytest.approx(0.002 * np.sqrt(2), rel=0.3)
+
+
+def test_a_finger_that_finds_no_hold_is_named() -> None:
+    with pytest.raises(SimulationError, match="ball: the thumb closes beside the object") as caught:
+        run(scene(BALL, grasps={"insertion_m": 0.12}), "touch")
+    assert caught.value.reason == "misses"
+    with pytest.raises(SimulationError, match=r"friction holds 0\.05") as caught:
+        run(scene(BALL | {"friction": 0.05}), "touch")
+    assert caught.value.reason == "slips"
