@@ -33,13 +33,13 @@ from foretouch.grasp.stable import (
     StableSide,
     WeightedPoints,
     _third_moment,
-    local_planes,
     object_frame,
-    onto_surface,
     soft_extremes,
     stable_side,
     weigh_points,
 )
+from foretouch.grasp.stable import _local_planes as planes_at
+from foretouch.grasp.stable import _onto_surface as surface_mean
 from foretouch.types import Plane
 
 CONFIG = GeoGraspConfig()
@@ -265,7 +265,7 @@ def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "normals and curvature, stable",
-    of="grasp.stable.local_planes",
+    of="grasp.stable._local_planes",
     error="max(|n - n*|, |k - k*|)",
     condition="(|m - o|² + r²) / (λ2 - λ1), o the middle of the contacts",
     constant=0.5,
@@ -278,7 +278,7 @@ def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     xyz = (flat + middle[:, None]).reshape(-1, 3) @ turn.T + place
     centres = middle @ turn.T + place
     points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 48), np.ones(48), 0)
-    normal, curvature = local_planes(points, centres, 0.03)
+    normal, curvature = planes_at(points, centres, 0.03)
     kappa, error = 0.0, 0.0
     for k in range(2):
         squared = ((exact(xyz) - exact(centres[k])) ** 2).sum(axis=1)
@@ -332,7 +332,7 @@ def _stable_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "contact on the surface, stable",
-    of="grasp.stable.onto_surface",
+    of="grasp.stable._onto_surface",
     error="|p - p*| / 1 mm",
     condition="(1 + d² / 1 mm² + max|p| / 1 mm), d the distance of the place",
     constant=10.0,
@@ -346,7 +346,7 @@ def _onto_surface(t: float, rng: np.random.Generator) -> tuple[float, float]:
     squared = ((exact(xyz) - exact(place)) ** 2).sum(axis=1)
     weight = exact(points.inlier) * exp(-(squared - squared.min()) / (2 * exact(0.001) ** 2))
     kappa = 1.0 + float(squared.max()) / 1e-6 + np.abs(xyz).max() / 1e-3
-    return float(kappa), gap(onto_surface(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
+    return float(kappa), gap(surface_mean(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
 
 
 @kernel(

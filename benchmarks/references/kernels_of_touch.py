@@ -52,29 +52,12 @@ from foretouch.simulation.fingertip import (
     _skin_approach,
 )
 from foretouch.simulation.solids import Body, Sphere
-from foretouch.tactile import (
-    P2_RANGES,
-    electrode_normals,
-    electrode_positions,
-    offsets,
-    restore,
-    to_celsius,
-    to_kohm,
-    to_kpa,
-)
+from foretouch.tactile import P2_RANGES, electrode_normals, electrode_positions, offsets, restore, to_kohm
 from foretouch.tactile.contact_detector import contact_scores
 from foretouch.types import Touch
 
 SKIN = Layer(modulus_pa=1.552e6, poisson=0.316, thickness_m=0.0015)
 GEL = Layer(modulus_pa=1e6, poisson=0.3)
-
-
-@kernel("pressure [kPa]", of="tactile.readings.to_kpa", error="|p - p*| / |p*|", condition="1", constant=1.0)
-def _kpa(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Readings nearer and nearer to the tare."""
-    tare = rng.uniform(1000.0, 3000.0)
-    pdc = tare + span(t, 500.0, 1e-9)
-    return 1.0, relative_gap(to_kpa(pdc, tare), (exact(pdc) - exact(tare)) * exact(0.0365))
 
 
 @kernel(
@@ -88,21 +71,6 @@ def _kohm(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Counts nearer and nearer to full scale."""
     counts = 4095.0 - span(t, 4000.0, 1e-6) * rng.uniform(0.5, 1.0)
     return 4095.0 / (4095.0 - counts), relative_gap(to_kohm(counts), (4095 / exact(counts) - 1) * 10)
-
-
-@kernel(
-    "temperature [°C]",
-    of="tactile.readings.to_celsius",
-    error="|T - T*| / 1 °C",
-    condition="T + 273.15 °C",
-    constant=2.0,
-)
-def _celsius(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts of 1 to full scale."""
-    counts = span(t, 1.0, 4095.0) * rng.uniform(0.99, 1.0)
-    x = exact(counts) / 4095
-    kelvin = 4025 / mpmath.log((155183 - 46555 * x) / x)
-    return float(kelvin), gap(to_celsius(counts), kelvin - exact(273.15))
 
 
 @kernel(
@@ -124,7 +92,7 @@ def _offsets(t: float, rng: np.random.Generator) -> tuple[float, float]:
 @kernel(
     "scaling by the ranges",
     of="tactile.channels.TactileRanges",
-    error="|s - s*|, and |c - c*| / width on the way back",
+    error="|s - s*|",
     condition="1 + max|count| / width of the range",
     constant=1.0,
 )
@@ -133,9 +101,8 @@ def _ranges(t: float, rng: np.random.Generator) -> tuple[float, float]:
     counts = rng.uniform(-1.0, 1.0, 50) * span(t, 100.0, 1e9)
     low, width = exact(P2_RANGES.low), exact(P2_RANGES.high) - exact(P2_RANGES.low)
     scaled = P2_RANGES.scale(counts)
-    back = float(np.max(np.abs(exact(P2_RANGES.unscale(scaled)) - (exact(scaled) * width + low)) / width))
     kappa = 1.0 + float(np.max(np.abs(counts) + P2_RANGES.high) / 700.0)
-    return kappa, max(gap(scaled, (exact(counts) - low) / width), back)
+    return kappa, gap(scaled, (exact(counts) - low) / width)
 
 
 @kernel(
