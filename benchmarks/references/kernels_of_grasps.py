@@ -33,13 +33,13 @@ from foretouch.grasp.stable import (
     StableSide,
     WeightedPoints,
     _third_moment,
-    local_planes,
     object_frame,
-    onto_surface,
     soft_extremes,
     stable_side,
     weigh_points,
 )
+from foretouch.grasp.stable import _local_planes as planes_at
+from foretouch.grasp.stable import _onto_surface as surface_mean
 from foretouch.types import Plane
 
 CONFIG = GeoGraspConfig()
@@ -224,7 +224,7 @@ def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     xyz = (flat + middle[:, None]).reshape(-1, 3) @ turn.T + place
     centres = middle @ turn.T + place
     points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 48), np.ones(48), 0)
-    normal, curvature = local_planes(points, centres, 0.03)
+    normal, curvature = planes_at(points, centres, 0.03)
     kappa, error = 0.0, 0.0
     for k in range(2):
         squared = ((exact(xyz) - exact(centres[k])) ** 2).sum(axis=1)
@@ -280,7 +280,7 @@ def _onto_surface(t: float, rng: np.random.Generator) -> tuple[float, float]:
     squared = ((exact(xyz) - exact(place)) ** 2).sum(axis=1)
     weight = exact(points.inlier) * exp(-(squared - squared.min()) / (2 * exact(0.001) ** 2))
     kappa = 1.0 + float(squared.max()) / 1e-6 + np.abs(xyz).max() / 1e-3
-    return float(kappa), gap(onto_surface(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
+    return float(kappa), gap(surface_mean(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
 
 
 @kernel("rotation of the hand")

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.common import add_data, cpu_ms, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
-from foretouch.grasp.original_score import OriginalScore
+from foretouch.grasp.original_score import original_score
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
@@ -59,7 +59,7 @@ def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
     scores: dict[str, list[tuple[float, bool]]] = defaultdict(list)
     times: dict[str, float] = defaultdict(float)
     for seed, xyz in enumerate(clouds):
-        scorer = OriginalScore.of(Cloud(xyz), TOP_VIEW)
+        scorer = original_score(Cloud(xyz), TOP_VIEW)
         plans = {}
         for method in METHODS:
             plans[method] = plan(xyz, method)
