@@ -61,7 +61,7 @@ def test_errors_at_one_table_stand_beside_each_other(axes) -> None:
 
 def test_each_line_has_a_panel_for_each_modality(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure) or path)
+    monkeypatch.setattr(figures, "save_small", lambda figure, path: drawn.append(figure) or path)
     rows = [{"modality": name, "value": k} for k, name in enumerate(MODALITIES)]
     lines = [
         figures.Line(

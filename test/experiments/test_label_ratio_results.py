@@ -135,7 +135,7 @@ def test_the_figure_shows_errors_and_differences_of_all_modalities(tmp_path: Pat
         assert path.stat().st_size > 5000
         drawn = []
         with monkeypatch.context() as patch:
-            patch.setattr(figures, "save", lambda figure, path, drawn=drawn: drawn.append(figure))
+            patch.setattr(figures, "save_small", lambda figure, path, drawn=drawn: drawn.append(figure))
             draw_models([*ROWS, other], tmp_path)
         above, _, *below = drawn[0].axes
         assert [round(bar.get_height(), 3) for bar in above.patches] == [2.3, 2.3, 2.2, 2.2]

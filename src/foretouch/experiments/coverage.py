@@ -42,7 +42,7 @@ from foretouch.learning.data import labels_of, make_folds, object_folds
 from foretouch.learning.evaluation.metrics import BootstrapConfig, mean_over_objects
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactPredictor
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.report.panels import Rows, new_figure, save_small
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
@@ -257,7 +257,7 @@ def _draw(rows: Rows, folder: Path) -> list[Path]:
     for axes in grid[-1]:
         axes.set_xlabel("touches")
     grid[0, -1].legend(fontsize=7, loc="lower left")
-    return [save(figure, folder / "coverage.png")]
+    return [save_small(figure, folder / "coverage.png")]
 
 
 def _draw_coverage(axes: Axes, rows: Rows) -> None:

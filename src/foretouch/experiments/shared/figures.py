@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
-from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
+from foretouch.report.panels import Rows, mark_off_scale, new_figure, save_small
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def save_panels(
             place: Any = f"outside {line.legend}"
             columns = len(labels) if line.legend == "lower center" else 1
             figure.legend(handles, labels, loc=place, fontsize=8, ncols=columns)
-    return [save(figure, path)]
+    return [save_small(figure, path)]
 
 
 def draw_series(
