@@ -136,7 +136,7 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
         if tare is not None:
             alone_history.add_tare(clock[0], tare)
         same = alone_history.is_current(cloud, settings.same_object_m)
-        return {"history": alone_history.at(clock[0], same_object=same, tare=tare is not None)}
+        return {"history": alone_history.snapshot(clock[0], same_object=same, tare=tare is not None)}
 
     def add(grasp: Grasp, cut: Any) -> None:
         alone_history.add_tare(clock[0], cut.tare)

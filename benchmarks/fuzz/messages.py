@@ -182,12 +182,12 @@ def label_request() -> Any:
 
 def clouds() -> Kind:
     """Raw clouds: decode, and check what follows."""
-    from foretouch.models.hand_history import Extent
+    from foretouch.models.hand_history import ObjectSignature
     from foretouch.ros.messages.requests import read_cloud
 
     def read(message: Any) -> None:
         cloud = read_cloud(message)
-        Extent.of(cloud)
+        ObjectSignature.of(cloud)
 
     return Kind([scene_message(), *object_messages()], read)
 
@@ -216,13 +216,13 @@ def segmented() -> Kind:
 
 def object_clouds() -> Kind:
     """Object clouds."""
-    from foretouch.models.hand_history import Extent
+    from foretouch.models.hand_history import ObjectSignature
     from foretouch.ros.messages.requests import read_targets
     from foretouch.types import ASSUMED_TABLE
 
     def read(message: Any) -> None:
         for target in read_targets(message, ASSUMED_TABLE):
-            Extent.of(target.cloud)
+            ObjectSignature.of(target.cloud)
 
     return Kind(object_messages(), read)
 

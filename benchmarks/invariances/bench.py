@@ -303,7 +303,7 @@ def object_steps(
         history = HandHistory(contact)
         for _ in range(3):
             history.add_touch(1, Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], history=history.at(1, same_object=True))[0])
+        return _vector(contact.predict(Cloud(points), [one], history=history.snapshot(1, same_object=True))[0])
 
     compare("calibration after 3 touches", touched, _largest)
 

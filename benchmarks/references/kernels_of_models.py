@@ -271,7 +271,9 @@ def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
         slope[column] = min((a * b).sum() / (a * a).sum(), mpmath.mpf(1))
     within = ((y - slope * x) ** 2).sum(axis=0) / 9
     error = max(
-        relative_gap(group.within, within), relative_gap(group.worth, slope), relative_gap(group.spread, spread)
+        relative_gap(group.within, within),
+        relative_gap(group.difference_shrinkage, slope),
+        relative_gap(group.spread, spread),
     )
     return 1.0, error
 

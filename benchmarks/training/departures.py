@@ -57,12 +57,12 @@ SUPERVISED = {
 SEMI = {
     "contrast, frozen (default)": SRGAN,
     "contrast, per source": SRGAN.replace(batch_norm="per_source"),
-    "as printed, frozen": SRGAN.replace(loss=SrganLossConfig(reading="as_printed")),
-    "as printed, per source": SRGAN.replace(loss=SrganLossConfig(reading="as_printed"), batch_norm="per_source"),
-    "srgan, frozen": SRGAN.replace(loss=SrganLossConfig(reading="srgan")),
-    "srgan, per source": SRGAN.replace(loss=SrganLossConfig(reading="srgan"), batch_norm="per_source"),
-    "srgan, frozen, penalty 10": SRGAN.replace(loss=SrganLossConfig(reading="srgan", gradient_penalty=10.0)),
-    "srgan, frozen, bfloat16 search": SRGAN.replace(loss=SrganLossConfig(reading="srgan"), precision="bfloat16"),
+    "as printed, frozen": SRGAN.replace(loss=SrganLossConfig(loss_variant="as_printed")),
+    "as printed, per source": SRGAN.replace(loss=SrganLossConfig(loss_variant="as_printed"), batch_norm="per_source"),
+    "srgan, frozen": SRGAN.replace(loss=SrganLossConfig(loss_variant="srgan")),
+    "srgan, per source": SRGAN.replace(loss=SrganLossConfig(loss_variant="srgan"), batch_norm="per_source"),
+    "srgan, frozen, penalty 10": SRGAN.replace(loss=SrganLossConfig(loss_variant="srgan", gradient_penalty=10.0)),
+    "srgan, frozen, bfloat16 search": SRGAN.replace(loss=SrganLossConfig(loss_variant="srgan"), precision="bfloat16"),
     "labels alone, frozen": SRGAN.replace(loss=SrganLossConfig(weight_unlabeled=0.0, weight_fake=0.0)),
 }
 

@@ -15,7 +15,7 @@ from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.estimator import by_modality
-from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
+from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 
 NONE, TOUCHED, ASKED = np.arange(0), np.arange(3), np.arange(3, 10)
 
@@ -48,7 +48,10 @@ def test_combinations(models, released, sides) -> None:
     """The kernel by itself, and half of each as the mean of both."""
     estimator = released.estimator
     inputs = describe_samples(sides[1])[:, len(CONDITIONS) :]
-    kernel = estimator.kernel.predict(inputs) * by_modality(estimator.claim) * estimator.deviation + estimator.mean
+    kernel = (
+        estimator.kernel.predict(inputs) * by_modality(estimator.generalisation_gain) * estimator.deviation
+        + estimator.mean
+    )
     np.testing.assert_allclose(models["kernel alone"].recording.expected, kernel)
     half = (models["forests alone"].recording.expected + models["kernel alone"].recording.expected) / 2.0
     np.testing.assert_allclose(models["no gate, half of each"].recording.expected, half)

@@ -16,7 +16,7 @@ from foretouch.learning.training.contact import describe_samples, fit_contact
 from foretouch.models import budget as budgets
 from foretouch.models import load_model
 from foretouch.models.budget import LatencyBudget, Level, Profile, levels_of, load_profile, profile_scene
-from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 
 # Levels.
 
@@ -32,7 +32,7 @@ def test_cheaper_contact_models() -> None:
         forest._check()
     changed = rows.copy()
     changed[:, -14:] += 1.0  # the second contact
-    plain = WithoutSurroundings.of(large)
+    plain = GlobalFeaturesOnly.of(large)
     np.testing.assert_array_equal(plain.predict_rows(rows)[0], plain.predict_rows(changed)[0])
     assert np.abs(large.predict_rows(rows)[0] - plain.predict_rows(rows)[0]).max() > 1e-3
 

@@ -47,7 +47,7 @@ def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History
         if tare is not None:
             history.add_tare(sample.stamp_ns, tare)
         history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
-    return history.at(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
+    return history.snapshot(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
 
 
 def bounds(predictions) -> np.ndarray:
@@ -147,7 +147,7 @@ def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() ->
     def check(calibration, cloud: Cloud, group: str) -> None:
         model = TouchModel(small_estimator(), CARD, calibration)
         estimate = small_estimator().estimate(cloud, [sample.grasp])
-        unread = HandHistory(model).at(5, same_object=True)
+        unread = HandHistory(model).snapshot(5, same_object=True)
         for history in (None, unread):
             (found,) = model.predict(cloud, [sample.grasp], history=history, limits=limits, reach=reach)
             half = calibration.unread_half_widths[group]

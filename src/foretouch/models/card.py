@@ -18,7 +18,7 @@ from foretouch.errors import FileError, ModelError, quoted, shown
 from foretouch.models.files import replace_files
 
 CARD_FORMAT: Final = "foretouch-model"
-CARD_VERSION: Final = 1
+CARD_VERSION: Final = 2
 
 _Fields = Mapping[str, type | tuple[type, ...]]
 _COMMON: Final[_Fields] = {"name": str, "kind": str, "sha256": str}

@@ -21,7 +21,7 @@ from foretouch.learning.training.calibration import calibrate, calibration_folds
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, thinned_samples
 from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, by_modality
-from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
+from foretouch.models.contact.features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 from foretouch.models.novelty import IN_DISTRIBUTION
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.tactile import MODALITIES, columns
@@ -48,7 +48,9 @@ class Components:
         for name in MODALITIES:
             separate[:, columns([name])] = estimator.forests[name].predict(inputs)
         joint = estimator.forests[TOGETHER].predict(inputs)
-        kernel = estimator.kernel.predict(inputs) * (1.0 if estimator.claim is None else by_modality(estimator.claim))
+        kernel = estimator.kernel.predict(inputs) * (
+            1.0 if estimator.generalisation_gain is None else by_modality(estimator.generalisation_gain)
+        )
         mean, deviation, weights = estimator.mean, estimator.deviation, estimator.novelty.scores(rows)
         return cls(joint * deviation + mean, separate * deviation + mean, kernel * deviation + mean, weights)
 
@@ -91,7 +93,7 @@ def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
 
 
 TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
-    "no worth": lambda parameters: replace(parameters, worth=np.ones((2, TOUCH_SIZE))),
+    "no worth": lambda parameters: replace(parameters, difference_shrinkage=np.ones((2, TOUCH_SIZE))),
     "diagonal B": _diagonal,
 }
 """By name of the variant, changes of the full model's tracker, which only matter after touches."""

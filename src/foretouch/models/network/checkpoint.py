@@ -22,14 +22,13 @@ from torch import Tensor
 from foretouch.errors import ConfigError, ModelError
 from foretouch.models.calibration import load_calibration
 from foretouch.models.card import card_text, combined_sha256, new_card, read_card, write_text
-from foretouch.models.contact.features import ContactScene
 from foretouch.models.files import file_beside, packed, read_tensors, replace_files
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud, prepare_cloud, prepare_grasps
-from foretouch.models.novelty import Fallback
+from foretouch.models.novelty import Fallback, object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp
@@ -84,7 +83,7 @@ class NetworkEstimator:
             if member.lengths is not None:
                 in_distribution &= member.lengths.within(grasp_lengths(prepared, grasps))
         if self._fallback is not None:
-            counts, inside = self._fallback.fade(counts, ContactScene(cloud.xyz).object_features[None])
+            counts, inside = self._fallback.fade(counts, object_sizes(cloud.xyz)[None])
             in_distribution &= inside
         return Estimate(counts, in_distribution)
 

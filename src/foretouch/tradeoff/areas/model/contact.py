@@ -18,9 +18,9 @@ from foretouch.learning.training.contact import (
     fit_forests,
     thinned_samples,
 )
-from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 from foretouch.models.contact.estimator import ContactEstimator
-from foretouch.models.contact.hand_features import CONDITIONS
+from foretouch.models.contact.features import CONDITIONS
 from foretouch.types import Float64, GraspSample
 
 
@@ -43,14 +43,14 @@ class Described:
         return np.array([self._place[sample.id] for sample in samples], np.intp)
 
     def rows(self, kind: str) -> Float64:
-        """(S, F) features: `hand`, `camera`, `thinned`, or `hand` of clouds with a number of points, such as `500`."""
+        """(S, F) features: `hand`, `thinned`, or of clouds with a number of points, such as `500`."""
         if kind not in self._rows:
             samples = self.samples
             if kind == "thinned":
                 samples = thinned_samples(samples, ContactConfig()) or []
             elif kind.isdigit():
                 samples = [replace(one, cloud=thin(one.cloud, int(kind))) for one in samples]
-            self._rows[kind] = describe_samples(samples, "camera" if kind == "camera" else "hand")
+            self._rows[kind] = describe_samples(samples)
         return self._rows[kind]
 
 
@@ -95,11 +95,6 @@ class FittedContact:
 
     def variant(self, values: Mapping[str, Any]) -> tuple[ContactEstimator, str]:
         """A variant, and the kind of rows that it predicts from."""
-        if values["kind"] == "contact-v1":
-            from foretouch.learning.training.learners import load_run_config
-
-            recipe: Any = load_run_config("contact-v1")
-            return self._fit(recipe.contact.replace(seed=self._seed), "camera", None), "camera"
         estimator = self._fitted
         if "refit" in values:
             config = ContactConfig(seed=self._seed, **values["refit"])
@@ -119,7 +114,7 @@ def cut(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactEstima
         estimator = fewer_trees(estimator, values["trees"])
     part = values.get("part")
     if part == "no surroundings":
-        return WithoutSurroundings.of(estimator)
+        return GlobalFeaturesOnly.of(estimator)
     if part is not None:
         parts = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
         return _OnePart(**parts, forests_alone=part == "forests")

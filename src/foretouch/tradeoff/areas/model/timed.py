@@ -15,7 +15,7 @@ from foretouch.tactile import MODALITIES
 from foretouch.tradeoff.area import Answer, Timed, Variant
 from foretouch.tradeoff.areas.model.contact import Described, FittedContact, cut, thin
 from foretouch.tradeoff.areas.model.skill import ModelData, ModelSettings
-from foretouch.tradeoff.areas.model.variants import EARLIER, NETWORK, SHIPPED
+from foretouch.tradeoff.areas.model.variants import NETWORK, SHIPPED
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp, GraspSample
 
 
@@ -35,9 +35,6 @@ def timed(variant: Variant, settings: ModelSettings, data: ModelData) -> Timed:
         estimator = timed_estimator(values)
         own = set(values) == {"kind"}
         return Timed(lambda count: estimator.estimate(cloud, grasps[:count]).counts, _file_mb(NETWORK) if own else None)
-    if kind == EARLIER:
-        earlier = load_model(EARLIER).estimator
-        return Timed(lambda count: earlier.estimate(cloud, grasps[:count]).counts, _file_mb(EARLIER))
     fitted = _refitted(data).variant(values)[0] if "refit" in values else cut(_shipped(), values)
     size = len(packed(fitted.to_tensors())[0]) / 1e6
     if "points" in values:

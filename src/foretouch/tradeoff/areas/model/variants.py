@@ -9,7 +9,6 @@ from typing import Any, Final
 from foretouch.tradeoff.area import Variant
 
 SHIPPED: Final = "contact-v2"
-EARLIER: Final = "contact-v1"
 NETWORK: Final = "touchnet-v1"
 REFERENCE: Final = "papers' four networks"
 MEAN: Final = "mean of labels"
@@ -44,7 +43,6 @@ def _contact(*, full: bool) -> list[Variant]:
         refitted = {"depth": (2, 4, 6, 8, 12), "share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
     names = {"depth": "depth {}", "share": "share {:g} of features", "leaf": "leaf {}", "trees": "{} trees"}
     own = [
-        Variant(EARLIER, "model", {"kind": "contact-v1"}),
         *(_contact_variant(f"{count} trees", "trees", trees=count) for count in (2, 5, 10, 20, 30)),
         _contact_variant("no surroundings", "part", part="no surroundings"),
         _contact_variant("forests alone", "part", part="forests"),

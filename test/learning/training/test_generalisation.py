@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
-
 from foretouch.learning.training.claims import choose_claims, same_object, shrunken_slope
+from numpy.testing import assert_allclose, assert_array_equal
 
 RIDGES = (0.03, 0.3, 3.0, 30.0)
 
