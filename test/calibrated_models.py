@@ -11,7 +11,7 @@ from sklearn.ensemble import ExtraTreesRegressor
 
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup, add_calibration
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
-from foretouch.models.contact.features import FEATURES
+from foretouch.models.contact.features import CONDITIONS, FEATURES
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.novelty import standardisation

@@ -497,8 +497,9 @@ def touches() -> Kind:
     """Predictions as `foretouch run` and the pictures read them."""
     from rich.console import Console
 
+    from foretouch.cli.answers import answer_record
     from foretouch.cli.live import live_panel
-    from foretouch.cli.run import _print_answer
+    from foretouch.cli.output import print_json
     from foretouch.ros.messages.conversions import header_to_msg, prediction_to_msg
     from foretouch.ros.nodes.monitor import View
     from foretouch.types import Grasp, Touch, TouchPrediction
@@ -513,7 +514,7 @@ def touches() -> Kind:
     console, calls = Console(file=sys.stderr), iter(range(10**9))
 
     def read(message: Any) -> None:
-        _print_answer(message)
+        print_json(answer_record(message))
         if next(calls) % 10 == 0:  # drawing takes long
             console.print(live_panel(View(last=message), "fuzz"))
 

@@ -16,7 +16,7 @@ import pytest
 from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
-from foretouch.cli.predict import read_tare
+from foretouch.cli.adaptation import _read_tare
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
@@ -133,7 +133,7 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
 def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path, content: str, rule: str) -> None:
     (tmp_path / "t.json").write_text(content)
     with pytest.raises(FileError, match=rule) as caught:
-        read_tare([str(tmp_path / "t.json")])
+        _read_tare([str(tmp_path / "t.json")])
     assert "t.json" in str(caught.value)
 
 

@@ -59,7 +59,7 @@ def test_combinations(models, released, sides) -> None:
 
 
 def test_variants_that_differ_only_after_touches(models) -> None:
-    for name in ("no worth", "diagonal B"):
+    for name in ("no shrinkage", "diagonal B"):
         np.testing.assert_array_equal(models[name].recording.expected, models[FULL].recording.expected)
         after = models[name].predict(ASKED, TOUCHED, tare=False)
         assert np.abs(after - models[FULL].predict(ASKED, TOUCHED, tare=False)).max() > 1e-3
@@ -88,12 +88,13 @@ def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Pat
     rows += [_row("lean", NOTHING, one, 8.0) for one in objects] + [_row("lean", "tare", one, 4.0) for one in objects]
     table = ablation_rows(rows, BootstrapConfig(draws=200))
     by_name = {(row["table"], row["predictor"]): row for row in table if row["modality"] == "E_TH"}
-    assert by_name["parts", "less"]["vs_full"] == pytest.approx(-0.1)
-    assert by_name["parts", "less"]["vs_full_verdict"] == "worse"
-    assert by_name["lean", "tare"]["vs_nothing"] == pytest.approx(0.4)
+    assert by_name["parts", "less"]["difference"] == pytest.approx(-0.1)
+    assert by_name["parts", "less"]["difference_verdict"] == "worse"
+    assert by_name["lean", "tare"]["difference"] == pytest.approx(0.4)
     tables = ablation_tables(table)
-    assert [one.title.rpartition(" ")[2] for one in tables] == ["`full`", "`nothing`"]
-    assert tables[0].rows[1][1].startswith("0.400 (-0.100 ▼")
+    assert tables[0].notes == ["parts: mean skill of full .50, less .40▼", "lean: mean skill of nothing .20, tare .60▲"]
+    assert [one.title.rpartition(" ")[2] for one in tables[1:]] == ["`full`", "`nothing`"]
+    assert tables[1].rows[1][1].startswith("0.400 (-0.100 ▼")
     (figure,) = find_experiment("ablation").draw(table, tmp_path)
     assert figure.stat().st_size > 5000
 

@@ -41,7 +41,7 @@ def test_sizes_are_what_they_are_called_and_do_not_depend_on_the_place(rng) -> N
     assert_allclose(found[:3], np.ptp(cloud, axis=0))
     assert_allclose(found[3:6], np.linalg.svd(centred, compute_uv=False)[::-1] / np.sqrt(len(cloud)))
     assert_allclose(found[6:], [np.linalg.norm(centred, axis=1).max(), np.log(len(cloud))])
-    assert_allclose(object_sizes(cloud + [0.7, 0.0, 2.5]), found, atol=1e-9)
+    assert_allclose(object_sizes(cloud + np.array([0.7, 0.0, 2.5])), found, atol=1e-9)
     with pytest.raises(CloudError, match="all 20 finite points are in one place"):
         object_sizes(np.ones((20, 3)))
 

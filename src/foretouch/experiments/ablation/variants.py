@@ -93,7 +93,7 @@ def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
 
 
 TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
-    "no worth": lambda parameters: replace(parameters, difference_shrinkage=np.ones((2, TOUCH_SIZE))),
+    "no shrinkage": lambda parameters: replace(parameters, difference_shrinkage=np.ones((2, TOUCH_SIZE))),
     "diagonal B": _diagonal,
 }
 """By name of the variant, changes of the full model's tracker, which only matter after touches."""
