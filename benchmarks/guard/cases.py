@@ -166,7 +166,7 @@ def networks() -> tuple[Job, Job]:
     """One shared network of P2's width against four eager ones in the papers' layout, for one grasp."""
     import torch
 
-    from foretouch.models.network.checkpoint import Member, NetworkEstimator
+    from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.config import ModelConfig
     from foretouch.models.network.folding import fold
     from foretouch.models.touch_model import TouchModel
@@ -189,7 +189,7 @@ def networks() -> tuple[Job, Job]:
                 f"{net.config.outputs[0]}, rows and channels first",
                 net.counts(points, grasp) - convolved(points, grasp),
             )
-    model = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
+    model = TouchModel(NetworkEstimator(ModelConfig(), folded), {"name": "full width", "sha256": ""})
     one, asked = target(), grasps()[:1]
 
     def ours() -> None:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from foretouch.learning.data import SPLITS
-from foretouch.models.network.checkpoint import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.networks import TouchNet
@@ -119,8 +119,7 @@ def networks(cloud: Cloud, candidates: list[Grasp]) -> None:
     print(f"shared layers in bfloat16: largest difference {float(rounded.max()):.1e} counts, with random weights")
 
     plain, fast = (
-        TouchModel(NetworkEstimator([Member(ModelConfig(), net)]), {"name": "full width", "sha256": ""})
-        for net in (folded, half)
+        TouchModel(NetworkEstimator(ModelConfig(), net), {"name": "full width", "sha256": ""}) for net in (folded, half)
     )
     rows: list[tuple[str, Callable[[int], object]]] = [
         ("four eager networks, channels first", lambda k: [net(points.expand(k, -1, -1), grasps[:k]) for net in first]),

@@ -23,7 +23,7 @@ from foretouch.models.contact.cheaper import GlobalFeaturesOnly, fewer_trees
 
 def test_cheaper_contact_models() -> None:
     samples = make_samples()
-    rows = describe_samples(samples, FEW_TREES.features)
+    rows = describe_samples(samples)
     objects = [sample.object for sample in samples]
     large, small = (fit_contact(rows, labels_of(samples), objects, FEW_TREES.replace(trees=trees)) for trees in (4, 2))
     np.testing.assert_array_equal(fewer_trees(large, 2).predict_rows(rows)[0], small.predict_rows(rows)[0])

@@ -40,20 +40,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def model_files(card_path: Path) -> list[Path]:
-    """The files of a model besides its card: weights, calibration, and cards and files of an ensemble's members.
+    """The files of a model besides its card: weights and calibration.
 
     Raises:
-        ModelError: If a card cannot be read.
+        ModelError: If the card cannot be read.
     """
     from foretouch.models.card import read_card
 
     card = read_card(card_path)
-    files: list[Path] = []
-    for member in card.get("members", []):
-        path = card_path.with_name(Path(str(member)).name)
-        files += [path, *model_files(path)]
-    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
-    return files + [card_path.with_name(Path(str(name)).name) for name in names if name]
+    names = [card["weights"], (card["calibration"] or {}).get("weights")]
+    return [card_path.with_name(Path(str(name)).name) for name in names if name]
 
 
 def _record(name: str) -> dict[str, Any]:

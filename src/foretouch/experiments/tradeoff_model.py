@@ -190,11 +190,11 @@ def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactE
 
 def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimator:
     """The estimator of a variant from a network."""
-    from foretouch.models.network.checkpoint import Member, NetworkEstimator
+    from foretouch.models.network.checkpoint import NetworkEstimator
     from foretouch.models.network.folding import fold
 
     config = net.config.replace(**values.get("changes", {}))
-    return NetworkEstimator([Member(config, fold(net, values.get("precision", "float32")))], fallback)
+    return NetworkEstimator(config, fold(net, values.get("precision", "float32")), fallback=fallback)
 
 
 def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:

@@ -10,10 +10,9 @@ import pytest
 from contact_model_builders import scaled
 from numpy.testing import assert_allclose, assert_array_equal
 
-from foretouch.models.network.checkpoint import Member, NetworkEstimator
+from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
 from foretouch.models.novelty import Fallback, object_sizes
-from foretouch.tactile import P1_RANGES, P2_RANGES
 from foretouch.types import Cloud
 
 
@@ -36,7 +35,7 @@ def test_predictions_fade_to_the_mean_of_the_labels_as_an_object_leaves_the_dist
         return float(np.sort(np.abs(cans.known - standard).sum(axis=1))[:3].mean())
 
     slow = replace(cans, span=np.array([distance(view), distance(scaled(view, 1.2))]))
-    plain, fading = (NetworkEstimator([Member(small, fold(make_net()))], one) for one in (None, slow))
+    plain, fading = (NetworkEstimator(small, fold(make_net()), None, one) for one in (None, slow))
     weights = []
     for factor in (1.0, 1.05, 1.1, 1.2, 30.0):
         larger = scaled(view, factor)
@@ -49,10 +48,3 @@ def test_predictions_fade_to_the_mean_of_the_labels_as_an_object_leaves_the_dist
     assert (np.diff(weights[:4]) < 0.0).all()
     assert_array_equal(faded.counts, np.tile(np.arange(1475.0, 1525.0), (3, 1)))
     assert fading.estimate(view, []).in_distribution.shape == (0,)
-
-
-def test_ranges_are_those_of_the_network_that_predicts_the_modality(make_net, small) -> None:
-    thumb = small.replace(outputs=("PDC_TH", "E_TH"), ranges=P1_RANGES)
-    finger = small.replace(outputs=("PDC_MF", "E_MF"))
-    ranges = NetworkEstimator([Member(config, fold(make_net(config))) for config in (thumb, finger)]).ranges
-    assert (ranges.of("E_TH"), ranges.of("E_MF")) == (P1_RANGES.of("E_TH"), P2_RANGES.of("E_MF"))
