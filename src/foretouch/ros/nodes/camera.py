@@ -21,8 +21,8 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import scene_camera, swinging
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.scene_camera import scene_camera, swinging_frames
+from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.types import Cloud
 
 _READ_S = 0.1  # longest wait before the thread checks whether it should end
@@ -53,7 +53,7 @@ class CameraNodeConfig(NodeConfig):
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
-    scene: ShowConfig = field(default_factory=ShowConfig)
+    scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     faults: FaultConfig = field(default_factory=FaultConfig)
 
     def __post_init__(self) -> None:
@@ -218,5 +218,5 @@ def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
     rng = np.random.default_rng(scene.seed)
     depth_scene = random_scene(rng, camera.width, camera.height, scene.n_objects)
     count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps))) if scene.moving else 1
-    frames = swinging(depth_scene, count, rng=rng, noise_m=scene.noise_m)
+    frames = swinging_frames(depth_scene, count, rng=rng, noise_m=scene.noise_m)
     return SyntheticCamera(frames, camera.fps)
