@@ -47,7 +47,7 @@ def _check(found: dict[tuple[str, str], list[float]], exact: set[tuple[str, str]
 def test_objects(bench: ModuleType, exact: set[tuple[str, str]]) -> None:
     xyz = next(bench.made_objects())
     models = {name: load_model(name) for name in bench.MODELS}
-    spread = np.ones(len(bench.ContactScene(xyz).describe([bench.given_grasp(xyz)[0]])[0]))
+    spread = np.ones(len(bench.HandFrameFeatures(xyz).describe([bench.given_grasp(xyz)[0]])[0]))
     found = defaultdict(list)
     for change in bench.changes():
         if change.name in FAST:

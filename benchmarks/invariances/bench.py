@@ -23,14 +23,14 @@ from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
 from foretouch.grasp.reach import check_reach
 from foretouch.models import load_model
-from foretouch.models.contact.features import ContactScene
+from foretouch.models.contact.features import HandFrameFeatures
 from foretouch.models.hand_history import HandHistory
 from foretouch.models.touch_model import TouchModel
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
 
-MODELS = ("contact-v1", "touchnet-v1")
+MODELS = ("contact-v2", "touchnet-v1")
 HERE = Path(__file__).parent
 COLUMNS = ("step", "change", "n", "refused", "unit", "median", "largest", "limit", "over")
 
@@ -51,7 +51,7 @@ STEPS = {
     "GeoGrasp stable: best grasp": Step("mm", 10.0),
     "reach and limits": Step("other verdicts", 0.5),
     "contact features": Step("% of the spread over objects, rms", 25.0),
-    "contact-v1: prediction": Step("counts", 50.0),
+    "contact-v2: prediction": Step("counts", 50.0),
     "touchnet-v1: prediction": Step("counts", 50.0),
     "novelty flag": Step("other flags", 0.5),
     "calibration after 3 touches": Step("counts", 50.0),
@@ -232,7 +232,7 @@ def given_grasp(xyz: Float32) -> tuple[Grasp, Float64]:
 
 def feature_spread(clouds: list[Float32]) -> Float64:
     """Standard deviation of each contact feature over the objects; infinite for one that is the same for all."""
-    described = [ContactScene(xyz.astype(np.float64)).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
+    described = [HandFrameFeatures(xyz.astype(np.float64)).describe([given_grasp(xyz)[0]])[0] for xyz in clouds]
     spread = np.std(described, axis=0)
     return np.where(spread > 0.0, spread, np.inf)
 
@@ -283,7 +283,7 @@ def object_steps(
     compare("reach and limits", _verdict, _largest)
     compare(
         "contact features",
-        lambda points, one: ContactScene(points.astype(np.float64)).describe([one])[0],
+        lambda points, one: HandFrameFeatures(points.astype(np.float64)).describe([one])[0],
         lambda before, after: float(np.sqrt(np.mean(((after - before) / spread) ** 2)) * 100.0),
     )
     for name, model in models.items():
@@ -369,7 +369,7 @@ def batch(found: Found, xyz: Float32, models: dict[str, TouchModel]) -> None:
         g1, g2 = grasp.g1 + rng.normal(0.0, 0.005, 3), grasp.g2 + rng.normal(0.0, 0.005, 3)
         others.append(Grasp(g1, g2, hand_rotation(g1, g2, grasp.rotation[:, 1])))
     others[57] = grasp
-    scene = ContactScene(xyz.astype(np.float64))
+    scene = HandFrameFeatures(xyz.astype(np.float64))
     found["contact features", OTHERS[0]].append(_largest(scene.describe([grasp])[0], scene.describe(others)[57]))
     for name, model in models.items():
         alone, among = model.predict(Cloud(xyz), [grasp])[0], model.predict(Cloud(xyz), others)[57]
@@ -415,7 +415,7 @@ def answers() -> dict[str, npt.NDArray[np.floating]]:
         for method in ("original", "stable"):
             plan = plan_grasps(Cloud(xyz), ASSUMED_TABLE, GeoGraspConfig.from_mapping({"method": method}))
             result[f"GeoGrasp {method}: best grasp|{number}"] = 1e3 * np.stack([plan.grasps[0].g1, plan.grasps[0].g2])
-        result[f"contact features|{number}"] = ContactScene(xyz.astype(np.float64)).describe([grasp])[0]
+        result[f"contact features|{number}"] = HandFrameFeatures(xyz.astype(np.float64)).describe([grasp])[0]
         for name, model in models.items():
             result[f"{name}: prediction|{number}"] = _vector(_answer(model, xyz, grasp))
     for seed in range(3):
@@ -475,7 +475,7 @@ def live(found: Found) -> None:
             found[f"GeoGrasp {method}: best grasp", OTHERS[2]].append(difference)
             expected = offline.targets[0].predictions[0]
             predicted = pipeline.predict(targets[0], [sent])[0]
-            found["contact-v1: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
+            found["contact-v2: prediction", OTHERS[2]].append(_largest(_vector(expected), _vector(predicted)))
             found["novelty flag", OTHERS[2]].append(float(expected.flags != predicted.flags))
         assert offline.scene is not None
         assert offline.scene.segmentation.plane is not None

@@ -15,13 +15,11 @@ from reference import (
     far_or_round,
     float32_cloud,
     gap,
-    gap_up_to_sign,
     kernel,
     norm,
     real,
     relative_gap,
     rotation,
-    solve,
     span,
     spread_points,
     sqrt,
@@ -30,7 +28,6 @@ from reference import (
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.learning.evaluation.metrics import ObjectErrors, score, skills
 from foretouch.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
-from foretouch.learning.training.contact import _ridge_weights
 from foretouch.learning.training.losses import (
     Features,
     SrganLossConfig,
@@ -38,15 +35,15 @@ from foretouch.learning.training.losses import (
     generator_loss,
     labeled_loss,
 )
-from foretouch.models.contact.features import FEATURES, ContactScene
-from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
+from foretouch.models.contact.features import FEATURES, HandFrameFeatures
+from foretouch.models.contact.regressors import Forest, KernelRegression
 from foretouch.models.network.batch_norm import batch_affine, update_statistics
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
-from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
+from foretouch.models.novelty import Fallback, object_sizes, standardisation
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
 
@@ -80,73 +77,35 @@ def _quantile(values: Exact, share: float) -> Exact:
 
 @kernel(
     "features: lengths",
-    of="models.contact.features.ContactScene",
+    of="models.contact.features.HandFrameFeatures, models.novelty.object_sizes",
     error="of all lengths / √λ3",
     condition="max|p| / √λ3 · √(λ3 / λ1)",
     constant=0.5,
 )
 def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points, grasp = _scene(t, rng)
-    row = ContactScene(points).describe([grasp])[0]
+    row, sizes = HandFrameFeatures(points).describe([grasp])[0], object_sizes(points)
     mean, _, values = _sizes(points)
     p, hand, size = exact(points), exact(grasp.rotation), np.sqrt(values[2])
     away = norm(p - mean)
     middle = (exact(grasp.g1) + exact(grasp.g2)) / 2
-    in_hand = (p - middle) @ hand
     _, exact_values = covariance(p)
     wanted: dict[str, Exact] = {
         **{f"spread_{k + 1}": value for k, value in enumerate(sqrt(eigen(exact_values)[0]))},
-        **{f"extent_{axis}": p[:, k].max() - p[:, k].min() for k, axis in enumerate("xyz")},
-        "radius": away.max(),
         **{f"radius_q{round(100 * q)}": _quantile(away, q) for q in (0.25, 0.5, 0.75)},
         "width": norm(exact(grasp.g1) - exact(grasp.g2)),
         "offset": norm(middle - mean),
-        **{f"g1_from_centre_{axis}": exact(grasp.g1)[k] - mean[k] for k, axis in enumerate("xyz")},
-        **{f"low_hand_{axis}": _quantile(in_hand[:, k], 0.01) for k, axis in enumerate("xyz")},
-        **{f"high_hand_{axis}": _quantile(in_hand[:, k], 0.99) for k, axis in enumerate("xyz")},
-        **{f"centre_hand_{axis}": in_hand[:, k].sum() / 40 for k, axis in enumerate("xyz")},
+        "distance": norm(mean[None])[0],
     }
     kappa = float(np.abs(points).max()) / size * np.sqrt(values[2] / values[0])
-    return kappa, max(gap(row[_COLUMN[name]], value) for name, value in wanted.items()) / size
-
-
-@kernel(
-    "features: axis",
-    of="models.contact.features.ContactScene",
-    error="|a - a*|",
-    condition="λ3 / (λ3 - λ2)",
-    constant=5.0,
-)
-def _feature_axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    points, _ = _scene(t, rng)
-    _, vectors, values = _sizes(points)
-    axis = ContactScene(points).object_features[[OBJECT_FEATURES.index(f"axis_{k}") for k in "xyz"]]
-    return values[2] / (values[2] - values[1]), gap_up_to_sign(axis, vectors[:, 2])
-
-
-@kernel(
-    "features: slope at the contact",
-    of="models.contact.features._slope",
-    error="|n - n*|",
-    condition="λ3 / (λ2 - λ1)",
-    constant=5.0,
-)
-def _slopes(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The surface around a contact, an ever narrower strip at up to 10 km."""
-    hand = rotation(rng)
-    flat = rng.uniform(-1.0, 1.0, (20, 3)) * [0.006, 0.006 * span(t, 0.9, 0.02), 1e-5]
-    place = span(t, 0.3, 1e4) * np.array([0.1, -0.1, 1.0])
-    points = flat @ rotation(rng).T + place
-    contact = points.mean(axis=0)
-    row = ContactScene(points).describe([Grasp(contact, contact + 0.05 * hand[:, 2], hand)])[0]
-    near = norm(exact(points) - exact(contact)) < exact(0.008)
-    _, vectors, values = _sizes(points[near.astype(np.bool_)])
-    along = hand[:, 0] if hand[:, 0] @ points.mean(axis=0) >= 0.0 else -hand[:, 0]
-    frame = np.stack([along, np.cross(-hand[:, 2], along), -hand[:, 2]], axis=1)
-    wanted = vectors[:, 0] @ exact(frame)
-    low, middle, high = values
-    found = row[[_COLUMN[f"g1_slope_8mm_{axis}"] for axis in "xyz"]]
-    return high / (middle - low), gap_up_to_sign(found, wanted)
+    errors = [gap(row[_COLUMN[name]], value) for name, value in wanted.items()]
+    away_from = np.where(grasp.rotation[2, 0] < 0.0, -1.0, 1.0)
+    turned = (mean - middle) @ hand * exact(np.array([away_from, away_from, 1.0]))
+    errors += [gap(row[_COLUMN[f"centre_hand_{axis}"]], turned[k]) for k, axis in enumerate("xyz")]
+    extents = [p[:, k].max() - p[:, k].min() for k in range(3)]
+    wanted_sizes = [*extents, *sqrt(eigen(exact_values)[0]), away.max()]  # the eighth is the number of points
+    errors += [gap(found, value) for found, value in zip(sizes, wanted_sizes, strict=False)]
+    return kappa, max(errors) / size
 
 
 @kernel(
@@ -169,7 +128,7 @@ def _standardisation(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "novelty score",
-    of="models.novelty.SizeNoveltyDetector",
+    of="models.novelty.Fallback.score",
     error="|score - score*|",
     condition="distance / span of the score",
     constant=5.0,
@@ -178,13 +137,13 @@ def _novelty(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Distances at the middle of an ever narrower span."""
     centre, scale = rng.random(8), rng.uniform(0.5, 2.0, 8)
     known = rng.normal(size=(12, 8)).astype(np.float32)
-    features = rng.normal(size=len(OBJECT_FEATURES))
-    sizes = (exact(features[3:11]) - exact(centre)) / exact(scale)
+    features = rng.normal(size=8)
+    sizes = (exact(features) - exact(centre)) / exact(scale)
     distance = np.sort(np.abs(exact(known) - sizes).sum(axis=1))[:3].sum() / 3
     low = float(distance) * (1.0 - span(t, 0.5, 1e-9) * rng.uniform(0.2, 0.8))
     high = low + float(distance) * span(t, 0.5, 1e-9)
     wanted = np.clip((exact(high) - distance) / (exact(high) - exact(low)), mpmath.mpf(0), mpmath.mpf(1))
-    found = SizeNoveltyDetector(centre, scale, known, np.array([low, high])).in_distribution_score(features)
+    found = Fallback(centre, scale, known, np.array([low, high]), np.zeros(50)).score(features)
     return float(distance) / (high - low), gap(found, wanted)
 
 
@@ -224,23 +183,6 @@ def _regression(t: float, rng: np.random.Generator) -> tuple[float, float]:
     k = exp(-exponent)
     size = k @ np.abs(exact(weight))
     return 1.0 + float(exponent.max()), float(np.max(np.abs(exact(found) - k @ exact(weight)) / size))
-
-
-@kernel(
-    "kernel ridge weights",
-    of="learning.training.contact._ridge_weights",
-    error="|w - w*| / |w*|",
-    condition="cond(K + ridge I)",
-    constant=2.0,
-)
-def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Training rows that almost coincide, and a vanishing ridge."""
-    rows = rng.normal(size=(5, 4)).repeat(2, axis=0) + span(t, 1.0, 1e-9) * rng.normal(size=(10, 4))
-    matrix = laplacian(rows, rows, 1.0)
-    labels, ridge = rng.normal(size=(10, 2)), span(t, 1.0, 1e-9)
-    wanted = solve(exact(matrix) + exact(ridge) * exact(np.eye(10)), exact(labels))
-    error = gap(_ridge_weights(matrix, labels, ridge), wanted) / float(np.abs(wanted).max())
-    return float(np.linalg.cond(matrix + ridge * np.eye(10))), error
 
 
 @kernel(
@@ -448,7 +390,7 @@ def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Batches whose mean features agree more and more."""
     a = rng.uniform(0.5, 1.0, (8, 16)).astype(np.float32)
     b = (a + span(t, 0.5, 1e-4) * rng.uniform(0.5, 1.0, a.shape)).astype(np.float32)
-    config = SrganLossConfig(reading="as_printed", distance="batch_mean")
+    config = SrganLossConfig(loss_variant="as_printed", distance="batch_mean")
     found = float(generator_loss(torch.from_numpy(a), torch.from_numpy(b), config).total)
     delta = (exact(a) - exact(b)).sum(axis=0) / 8
     wanted = (delta**2).sum()

@@ -26,7 +26,7 @@ def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
-    parser.add_argument("--models", nargs="+", default=["contact-v1", "contact-v2"], help="names or cards")
+    parser.add_argument("--models", nargs="+", default=["contact-v2", "touchnet-v1"], help="names or cards")
     parser.add_argument("--every", type=int, default=1, help="use each k-th recorded grasp")
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "results.csv")
     arguments = parser.parse_args()
