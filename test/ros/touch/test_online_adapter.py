@@ -143,7 +143,7 @@ def assert_answer(
     answer: TouchPredictionArray, hand: Hand, read: HandHistory | None = None, *, tare: bool = False
 ) -> None:
     """All 150 numbers are those of the core after the same readings, up to the drift within some seconds."""
-    history = None if read is None else read.at(time.time_ns(), same_object=True, tare=tare)
+    history = None if read is None else read.snapshot(time.time_ns(), same_object=True, tare=tare)
     model = load_model(hand.node.config.model) if read is None else read.model
     wanted = model.predict(hand.cloud, hand.planned, history=history)
     for message, one in zip(answer.predictions, wanted, strict=True):
