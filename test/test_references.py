@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.committed_numbers
+
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "references"
 LEVELS = 3  # the benign end of each family, its middle and its hard end
 sys.path.insert(0, str(FOLDER))
