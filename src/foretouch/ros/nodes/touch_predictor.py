@@ -108,8 +108,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
 
     # Hooks of the base class.
 
-    def setup(self) -> None:
-        """Load the model, then offer topics, services and actions."""
+    def _setup(self) -> None:
         self._frame = OutputFrame(self, self.config)
         self._planner_action = planner_action_class(self.config.planner_action_type)
         self._predictor = Predictor(self.config.model, self.config.fallback_model)
@@ -132,7 +131,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         if self._planner_action is not None:
             self._offer(self._planner_action, PLANNER_ACTION, self._sample_grasp_poses, self._planner_failure)
         self.subscribe(TablePlane, "table", self._remember_table)
-        super().setup()
+        super()._setup()
 
     def _offer(
         self, kind: Any, name: str, execute: Callable[[Any], Any], failure: Callable[[RefusalError], Any]
@@ -156,8 +155,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
             )
         )
 
-    def teardown(self) -> None:
-        """Remove services and actions, model and touches."""
+    def _teardown(self) -> None:
         for service in self._answering:
             self.destroy_service(service)
         self._answering.clear()
@@ -194,21 +192,17 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         kept = self._keeper.notes() if self._keeper else {}
         return {**super().notes(), **known, **budget, **adapted, **kept, **frame, **offered}
 
-    def config_changed(self, config: TouchPredictorConfig) -> None:
-        """Touches with and without a tare cannot be combined: a change of `use_tare` forgets them."""
+    def _config_changed(self, config: TouchPredictorConfig) -> None:
         if config.use_tare != self._used_tare:
             self._used_tare = config.use_tare
             if self._adapter is not None:
                 self._adapter.forget()
 
-    def exclusive_topics(self) -> tuple[str, ...]:
-        """The answers of this node."""
-        return ("touch",)
+
 
     # The topic.
 
-    def answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
-        """Predict the touch of all grasps on one cloud."""
+    def _answer(self, messages: dict[str, Any], header: Header) -> tuple[int, str]:
         grasps = messages[GRASPS_TOPIC]
         self._remember_cloud(messages[CLOUD_TOPIC])
         if not grasps.grasps:
@@ -239,8 +233,7 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         markers = touch_markers(prediction, config.ranges, thumb_takes_g1=config.thumb_takes_g1, touches=touches)
         self._markers.publish(markers if transform is None else transform.markers(markers))
 
-    def refuse(self, header: Header, status: int, reason: str) -> None:
-        """Publish why this cloud gets no predictions."""
+    def _refuse(self, header: Header, status: int, reason: str) -> None:
         self._touch.publish(TouchPredictionArray(header=header, status=status, reason=reason))
 
     def _predict(
