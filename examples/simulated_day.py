@@ -77,7 +77,7 @@ def write_model(out: Path) -> Path:
         shutil.copy(file, path)
     calibration = model.calibration
     assert calibration is not None  # noqa: S101  the released ones have it
-    tracker = calibration.tracker_parameters()
+    tracker = calibration.tracker_parameters
     times = {name: getattr(tracker, name) / SPEED for name in ("slow_time_s", "fast_time_s")}
     facts = {name: model.card["calibration"][name] for name in ("level", "regimes", "rest")}
     add_calibration(card, replace(calibration, tracker=replace(tracker, **times)), facts)

@@ -24,26 +24,25 @@ REST = np.concatenate([[2600.0, 1700.0], np.full(24, 3100.0), np.full(24, 3300.0
 
 
 def make_calibration(seed: int = 0) -> Calibration:
-    """A calibration whose four groups all differ, and in which all values are correlated."""
+    """A calibration whose groups differ, and in which all values are correlated."""
     rng = np.random.default_rng(seed)
-    groups = {}
+    groups, factors = {}, rng.normal(size=(50, 10))
     for k, name in enumerate(GROUPS, 1):
-        factors = rng.normal(size=(50, 10))
         between = 40.0 * k * (factors @ factors.T + np.eye(50))
         within = rng.uniform(300.0, 900.0, 50)
-        half_width = rng.uniform(50.0, 90.0, 50) * k
-        groups[name] = CalibrationGroup(
-            between, within, rng.uniform(0.2, 1.0, 50), np.diag(between) + within, half_width
-        )
+        spread = np.diag(between) + within
+        shrinkage = rng.uniform(0.2, 1.0, 50)
+        groups[name] = CalibrationGroup(between, within, shrinkage, spread, (1.6 + 0.1 * k) * np.sqrt(spread))
     return Calibration(REST, groups)
 
 
 def make_tracked_calibration() -> Calibration:
     """The same with the parameters of a tracker, whose sensors drift by as much as objects differ."""
     calibration = make_calibration()
-    parameters = calibration.tracker_parameters()
-    lasting = parameters.object[0]
-    tracker = replace(parameters, slow=lasting, fast=0.2 * lasting, alarm=np.full((2, 2), 1e6))
+    parameters = calibration.tracker_parameters
+    lasting = parameters.object[0] + parameters.slow
+    objects = np.array([lasting, parameters.object[1]])
+    tracker = replace(parameters, slow=lasting, fast=0.2 * lasting, object=objects, alarm=np.full((2, 2), 1e6))
     return replace(calibration, tracker=tracker)
 
 

@@ -60,9 +60,11 @@ def moved(grasp: Grasp, turn: Float64, shift: Float64) -> Grasp:
 
 
 def with_tares(samples: list[GraspSample], drift: float, seed: int = 0) -> list[GraspSample]:
-    """The samples with tares: all channels of a sample drift together, tare and label alike [counts]."""
+    """The samples with tares: all channels drift together from object to object, tare and label alike [counts]."""
     rest = np.concatenate([[2600.0, 1700.0], np.full(24, 3200.0), np.full(24, 3300.0)])
-    shifts = np.random.default_rng(seed).normal(0.0, drift, len(samples))
+    names = sorted({sample.object for sample in samples})
+    level = dict(zip(names, np.random.default_rng(seed).normal(0.0, drift, len(names)), strict=True))
+    shifts = [level[sample.object] for sample in samples]
     return [
         GraspSample(
             sample.id,

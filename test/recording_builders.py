@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,9 @@ from foretouch.dataset.recording import (
     SampleRecord,
     TouchSeries,
 )
+from foretouch.dataset.source import Source
+from foretouch.dataset.vision2tactile import read_sample, sample_folders
+from foretouch.errors import ForetouchError
 from foretouch.grasp.pose import hand_rotation
 from foretouch.types import Cloud, Grasp, GraspSample, Touch
 
@@ -106,6 +110,30 @@ def write_grasps(path: Path) -> None:
                     sample = replace(sample, touch=None, tare=None)
                 flags = (DISCARDED,) if one is samples[5] else ()
                 writer.append(SampleRecord(sample=sample, candidates=(other,), flags=flags))
+
+
+def read_folder(path: Path) -> list[GraspSample]:
+    """All samples in folders of vision2tactile."""
+    return [read_sample(folder) for folder in sample_folders(path)]
+
+
+def readable(
+    source: Source, refuse: Callable[[str, ForetouchError], None]
+) -> Iterator[tuple[str, Cloud | GraspSample]]:
+    """The clouds or samples that can be read, with their names; `refuse` is called with name and error of each other."""
+    items = iter(source)
+    while True:
+        name = str(source.path)
+        try:
+            item = next(items, None)
+            if item is None:
+                return
+            name = item.name
+            value = item.value
+        except ForetouchError as err:
+            refuse(name, err)
+            continue
+        yield name, value
 
 
 def assert_same_sample(a: GraspSample, b: GraspSample) -> None:

@@ -136,7 +136,7 @@ def test_the_metadata_requires_what_is_imported() -> None:
         "ament_index_python",
         "action_msgs",
     }
-    optional = set(required("camera", "sweep", "tensorboard", "open3d", "backends", "view", "serve"))
+    optional = set(required("camera", "sweep", "tensorboard", "open3d", "view", "serve"))
     only_in_full_ros = {"sr_robot_msgs"}
     needed = imported("src") - from_ros - optional - only_in_full_ros
     assert needed == set(required(None))
@@ -147,9 +147,7 @@ def test_package_xml_declares_what_is_imported() -> None:
     modules = {
         {"python3-yaml": "yaml", "python3-pil": "PIL"}.get(name, name.removeprefix("python3-")) for name in declared
     }
-    optional = set(required("camera", "sweep", "tensorboard", "open3d", "backends", "view", "serve")) | {
-        "sr_robot_msgs"
-    }
+    optional = set(required("camera", "sweep", "tensorboard", "open3d", "view", "serve")) | {"sr_robot_msgs"}
     undeclared = imported("src", "launch") - modules - optional - NOT_IN_ROSDEP
     assert undeclared == set()
     assert modules - imported("src", "launch") == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle

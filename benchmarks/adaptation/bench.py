@@ -30,7 +30,6 @@ from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stam
 from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
 from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
-from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory  # noqa: E402
 from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction  # noqa: E402
 from foretouch_msgs.msg import ExecutedGrasp  # noqa: E402
@@ -118,10 +117,8 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model is called, of what adaptation adds to it [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    memory, alone_memory = (
-        HandMemory(HandHistory(model), lambda: clock[0]) if model.tracks else ObjectMemory(model) for _ in range(2)
-    )
-    adapter = OnlineAdapter(model, make_reader(TactileConfig()), memory, lambda: settings, lambda: clock[0], print)
+    history, alone_history = HandHistory(model), HandHistory(model)
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), history, lambda: settings, lambda: clock[0], print)
     hand = Hand(adapter, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -136,7 +133,15 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
 
     def basis() -> dict[str, Any]:
         tare = adapter._recent_tare(settings)  # noqa: SLF001  what the adapter itself reads
-        return alone_memory.basis(cloud, tare, settings.same_object_m)
+        if tare is not None:
+            alone_history.add_tare(clock[0], tare)
+        same = alone_history.is_current(cloud, settings.same_object_m)
+        return {"history": alone_history.at(clock[0], same_object=same, tare=tare is not None)}
+
+    def add(grasp: Grasp, cut: Any) -> None:
+        alone_history.add_tare(clock[0], cut.tare)
+        new = not alone_history.is_current(cloud, settings.same_object_m)
+        alone_history.add_touch(clock[0], cloud, grasp, cut.touch, new_object=new)
 
     hand.send(REST, 300)
     alone, *with_tare = in_turn(ask_model, ask, rounds)
@@ -149,8 +154,7 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
         cut = cut_touch(hand.buffer, interval, settings.pairing)
         estimate = partial(model.estimate_executed, cloud, [grasp])
         matched.append((spent_ms(estimate), spent_ms(adapter.process_touches)))
-        add = partial(alone_memory.add, cloud, grasp, cut.touch, cut.tare, settings.same_object_m)
-        added.append((spent_ms(estimate), spent_ms(add)))
+        added.append((spent_ms(estimate), spent_ms(partial(add, grasp, cut))))
     require_equal(model.predict(cloud, asked, **basis()), ask(), adapter)
     _, *with_touches = in_turn(ask_model, ask, rounds)
     return {

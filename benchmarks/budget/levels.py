@@ -31,7 +31,7 @@ def entry(row: dict, base: dict) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("results", type=Path, help="results.csv of the area `model`")
+    parser.add_argument("results", type=Path, help="tradeoff.csv of the area `model`")
     rows = {row["variant"]: row for row in read_results(parser.parse_args().results)}
     model = load_model()
     base = rows[model.name]

@@ -341,14 +341,12 @@ def _adapter(type_name: str) -> tuple[Any, Any]:
     from foretouch.models.hand_history import HandHistory
     from foretouch.ros.touch.config import TouchPredictorConfig
     from foretouch.ros.touch.online_adapter import OnlineAdapter
-    from foretouch.ros.touch.tactile_state import HandMemory
     from foretouch.tactile.messages import TactileConfig, make_reader
 
     config = TouchPredictorConfig(tactile=TactileConfig(type=type_name))
     reader = make_reader(config.tactile)
     model = load_model("default")
-    memory = HandMemory(HandHistory(model), lambda: NOW_NS)
-    adapter = OnlineAdapter(model, reader, memory, lambda: config, lambda: NOW_NS, lambda _: None)
+    adapter = OnlineAdapter(model, reader, HandHistory(model), lambda: config, lambda: NOW_NS, lambda _: None)
     settings = AssemblerConfig(object="can", unlabelled_s=0.0, assume_grasps=True, watch_sensors=True)
     return adapter, SampleAssembler(settings, reader)
 
@@ -499,8 +497,9 @@ def touches() -> Kind:
     """Predictions as `foretouch run` and the pictures read them."""
     from rich.console import Console
 
+    from foretouch.cli.answers import answer_record
     from foretouch.cli.live import live_panel
-    from foretouch.cli.run import _print_answer
+    from foretouch.cli.output import print_json
     from foretouch.ros.messages.conversions import header_to_msg, prediction_to_msg
     from foretouch.ros.nodes.monitor import View
     from foretouch.types import Grasp, Touch, TouchPrediction
@@ -515,7 +514,7 @@ def touches() -> Kind:
     console, calls = Console(file=sys.stderr), iter(range(10**9))
 
     def read(message: Any) -> None:
-        _print_answer(message)
+        print_json(answer_record(message))
         if next(calls) % 10 == 0:  # drawing takes long
             console.print(live_panel(View(last=message), "fuzz"))
 

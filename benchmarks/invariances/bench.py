@@ -24,7 +24,8 @@ from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
 from foretouch.grasp.reach import check_reach
 from foretouch.models import load_model
 from foretouch.models.contact.features import ContactScene
-from foretouch.models.touch_model import ObjectResiduals, TouchModel
+from foretouch.models.hand_history import HandHistory
+from foretouch.models.touch_model import TouchModel
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_layer
 from foretouch.simulation.depth_scene import random_scene
 from foretouch.types import ASSUMED_TABLE, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
@@ -299,10 +300,10 @@ def object_steps(
     )
 
     def touched(points: Float32, one: Grasp) -> Float64:
-        residuals = ObjectResiduals(contact)
+        history = HandHistory(contact)
         for _ in range(3):
-            residuals.add(Cloud(points), one, _READING)
-        return _vector(contact.predict(Cloud(points), [one], residuals=residuals)[0])
+            history.add_touch(1, Cloud(points), one, _READING)
+        return _vector(contact.predict(Cloud(points), [one], history=history.at(1, same_object=True))[0])
 
     compare("calibration after 3 touches", touched, _largest)
 

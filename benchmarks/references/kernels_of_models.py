@@ -38,7 +38,6 @@ from foretouch.learning.training.losses import (
     generator_loss,
     labeled_loss,
 )
-from foretouch.models.calibration import CalibrationGroup
 from foretouch.models.contact.features import FEATURES, ContactScene
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
 from foretouch.models.network.batch_norm import batch_affine, update_statistics
@@ -48,10 +47,9 @@ from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
-from foretouch.models.touch_model import ObjectResiduals
 from foretouch.simulation.fingertip.disturbances import steady_noise
 from foretouch.tactile import MODALITIES, columns
-from foretouch.types import Cloud, Grasp, Touch
+from foretouch.types import Grasp
 
 _COLUMN = {name: k for k, name in enumerate(FEATURES)}
 
@@ -246,50 +244,6 @@ def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.linalg.cond(matrix + ridge * np.eye(10))), error
 
 
-def _group(t: float, rng: np.random.Generator) -> tuple[CalibrationGroup, int, Exact, float]:
-    """A calibration of 8 values whose W vanishes against B, a number of touches, B (B + W/n)^-1, and the condition."""
-    factors = rng.normal(size=(8, 2))
-    between = 100.0 * (factors @ factors.T) + 1e-9 * np.eye(8)
-    within = span(t, 100.0, 1e-5) * rng.uniform(0.5, 1.0, 8)
-    count = int(span(t, 1.0, 1000.0))
-    group = CalibrationGroup(between, within, rng.uniform(0.0, 1.0, 8), rng.uniform(1e3, 1e4, 8), np.full(8, 60.0))
-    total = exact(between) + np.diag(exact(within) / count)
-    return group, count, solve(total, exact(between)).T, float(np.linalg.cond(real(total)))
-
-
-@kernel(
-    "adaptation to touches",
-    of="models.calibration.CalibrationGroup.counts_after",
-    error="|y - y*| / max|residual|",
-    condition="cond(B + W/n) + max|y| / max|residual|",
-    constant=1.0,
-)
-def _adaptation(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    group, count, gain, condition = _group(t, rng)
-    expected, mean = rng.uniform(1e3, 4e3, (2, 8)), rng.uniform(1e3, 4e3, 8)
-    reading = mean + span(t, 100.0, 1.0) * rng.normal(size=8)
-    residual = exact(reading) - exact(mean)
-    wanted = exact(mean) + gain @ residual + exact(group.worth) * (exact(expected) - exact(mean))
-    size = float(np.abs(residual).max())
-    return condition + 4e3 / size, gap(group.counts_after(expected, mean, reading, count), wanted) / size
-
-
-@kernel(
-    "half width after touches",
-    of="models.calibration.CalibrationGroup.half_width_after",
-    error="|h - h*| / h before any touch",
-    condition="√(cond(B + W/n) max B / spread)",
-    constant=0.5,
-)
-def _half_width(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    group, count, gain, condition = _group(t, rng)
-    between = exact(group.between)
-    lasting = np.diag(between) - np.diag(gain @ between)
-    left = np.minimum((np.maximum(lasting, exact(0.0)) + exact(group.within)) / exact(group.spread), exact(1.0))
-    kappa = np.sqrt(condition * group.between.max() / group.spread.min()) + 1.0
-    return float(kappa), gap(group.half_width_after(count), 60 * sqrt(left)) / 60.0
-
-
 @kernel(
     "calibration: W, slope, spread",
     of="learning.training.calibration.fit_group",
@@ -373,37 +327,6 @@ def _conformal(t: float, rng: np.random.Generator) -> tuple[float, float]:
     below = reached[found - 1] if found else mpmath.mpf(0)
     # The score is the quantile of all levels above the weight below it, up to the weight with it.
     return len(order), float(max(below - level, level - reached[found], mpmath.mpf(0)))
-
-
-@kernel(
-    "touches of an object",
-    of="models.touch_model.ObjectResiduals",
-    error="|m - m*| / max|m*|",
-    condition="number of touches",
-    constant=0.5,
-)
-def _residuals(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The running sums of up to 300 touches."""
-    count = int(span(t, 1.0, 300.0))
-    readings, expected = rng.uniform(100.0, 4000.0, (2, count, 50))
-    model = _Expected(expected)
-    residuals = ObjectResiduals(model)  # type: ignore[arg-type]
-    cloud, grasp = Cloud(np.zeros((1, 3), np.float32)), Grasp(np.zeros(3), np.ones(3), np.eye(3))
-    for reading in readings:
-        residuals.add(cloud, grasp, Touch.from_vector(reading))
-    found = residuals.means()
-    wanted = [exact(rows[:, :4]).sum(axis=0) / count for rows in (expected, readings)]
-    return count, max(gap(a[:4], b) for a, b in zip(found, wanted, strict=True)) / 4000.0
-
-
-class _Expected:
-    """Gives the expected readings one after the other, in the place of a model."""
-
-    def __init__(self, rows: Float64) -> None:
-        self._rows = iter(rows)
-
-    def expect(self, *_: object) -> Float64:
-        return np.asarray(next(self._rows))[None]
 
 
 def _network(seed: int) -> TouchNet:

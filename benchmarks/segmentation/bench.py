@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
+from foretouch.experiments.tradeoff_perception import overlaps
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
-from foretouch.tradeoff.areas.perception.measures import overlaps
 from foretouch.types import Cloud
 
 Labels = npt.NDArray[np.int32]

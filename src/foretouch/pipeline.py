@@ -21,7 +21,7 @@ from foretouch.config import Settings, setting
 from foretouch.grasp import GeoGraspConfig, GraspPlan, HeldGrasp, hand_rotation, object_axis, plan_grasps
 from foretouch.grasp.reach import ReachConfig, check_reach
 from foretouch.models import TouchModel, load_model
-from foretouch.models.touch_model import History, ObjectResiduals
+from foretouch.models.touch_model import History
 from foretouch.types import ASSUMED_TABLE, Cloud, Float64, Grasp, Plane, Touch, TouchPrediction
 
 
@@ -179,7 +179,6 @@ class Pipeline:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        residuals: ObjectResiduals | None = None,
         history: History | None = None,
         model: TouchModel | None = None,
     ) -> Sequence[TouchPrediction]:
@@ -191,7 +190,7 @@ class Pipeline:
             return []
         limits, reach = self.config.limits, self.config.reach
         predictions = (model or self.model).predict(
-            target.cloud, grasps, tare=tare, residuals=residuals, history=history, limits=limits, reach=reach
+            target.cloud, grasps, tare=tare, history=history, limits=limits, reach=reach
         )
         if not target.flags:
             return predictions

@@ -38,7 +38,7 @@ def test_coverage_and_guarantee_are_those_of_the_card(call: Call, tmp_path: Path
     (record,) = call("models", save_calibrated_contact(tmp_path), "--json").records
     result = record["calibration"]
     assert (record["kind"], result["level"], result["objects"], result["promise"]) == ("contact", 0.9, 4, 0.8)
-    assert result["regimes"]["new_tare"] == {"objects": 4, "samples": 40, "coverage": 0.91}
+    assert result["regimes"]["new"] == {"objects": 4, "samples": 40, "coverage": 0.91}
     table = call("models", tmp_path / "contact.json").out
     assert "0.91" in table
     assert "the guaranteed coverage of one more object is at most 80%" in table

@@ -16,14 +16,13 @@ import pytest
 from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
-from foretouch.cli.predict import read_tare
+from foretouch.cli.adaptation import _read_tare
 from foretouch.dataset.recording import RecordingWriter
 from foretouch.dataset.samples import open_samples
 from foretouch.errors import FileError
 from foretouch.learning.evaluation.prequential import replay_model
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory, HistoryFile
-from foretouch.models.touch_model import ObjectResiduals
 from foretouch.types import GraspSample, Touch, TouchPrediction
 
 Call = Callable[..., Any]
@@ -72,19 +71,22 @@ def test_a_tare_shifts_the_prediction_as_the_model_does(call: Call, model: str, 
             assert (wanted.reference, result["touched"]) == ("tare", 0)
 
 
-def test_touches_and_own_tares_adapt_it_as_residuals_do(call: Call, model: str, session: Path) -> None:
+def test_touches_and_own_tares_adapt_it_in_order_of_time(call: Call, model: str, session: Path) -> None:
     answer = call("predict", session, "--model", model, "--tare", "sample", "--touched", session, "--json")
     core = load_model(model)
-    with open_samples(session) as found:
-        samples = [one.sample for one in found.records()]
-    for result, sample in zip(answer.records, samples, strict=True):
-        residuals = ObjectResiduals(core, sample.tare)
-        for one in (one for one in samples if one.id != sample.id):  # its own reading is not used
-            moved = Touch.from_vector(one.touch.vector() - one.tare.vector() + sample.tare.vector())
-            residuals.add(one.cloud, one.grasp, moved)
-        (wanted,) = core.predict(sample.cloud, [sample.grasp], residuals=residuals)
-        assert_reported(result["predictions"][0], wanted)
-        assert (wanted.reference, result["touched"]) == ("touches", 4)
+    samples = sorted(samples_of(session), key=lambda one: one.stamp_ns)
+    results = {result["sample"]: result for result in answer.records}
+    for sample in samples:
+        hand, others = HandHistory(core), [one for one in samples if one.id != sample.id]  # never its own reading
+        for one in others:
+            hand.add_tare(one.stamp_ns, one.tare)
+            hand.add_touch(one.stamp_ns, one.cloud, one.grasp, one.touch)
+        now_ns = max(sample.stamp_ns, others[-1].stamp_ns)
+        hand.add_tare(now_ns, sample.tare)
+        read = hand.at(now_ns, same_object=True, tare=True)
+        (wanted,) = core.predict(sample.cloud, [sample.grasp], history=read)
+        assert_reported(results[sample.id]["predictions"][0], wanted)
+        assert (wanted.reference, results[sample.id]["touched"]) == ("touches", 4)
 
 
 def test_a_sample_s_own_reading_moves_nothing(call: Call, model: str, session: Path, tmp_path: Path) -> None:
@@ -131,7 +133,7 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
 def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path, content: str, rule: str) -> None:
     (tmp_path / "t.json").write_text(content)
     with pytest.raises(FileError, match=rule) as caught:
-        read_tare([str(tmp_path / "t.json")])
+        _read_tare([str(tmp_path / "t.json")])
     assert "t.json" in str(caught.value)
 
 
@@ -253,10 +255,18 @@ def test_the_file_of_a_hand_is_a_history(
     assert "right.safetensors: damaged" in call(*words, file.path).err
 
 
-def test_a_model_without_a_tracker_takes_no_history(call: Call, model: str, session: Path, earlier: Path) -> None:
-    error = call("predict", session, "--model", model, "--history", earlier).err
-    assert error.startswith("foretouch predict: ") or "history: cannot be used" in error
-    assert len(error.splitlines()) == 1
+def test_a_model_without_a_calibration_takes_no_readings(
+    call: Call, files: Path, session: Path, earlier: Path, tmp_path: Path
+) -> None:
+    card = save_calibrated_contact(tmp_path)
+    document = json.loads(Path(card).read_text())
+    Path(card).write_text(json.dumps({**document, "calibration": None}))
+    (tmp_path / "t.json").write_text(json.dumps(reading(0)))
+    for option, value in (("--history", earlier), ("--touched", session), ("--tare", tmp_path / "t.json")):
+        answer = call("predict", files / "object.pcd", "--model", card, option, value, "--json")
+        told = answer.err + "".join(one["reason"] for one in answer.records)
+        assert answer.status == 1
+        assert "contact: cannot adapt to readings: its card holds no calibration" in told
 
 
 def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(

@@ -24,7 +24,7 @@ from recording_builders import write_grasps
 from foretouch.cli.main import main
 from foretouch.dataset.samples import open_samples
 from foretouch.dataset.store_writer import build_store
-from foretouch.report.rerun_view import fingertip_pose
+from foretouch.report.rerun_view import _fingertip_pose
 from foretouch.report.rerun_viewer import _viewer, _viewer_environment
 from foretouch.tactile import electrode_normals, electrode_positions
 
@@ -145,7 +145,7 @@ def test_electrodes_lie_on_the_skin_which_meets_the_contact(
     np.testing.assert_allclose(lowest, getattr(grasp, contact), atol=1e-6)
     other = grasp.g2 if contact == "g1" else grasp.g1
     assert (rotation @ [0.0, 0.0, -1.0]) @ (other - getattr(grasp, contact)) > 0.0  # the pad faces the other contact
-    assert fingertip_pose(grasp, getattr(grasp, contact))[0] == pytest.approx(origin, abs=1e-6)
+    assert _fingertip_pose(grasp, getattr(grasp, contact))[0] == pytest.approx(origin, abs=1e-6)
 
 
 def test_predicted_and_read_electrodes_have_one_scale_of_colours(dataset_view: Written, dataset: Path) -> None:

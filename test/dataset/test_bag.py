@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording, list_topics, read_bag
+from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording, read_bag
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.types import Cloud
@@ -188,13 +188,13 @@ def test_own_message_types_travel(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         writer.define("my_msgs/msg/Reading", "std_msgs/Header header\nint16[] electrodes\n")
         writer.write("/tactile", "my_msgs/msg/Reading", 0, b"\0\1\0\0")
-    (topic,) = list_topics(tmp_path / "bag")
+    (topic,) = Recording(tmp_path / "bag").topics
     assert (topic.type, topic.count, topic.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
 
 
 def test_topics_are_listed_with_types_and_counts(tmp_path, rng):
     write_bag(tmp_path / "bag", make_clouds(rng, count=4), "/a/points")
-    (topic,) = list_topics(tmp_path / "bag")
+    (topic,) = Recording(tmp_path / "bag").topics
     assert (topic.name, topic.type, topic.count) == ("/a/points", POINT_CLOUD_TYPE, 4)
 
 

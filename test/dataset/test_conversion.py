@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_builders import IDENTITY, QUICK, assert_same_sample, record, write_dataset
+from recording_builders import IDENTITY, QUICK, assert_same_sample, read_folder, record, write_dataset
 
 from foretouch.cloud.io.files import read_cloud
 from foretouch.dataset.formats import export_formats
@@ -21,7 +21,6 @@ from foretouch.dataset.samples import export_samples, open_samples
 from foretouch.dataset.source import open_source
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import build_store
-from foretouch.dataset.vision2tactile import read_folder
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import GraspSample
 
@@ -260,10 +259,10 @@ def test_the_400_real_grasps_come_in_quickly_and_out_equal(real_data: Path, tmp_
 
 
 def test_the_exported_bag_names_its_types(dataset: Path, tmp_path: Path) -> None:
-    from foretouch.dataset.bag import list_topics
+    from foretouch.dataset.bag import Recording
 
     export_samples(dataset, tmp_path / "bag", "rosbag2")
-    kinds = {topic.name: (topic.type, topic.count) for topic in list_topics(tmp_path / "bag")}
+    kinds = {topic.name: (topic.type, topic.count) for topic in Recording(tmp_path / "bag").topics}
     assert kinds == {
         "/foretouch/samples": (SAMPLE_TYPE, 4),
         "/foretouch/object_cloud": ("sensor_msgs/msg/PointCloud2", 4),

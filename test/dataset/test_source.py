@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from recording_builders import readable
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag_writer import BagWriter, write_bag
-from foretouch.dataset.source import STAMP_STEP_NS, open_source, readable
+from foretouch.dataset.source import STAMP_STEP_NS, open_source
 from foretouch.dataset.vision2tactile import CLOUD_FILE, GRASP_FILE, TOUCH_FILE
 from foretouch.errors import FileError
 from foretouch.types import Cloud

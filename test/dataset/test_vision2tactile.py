@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from recording_builders import read_folder
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.vision2tactile import folder_sha256, read_folder, read_sample, sample_folders
+from foretouch.dataset.vision2tactile import folder_sha256, read_sample, sample_folders
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 

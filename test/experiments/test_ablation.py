@@ -49,19 +49,21 @@ def test_combinations(models, released, sides) -> None:
     estimator = released.estimator
     inputs = describe_samples(sides[1])[:, len(CONDITIONS) :]
     kernel = estimator.kernel.predict(inputs) * by_modality(estimator.claim) * estimator.deviation + estimator.mean
-    np.testing.assert_allclose(models["kernel alone"].expected, kernel)
-    half = (models["forests alone"].expected + models["kernel alone"].expected) / 2.0
-    np.testing.assert_allclose(models["no gate, half of each"].expected, half)
-    assert np.abs(models["joint forest only"].expected - models[FULL].expected).max() > 1e-3
+    np.testing.assert_allclose(models["kernel alone"].recording.expected, kernel)
+    half = (models["forests alone"].recording.expected + models["kernel alone"].recording.expected) / 2.0
+    np.testing.assert_allclose(models["no gate, half of each"].recording.expected, half)
+    assert np.abs(models["joint forest only"].recording.expected - models[FULL].recording.expected).max() > 1e-3
 
 
 def test_variants_that_differ_only_after_touches(models) -> None:
-    for name in ("no worth", "diagonal B"):
-        np.testing.assert_array_equal(models[name].expected, models[FULL].expected)
+    for name in ("no shrinkage", "diagonal B"):
+        np.testing.assert_array_equal(models[name].recording.expected, models[FULL].recording.expected)
         after = models[name].predict(ASKED, TOUCHED, tare=False)
         assert np.abs(after - models[FULL].predict(ASKED, TOUCHED, tare=False)).max() > 1e-3
-    between = models["diagonal B"].calibration.groups["new"].between
-    np.testing.assert_array_equal(between, np.diag(np.diag(models[FULL].calibration.groups["new"].between)))
+    whole, diagonal = (models[name].calibration.tracker for name in (FULL, "diagonal B"))
+    for part in ("slow", "fast", "object", "noise", "tare_noise"):
+        wanted = getattr(whole, part) @ (whole.basis**2).T
+        np.testing.assert_allclose(getattr(diagonal, part) @ (diagonal.basis**2).T, wanted)
 
 
 def test_feature_sets_begin_with_what_novelty_is_detected_by(sides) -> None:
@@ -83,12 +85,13 @@ def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Pat
     rows += [_row("lean", NOTHING, one, 8.0) for one in objects] + [_row("lean", "tare", one, 4.0) for one in objects]
     table = ablation_rows(rows, BootstrapConfig(draws=200))
     by_name = {(row["table"], row["predictor"]): row for row in table if row["modality"] == "E_TH"}
-    assert by_name["parts", "less"]["vs_full"] == pytest.approx(-0.1)
-    assert by_name["parts", "less"]["vs_full_verdict"] == "worse"
-    assert by_name["lean", "tare"]["vs_nothing"] == pytest.approx(0.4)
+    assert by_name["parts", "less"]["difference"] == pytest.approx(-0.1)
+    assert by_name["parts", "less"]["difference_verdict"] == "worse"
+    assert by_name["lean", "tare"]["difference"] == pytest.approx(0.4)
     tables = ablation_tables(table)
-    assert [one.title.rpartition(" ")[2] for one in tables] == ["`full`", "`nothing`"]
-    assert tables[0].rows[1][1].startswith("0.400 (-0.100 ▼")
+    assert tables[0].notes == ["parts: mean skill of full .50, less .40▼", "lean: mean skill of nothing .20, tare .60▲"]
+    assert [one.title.rpartition(" ")[2] for one in tables[1:]] == ["`full`", "`nothing`"]
+    assert tables[1].rows[1][1].startswith("0.400 (-0.100 ▼")
     (figure,) = find_experiment("ablation").draw(table, tmp_path)
     assert figure.stat().st_size > 5000
 

@@ -34,9 +34,9 @@ def test_coverage_and_width_are_counted_value_by_value() -> None:
     assert all(after <= before for after, before in zip(three["width"], none["width"], strict=True))
 
 
-def _row(ground: str, part: str, name: str, share: float, touches: int = 0) -> dict:
+def _row(condition: str, part: str, name: str, share: float, touches: int = 0) -> dict:
     return {
-        "ground": ground,
+        "condition": condition,
         "part": part,
         "object": name,
         "tare": False,
@@ -64,10 +64,13 @@ def test_each_block_of_time_has_other_grasps() -> None:
 
 def test_means_outside_the_accepted_range_are_marked() -> None:
     rows = [_row("left out", "", f"o{k}", 0.6 + 0.02 * k, touches) for k in range(8) for touches in (0, 1)]
-    table, each = coverage_tables(coverage_table(rows, FEW_DRAWS))
+    found, table, each = coverage_tables(coverage_table(rows, FEW_DRAWS))
     assert all("☒" in cell for row in table.rows for cell in row[1:])
     assert [row[0] for row in table.rows] == ["no touch", "1 touch"]
     assert len(each.rows) == 8
+    assert found.notes == [
+        "left out: coverage is .67 on average; the lowest of one object is .60 (o0, PDC_TH, no touch)"
+    ]
 
 
 def test_wilson_interval_of_eight_in_ten() -> None:
@@ -81,7 +84,7 @@ def test_wilson_interval_of_eight_in_ten() -> None:
 def test_sweep(tmp_path: Path, real_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # in which the scene is not
     experiment = find_experiment("coverage")
-    few = {"samples": 20, "learned": 15, "contact.trees": 2}
+    few = {"samples": 20, "train_objects": 15, "contact.trees": 2}
     source = real_data / "vision2tactile"
     result = run_sweep(experiment, experiment.resolve("smoke", few), tmp_path / "out", source=source)
     assert result.failures == {}

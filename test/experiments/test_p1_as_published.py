@@ -40,12 +40,12 @@ def test_eval_changes_the_predictions_of_the_same_network(rows) -> None:
 def test_the_table_has_the_published_errors_beside(rows, tmp_path: Path) -> None:
     found, _, experiment, settings = rows
     table = experiment.tabulate(settings, found)
-    published = [row for row in table if row["predictor"] == "P1, published"]
+    published = [row for row in table if row["predictor"] == "P1 (published)"]
     assert {(row["table"], row["as_published_counts"]) for row in published} == {
         ("within p1_cylinders", 153.0),
         ("across types", 165.0),
     }
-    assert len(experiment.summarise(table)) == 4
+    assert len(experiment.summarise(table)) == 5
     (figure,) = experiment.draw(table, tmp_path)
     assert figure.stat().st_size > 10_000
 

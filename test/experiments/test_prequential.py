@@ -61,7 +61,7 @@ def test_tares_are_read_unless_told_not_to() -> None:
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     data, experiment = make_collection(6, 6), find_experiment("prequential")
-    settings = experiment.resolve("smoke", {"jump_after": 2})
+    settings = experiment.resolve("smoke", {})
     rows = [
         {**cell.values, **row}
         for cell in experiment.cells(settings, data)
@@ -75,12 +75,12 @@ def test_every_grasp_is_scored_once(sweep) -> None:
     of = {
         (row["bin"], row["object"]): row["grasps"]
         for row in rows
-        if row["method"] == TRACKER and row["sight"] == "training_mean" and row["modality"] == "E_TH"
+        if row["method"] == TRACKER and row["vision"] == "training_mean" and row["modality"] == "E_TH"
     }
     assert of["all", "all"] == 36
     assert of["none", "all"] == of["1 touch", "all"] == 6
     assert of["first 3", "all"] + of["3-9", "all"] == 36
-    past = [row for row in rows if row["sight"] == "past_mean" and row["bin"] == "all" and row["object"] == "all"]
+    past = [row for row in rows if row["vision"] == "past_mean" and row["bin"] == "all" and row["object"] == "all"]
     assert {row["grasps"] for row in past} == {30}  # nothing was read before the first object
     assert all(np.isfinite(row["skill"]) for row in rows if row["skill"] is not None)
 
@@ -96,6 +96,7 @@ def test_tables_and_figure_are_made_of_the_rows(sweep) -> None:
     folder, rows = sweep
     titles = [table.title for table in summarise_prequential(rows)]
     assert sum(title.startswith("training_mean") for title in titles) == 4
+    assert titles[0] == "Findings"
     stored = [{**row, "bin": str(parsed(row["bin"]))} for row in rows]  # as read from results.csv
     assert stored == rows
     (figure,) = find_experiment("prequential").draw(rows, folder)

@@ -13,7 +13,7 @@ SCENES = Path(__file__).parents[2] / "config" / "scenes"
 
 
 def test_noise_ceiling(swept) -> None:
-    few = {"samples": 24, "grasps": 4, "repeats": 3, "alone": 2, "training_fraction": 0.01}
+    few = {"samples": 24, "grasps": 4, "repeats": 3, "single_cause_grasps": 2, "training_fraction": 0.01}
     rows = swept("noise_ceiling", SCENES / "deformables.yaml", **few)
     rmse = {row["name"]: row["rmse"] for row in rows if row["modality"] == "E_TH"}
     assert {"ceiling", "ceiling, change from the tare", "object_mean", "geometry_trees"} <= set(rmse)

@@ -1,29 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adaptation to touches: against Gaussian conditioning of the joint distribution, its limits, its speed."""
+"""A calibration: the tracker that follows from it against Gaussian conditioning, its intervals, its file."""
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from calibrated_models import make_calibration
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from calibrated_models import REST, make_calibration, make_tracked_calibration
+from every_case import every_case
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import ModelError
 from foretouch.models.calibration import GROUPS, Calibration, CalibrationGroup
+from foretouch.models.tracker import SensorTracker
 
 SIZE = 50
+Change = Callable[[np.ndarray], np.ndarray | None]
 
 
-def group_of(between: np.ndarray, within: np.ndarray, worth: float | np.ndarray = 1.0) -> CalibrationGroup:
-    return CalibrationGroup(
-        between, within, np.broadcast_to(worth, SIZE), np.diag(between) + within, np.full(SIZE, 100.0)
-    )
+def group_of(between: np.ndarray, within: np.ndarray, worth: float) -> CalibrationGroup:
+    return CalibrationGroup(between, within, np.full(SIZE, worth), np.diag(between) + within, np.full(SIZE, 100.0))
 
 
 def full(rng: np.random.Generator) -> np.ndarray:
@@ -40,203 +38,109 @@ def conditioned(group: CalibrationGroup, residuals: np.ndarray) -> tuple[np.ndar
     return gain @ residuals.reshape(-1), np.diag(group.between - gain @ cross.T)
 
 
-@pytest.mark.parametrize("name", ["within", "both", "opposed", "huge"])
-def test_a_calibration_that_amplifies_or_is_singular_is_refused(name: str, rng) -> None:
+def test_touches_move_predictions_as_conditioning_does(rng) -> None:
+    def check(_name: str, between: np.ndarray, touches: int, worth: float, known: bool) -> None:
+        group = group_of(between, rng.uniform(50.0, 900.0, SIZE), worth)
+        # Of known objects, only the diagonals in the basis of new ones are used: both have the same group here.
+        parameters = Calibration(REST, {"known": group, "new": group}).tracker_parameters
+        tracker = SensorTracker(replace(parameters, alarm=np.full((2, 2), 1e6)))
+        tracker.start_object(known=known)
+        touched, readings = 3000.0 + 60.0 * rng.normal(size=(2, touches, SIZE))
+        asked = 3000.0 + 60.0 * rng.normal(size=(4, SIZE))
+        for reading, expected in zip(readings, touched, strict=True):
+            tracker.add_touch(5, reading, expected)
+        mean = touched.mean(axis=0) if touches else asked
+        found, _ = tracker.predict(5, asked)
+        moved, variance = conditioned(group, readings - mean) if touches else (0.0, np.diag(between))
+        shrunk = mean + (worth if touches else 1.0) * (asked - mean)
+        # The residuals that B (B + W/n)^-1 acts on are those of the mean, so shrunk differences cancel in it.
+        assert_allclose(found, shrunk + moved, atol=1e-6)
+        assert_allclose(tracker.level(5).variance, variance, rtol=1e-7)
+
+    every_case(
+        {
+            f"{name} B, {touches} touches, {worth}, {known}": (name, between, touches, worth, known)
+            for name, between in (("diagonal", np.diag(rng.uniform(10.0, 900.0, SIZE))), ("full", full(rng)))
+            for touches in (0, 1, 3, 10)
+            for worth in (1.0, 0.3)
+            for known in (False, True)
+        },
+        check,
+    )
+
+
+def test_what_lasts_on_known_objects_too_is_of_the_sensors() -> None:
+    groups = make_calibration().groups
+    small = replace(groups["known"], between=0.3 * groups["new"].between, within=groups["new"].within)
+    parameters = Calibration(REST, {"known": small, "new": groups["new"]}).tracker_parameters
+    lasting = parameters.object + parameters.slow
+    assert_allclose(parameters.slow, 0.3 * lasting[0], rtol=1e-9)
+    assert_allclose(parameters.object[1], 0.0, atol=1e-9)
+    assert_allclose(parameters.basis @ np.diag(lasting[0]) @ parameters.basis.T, groups["new"].between, rtol=1e-9)
+
+
+def test_before_any_reading_intervals_are_conformal_or_those_of_the_fitted_tracker() -> None:
+    plain, tracked = make_calibration(), make_tracked_calibration()
+    for name in GROUPS:
+        assert_array_equal(plain.unread_half_widths[name], plain.groups[name].half_width)
+        tracker = SensorTracker(tracked.tracker)
+        tracker.start_object(known=name == "known")
+        assert_array_equal(tracked.unread_half_widths[name], tracker.predict(7, REST[None])[1][0])
+
+
+def test_tensors_give_it_back_to_the_bit() -> None:
+    for calibration in (make_calibration(), make_tracked_calibration()):
+        again = Calibration.from_tensors(calibration.to_tensors())
+        assert (again.tracker is None) == (calibration.tracker is None)
+        assert again.to_tensors().keys() == calibration.to_tensors().keys()
+        for name, array in calibration.to_tensors().items():
+            assert_array_equal(again.to_tensors()[name], array)
+
+
+def changed(index: int | tuple[int, int], value: float) -> Change:
+    def change(array: np.ndarray) -> np.ndarray:
+        array = array.copy()
+        array[index] = value
+        return array
+
+    return change
+
+
+def test_damage_is_refused_by_name() -> None:
+    def check(name: str, change: Change, rule: str) -> None:
+        tensors = make_tracked_calibration().to_tensors()
+        if (value := change(tensors.pop(name))) is not None:
+            tensors[name] = value
+        with pytest.raises(ModelError, match=rule):
+            Calibration.from_tensors(tensors)
+
+    every_case(
+        [
+            ("rest", lambda a: None, "rest: is missing"),
+            ("rest", changed(3, np.nan), "rest: holds a value that is not finite$"),
+            ("new/between", lambda a: None, "new/between: is missing"),
+            ("known/worth", lambda a: None, "known/worth: is missing"),
+            ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
+            ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
+            ("known/within", changed(0, 5e-324), "known/within: .* not finite and at least 1e-09"),
+            ("new/spread", changed(0, -1.0), "new/spread: .* not finite and at least 1e-09"),
+            ("new/half_width", changed(49, np.inf), "new/half_width: .* not finite and at least 1e-09"),
+            ("new/between", changed((0, 1), 1e6), "new/between: is not symmetric"),
+            ("new/between", lambda a: -a, "new/between: is no covariance"),
+            ("new/between", lambda a: 1e200 * a, "new/between: .* exceeds 1e.12"),
+            ("new/worth", changed(5, 1.5), r"new/worth: leaves \[0, 1\]"),
+            ("new/worth", changed(5, -0.1), r"new/worth: leaves \[0, 1\]"),
+            ("tracker/slow", changed(5, np.nan), "^tracker/slow: "),
+        ],
+        check,
+    )
+
+
+def test_a_calibration_that_amplifies_is_refused() -> None:
+    """A channel almost without noise stands for one of ten thousand times its size."""
     tensors = make_calibration().to_tensors()
-    if name == "within":  # W of one channel vanishes, and B has no part of its own there
-        factors = rng.normal(size=(SIZE, 1))
-        tensors["new/between"], tensors["new/within"] = 300.0 * factors @ factors.T, np.full(SIZE, 1e-300)
-    elif name == "both":
-        tensors["new/between"], tensors["new/within"] = np.zeros((SIZE, SIZE)), np.full(SIZE, 5e-324)
-    elif name == "opposed":  # a channel without noise stands for one of a million times its size
-        pair = np.eye(SIZE)
-        pair[:2, :2] = [[1e9, 3.16e3], [3.16e3, 1e-2]]
-        tensors["new/between"], tensors["new/within"] = pair, np.full(SIZE, 1e-4)
-    else:
-        tensors["new/between"] = 1e200 * tensors["new/between"]
-    with pytest.raises(ModelError, match=r"^new/between.*(singular|turns residuals|exceeds)"):
+    tensors["new/between"] = np.eye(SIZE)
+    tensors["new/between"][:2, :2] = [[1e6, 9.9e1], [9.9e1, 1e-2]]
+    tensors["new/within"] = np.r_[1e6, 1e-3, np.ones(SIZE - 2)]
+    with pytest.raises(ModelError, match=r"^between, within: no tracker can be made of them: .* 10 is allowed"):
         Calibration.from_tensors(tensors)
-
-
-@pytest.mark.parametrize("touches", [1, 3, 10])
-@pytest.mark.parametrize("diagonal", [True, False])
-@pytest.mark.parametrize("worth", [1.0, 0.3])
-def test_touches_move_predictions_as_conditioning_does(touches: int, diagonal: bool, worth: float, rng) -> None:
-    between = np.diag(rng.uniform(10.0, 900.0, SIZE)) if diagonal else full(rng)
-    group = group_of(between, rng.uniform(50.0, 900.0, SIZE), worth)
-    touched = 3000.0 + 60.0 * rng.normal(size=(touches, SIZE))
-    readings = touched + 40.0 * rng.normal(size=(touches, SIZE))
-    asked = 3000.0 + 60.0 * rng.normal(size=(4, SIZE))
-
-    def shrunk(counts: np.ndarray) -> np.ndarray:  # towards the touched grasps
-        return touched.mean(axis=0) + worth * (counts - touched.mean(axis=0))
-
-    lasting, variance = conditioned(group, readings - shrunk(touched))
-    found = group.counts_after(asked, touched.mean(axis=0), readings.mean(axis=0), touches)
-    assert_allclose(found, shrunk(asked) + lasting, atol=1e-6)
-    wanted = 100.0 * np.sqrt((variance + group.within) / group.spread)
-    assert_allclose(group.half_width_after(touches), np.minimum(wanted, 100.0), rtol=1e-9)
-
-
-def test_without_touches_nothing_changes(rng) -> None:
-    group = group_of(full(rng), np.full(SIZE, 400.0), 0.5)
-    asked = rng.normal(size=(3, SIZE))
-    assert_array_equal(group.counts_after(asked, np.zeros(SIZE), np.zeros(SIZE), 0), asked)
-    assert_array_equal(group.half_width_after(0), group.half_width)
-
-
-def test_residuals_are_applied_fully_for_unbounded_variance_and_not_at_all_for_none(rng) -> None:
-    asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
-    mean_expected, mean_read = expected.mean(axis=0), read.mean(axis=0)
-    residual = mean_read - mean_expected
-    wild = group_of(1e12 * np.eye(SIZE), np.full(SIZE, 400.0))
-    assert_allclose(wild.counts_after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
-    exact = group_of(full(rng), np.full(SIZE, 1e-9))
-    assert_allclose(exact.counts_after(asked, mean_expected, mean_read, 1), asked + residual, atol=1e-4)
-    none = group_of(np.zeros((SIZE, SIZE)), np.full(SIZE, 400.0))
-    assert_allclose(none.counts_after(asked, mean_expected, mean_read, 5), asked, atol=1e-9)
-
-
-def test_a_shrinkage_of_zero_leaves_one_prediction_for_all_grasps(rng) -> None:
-    group = group_of(full(rng), np.full(SIZE, 400.0), 0.0)
-    asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
-    after = group.counts_after(asked, expected.mean(axis=0), read.mean(axis=0), 5)
-    assert_allclose(after, np.tile(after[0], (5, 1)), atol=1e-9)
-
-
-def test_many_touches_end_at_what_was_read(rng) -> None:
-    group = group_of(full(rng), np.full(SIZE, 400.0))
-    asked, expected, read = rng.normal(3000.0, 50.0, (3, 5, SIZE))
-    residual = read.mean(axis=0) - expected.mean(axis=0)
-    left = [
-        np.abs(group.counts_after(asked, expected.mean(axis=0), read.mean(axis=0), n) - asked - residual).max()
-        for n in (1, 10, 100, 10**6)
-    ]
-    assert (np.diff(left) < 0.0).all()
-    assert left[-1] < 0.01
-
-
-@settings(max_examples=100, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), touches=st.integers(1, 50))
-def test_independent_values_move_by_a_part_of_their_residual(seed: int, touches: int) -> None:
-    rng = np.random.default_rng(seed)
-    between, within = 10.0 ** rng.uniform(-3.0, 4.0, (2, SIZE))
-    group = group_of(np.diag(between), within, rng.uniform(0.0, 1.0, SIZE))
-    asked, expected, read = rng.normal(3000.0, 200.0, (3, SIZE))
-    moved = group.counts_after(asked[None], expected, read, touches)[0] - (expected + group.worth * (asked - expected))
-    residual = read - expected
-    assert (moved * np.sign(residual) >= -1e-9).all()
-    assert (np.abs(moved) <= np.abs(residual) + 1e-9).all()
-    assert_allclose(moved, between / (between + within / touches) * residual, atol=1e-8)
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.1, 10.0))
-def test_intervals_never_widen_and_narrow_with_each_touch(seed: int, spread: float) -> None:
-    rng = np.random.default_rng(seed)
-    group = group_of(full(rng), 10.0 ** rng.uniform(0.0, 4.0, SIZE))
-    group = replace(group, spread=spread * group.spread)
-    widths = np.array([group.half_width_after(n) for n in (0, 1, 2, 3, 5, 10, 100)])
-    assert (np.diff(widths, axis=0) <= 1e-9).all()
-    assert (widths > 0.0).all()
-
-
-def test_a_correlated_value_is_moved_by_another() -> None:
-    """Two values with correlated errors: a residual of one moves the other, by half."""
-    between = np.zeros((SIZE, SIZE))
-    between[:2, :2] = [[100.0, 50.0], [50.0, 100.0]]
-    within = np.full(SIZE, 1e9)
-    within[0] = 100.0  # the second is too noisy to contribute
-    moved = group_of(between, within).counts_after(np.zeros((1, SIZE)), np.zeros(SIZE), np.eye(SIZE)[0] * 8.0, 1)[0]
-    assert_allclose(moved[:2], [4.0, 2.0], atol=1e-5)
-    assert_allclose(moved[2:], 0.0, atol=1e-9)
-
-
-def test_predictions_of_one_call_are_independent_of_each_other(rng) -> None:
-    group = make_calibration().groups["new"]
-    asked, expected, read = rng.normal(3000.0, 50.0, (3, 40, SIZE))
-    means = expected.mean(axis=0), read.mean(axis=0)
-    together = group.counts_after(asked, *means, 3)
-    assert_array_equal(together, np.concatenate([group.counts_after(one[None], *means, 3) for one in asked]))
-
-
-def test_touches_cost_less_than_a_millisecond_or_so(rng) -> None:
-    group = make_calibration().groups["new"]
-    asked, expected, read = rng.normal(3000.0, 50.0, (3, 10, SIZE))
-    taken = []
-    for _ in range(51):
-        start = time.process_time()
-        group.counts_after(asked, expected[0], read[0], 3)
-        taken.append(time.process_time() - start)
-    assert np.median(taken) < 0.005  # 0.001 is expected; CI machines are slow
-
-
-def test_each_condition_has_its_group() -> None:
-    calibration = make_calibration()
-    for inside in (True, False):
-        for tare in (True, False):
-            name = ("known" if inside else "new") + ("_tare" if tare else "")
-            assert calibration.group(in_distribution=inside, tare=tare) is calibration.groups[name]
-    bare = Calibration(calibration.rest, {name: calibration.groups[name] for name in ("known", "new")})
-    assert bare.group(in_distribution=True, tare=True) is bare.groups["known"]
-    assert bare.group(in_distribution=False, tare=True) is bare.groups["new"]
-
-
-@pytest.mark.parametrize("names", [GROUPS, ("known", "new"), ("known", "new", "new_tare")])
-def test_tensors_give_it_back_to_the_bit(names: tuple[str, ...], rng) -> None:
-    made = make_calibration()
-    calibration = Calibration(made.rest, {name: made.groups[name] for name in names})
-    again = Calibration.from_tensors(calibration.to_tensors())
-    assert set(again.groups) == set(names)
-    asked = rng.normal(3000.0, 50.0, (3, SIZE))
-    for name in names:
-        for after in (again.groups[name], calibration.groups[name]):
-            assert after.half_width_after(2).shape == (SIZE,)
-        assert_array_equal(again.groups[name].half_width_after(2), calibration.groups[name].half_width_after(2))
-        args = (asked, calibration.rest, calibration.rest + 9.0, 2)
-        assert_array_equal(again.groups[name].counts_after(*args), calibration.groups[name].counts_after(*args))
-
-
-def changed(array: np.ndarray, index: Any, value: float) -> np.ndarray:
-    array = array.copy()
-    array[index] = value
-    return array
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "rule"),
-    [
-        ("rest", lambda a: None, "rest: is missing"),
-        ("rest", lambda a: changed(a, 3, np.nan), "rest: holds a value that is not finite$"),
-        ("new/between", lambda a: None, "new/between: is missing"),
-        ("known_tare/worth", lambda a: None, "known_tare/worth: is missing"),
-        ("known/between", lambda a: a[:, :49], r"known/between: shape \(50, 49\) is not \(50, 50\)"),
-        ("known/within", lambda a: a[:2], r"known/within: shape \(2,\) is not \(50,\)"),
-        ("known/within", lambda a: changed(a, 0, 0.0), "known/within: .* not finite and above 0"),
-        ("new/spread", lambda a: changed(a, 0, -1.0), "new/spread: .* not finite and above 0"),
-        ("new/half_width", lambda a: changed(a, 49, np.inf), "new/half_width: .* not finite and above 0"),
-        ("new_tare/between", lambda a: changed(a, (0, 1), 1e6), "new_tare/between: is not symmetric"),
-        ("new/between", lambda a: -a, "new/between: is no covariance"),
-        ("new/worth", lambda a: changed(a, 5, 1.5), r"new/worth: leaves \[0, 1\]"),
-        ("new/worth", lambda a: changed(a, 5, -0.1), r"new/worth: leaves \[0, 1\]"),
-    ],
-)
-def test_damage_is_refused_by_name(name: str, change: Any, rule: str) -> None:
-    tensors = make_calibration().to_tensors()
-    tensors[name] = change(tensors[name])
-    if tensors[name] is None:
-        del tensors[name]
-    with pytest.raises(ModelError, match=rule):
-        Calibration.from_tensors(tensors)
-
-
-def test_the_parameters_of_a_tracker_are_stored_beside_the_groups() -> None:
-    calibration = make_calibration()
-    assert not any(name.startswith("tracker/") for name in calibration.to_tensors())
-    fitted = replace(calibration, tracker=calibration.tracker_parameters())
-    again = Calibration.from_tensors(fitted.to_tensors())
-    for name, array in fitted.to_tensors().items():
-        assert_array_equal(again.to_tensors()[name], array)
-    damaged = fitted.to_tensors() | {"tracker/slow": np.full(SIZE, np.nan)}
-    with pytest.raises(ModelError, match=r"^tracker/slow: "):
-        Calibration.from_tensors(damaged)

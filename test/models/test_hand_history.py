@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrated_models import REST, make_calibration, make_tracked_calibration
-from contact_model_builders import small_estimator
+from calibrated_models import REST, make_tracked_calibration
+from contact_model_builders import scaled, small_estimator
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load, save
 
-from foretouch.errors import FileError, ModelError, TactileError
-from foretouch.models.hand_history import HandHistory, HistoryFile, read_history
+from foretouch.errors import CloudError, FileError, TactileError
+from foretouch.models.hand_history import Extent, HandHistory, HistoryFile, read_history
 from foretouch.models.touch_model import TouchModel
 from foretouch.types import Cloud, GraspSample, Touch, TouchPrediction
 
@@ -98,29 +98,29 @@ def test_later_readings_do_not_change_a_prediction_under_way(model: TouchModel) 
 def test_an_object_is_recognised_by_place_and_size(model: TouchModel) -> None:
     history = read(HandHistory(model), FIRST)
     cloud = FIRST[-1].cloud
+    squares_overflow = cloud.xyz.copy()
+    squares_overflow[:2, 1] = 3e38
+    others = {
+        "elsewhere": Cloud(cloud.xyz + np.float32(0.05)),
+        "in another frame": Cloud(cloud.xyz.copy(), None, "other"),
+        "larger": scaled(cloud, 2.0),
+        "without a point": Cloud(np.full((4, 3), np.nan, np.float32)),
+        "with a point whose square no float32 holds": Cloud(squares_overflow),
+    }
     assert history.is_current(cloud, 0.02)
-    assert not history.is_current(Cloud(cloud.xyz + np.float32(0.05)), 0.02)
-    assert not history.is_current(Cloud(cloud.xyz.copy(), None, "other"), 0.02)
-    assert not history.is_current(Cloud(np.full((4, 3), np.nan, np.float32)), 0.02)
+    assert history.is_current(Cloud(cloud.xyz + np.float32(0.015)), 0.02)
+    assert [name for name, one in others.items() if history.is_current(one, 0.02)] == []
     history.start_object()
     assert not history.is_current(cloud, 0.02)
     assert history.touches == 0
     assert predict(history, FIRST[0], FIRST[-1].stamp_ns).reference == "history"
 
 
-def test_readings_are_given_in_one_form_and_to_a_model_that_tracks(model: TouchModel) -> None:
-    sample, history = SECOND[0], read(HandHistory(model), FIRST)
-    at = history.at(sample.stamp_ns, same_object=False)
-    with pytest.raises(ModelError, match="history: has tares and touches of its own"):
-        model.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(REST), history=at)
-    plain = TouchModel(small_estimator(), CARD, make_calibration())
-    with pytest.raises(ModelError, match="small: history: cannot be used: its calibration does not model"):
-        HandHistory(plain)
-    with pytest.raises(ModelError, match="small: history: cannot be used"):
-        plain.predict(sample.cloud, [sample.grasp], history=at)
-    other = TouchModel(small_estimator(), CARD, make_tracked_calibration())
-    with pytest.raises(ModelError, match="is of another model"):
-        other.predict(sample.cloud, [sample.grasp], history=at)
+def test_position_and_size_of_a_large_cloud_are_computed_in_double() -> None:
+    points = (np.random.default_rng(0).normal(size=(1_000_000, 3)) * 0.03 + [0.1, 0.05, 1.2]).astype(np.float32)
+    exact = points.astype(np.float64)
+    expected = np.concatenate([exact.mean(axis=0), exact.std(axis=0)])
+    assert_allclose(Extent.of(Cloud(points)).numbers, expected, rtol=0.0, atol=1e-9)  # in float32: 0.3 mm
 
 
 def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
@@ -128,8 +128,10 @@ def test_a_refused_reading_changes_nothing(model: TouchModel) -> None:
     before = history.to_tensors()
     dead = Touch.from_vector(np.zeros(50))
     one = FIRST[2]
-    with pytest.raises(TactileError):
+    with pytest.raises(TactileError, match="touched: pdc_th: 0 is not between"):
         history.add_touch(one.stamp_ns, one.cloud, one.grasp, dead)
+    with pytest.raises(CloudError, match="fewer than 8"):
+        history.add_touch(one.stamp_ns, Cloud(np.zeros((3, 3), np.float32)), one.grasp, one.touch)
     with pytest.raises(TactileError, match="ahead of the clock"):
         history.add_touch(one.stamp_ns + DAY, one.cloud, one.grasp, one.touch, now_ns=one.stamp_ns)
     with pytest.raises(TactileError, match="tare"):

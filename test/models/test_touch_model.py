@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction: features computed once, grasps of one call independent of each other, flags, ensembles, tare and touches."""
+"""Prediction: features computed once, grasps of one call independent of each other, flags, tare and history."""
 
 import subprocess
 import sys
@@ -7,33 +7,31 @@ import sys
 import numpy as np
 import pytest
 import torch
-from calibrated_models import REST, make_calibration
+from calibrated_models import REST, make_calibration, make_tracked_calibration
 from contact_model_builders import scaled, small_estimator
+from every_case import every_case
 from experiment_samples import make_samples
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.errors import CloudError, ModelError, TactileError
 from foretouch.grasp.reach import ReachConfig
+from foretouch.models.hand_history import HandHistory
 from foretouch.models.network.checkpoint import Member, NetworkEstimator
 from foretouch.models.network.folding import FoldedNetwork, fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.touch_model import ObjectResiduals, TouchModel
-from foretouch.tactile import MODALITIES, columns
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.types import Cloud, Grasp, Touch
 
 CARD = {"name": "toy", "sha256": "0" * 64}
+SAMPLES = make_samples(5, 10)
+TARE = Touch.from_vector(REST + np.linspace(-30.0, 60.0, 50))
 
 
 @pytest.fixture
 def model(make_net, small) -> TouchModel:
     return TouchModel(NetworkEstimator([Member(small, fold(make_net()))]), CARD)
-
-
-SAMPLES = make_samples(5, 10)
-SHIFT = np.linspace(-30.0, 60.0, 50)
-TARE = Touch.from_vector(REST + SHIFT)
 
 
 @pytest.fixture
@@ -42,12 +40,14 @@ def calibrated() -> TouchModel:
     return TouchModel(small_estimator(), CARD, make_calibration())
 
 
-def residuals_of(model: TouchModel, count: int, tare: Touch | None = None) -> ObjectResiduals:
-    """So many touches of the first object."""
-    residuals = ObjectResiduals(model, tare)
+def touched(model: TouchModel, count: int, tare: Touch | None = None) -> History:
+    """After so many touches of the first object."""
+    history = HandHistory(model)
     for sample in SAMPLES[:count]:
-        residuals.add(sample.cloud, sample.grasp, sample.touch)
-    return residuals
+        if tare is not None:
+            history.add_tare(sample.stamp_ns, tare)
+        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
+    return history.at(SAMPLES[count].stamp_ns, same_object=True, tare=tare is not None)
 
 
 def bounds(predictions) -> np.ndarray:
@@ -59,58 +59,53 @@ def vectors(predictions) -> np.ndarray:
     return np.array([p.value.vector() for p in predictions])
 
 
-def test_prediction_is_that_of_the_network(model, make_net, small, can, make_grasps) -> None:
-    grasps = make_grasps(5)
+def test_prediction_is_that_of_the_network(model, make_net, small, can, make_grasps, monkeypatch) -> None:
+    """Also without its order of points, where all are used; features are computed once, whatever the grasps."""
+    grasps = make_grasps(40)
     prepared = prepare_cloud(can, small)
     fed = torch.from_numpy(prepare_grasps(grasps, prepared.frame, small))
-    expected = make_net().counts(torch.from_numpy(prepared.points).expand(5, -1, -1), fed)
+    expected = make_net().counts(torch.from_numpy(prepared.points).expand(40, -1, -1), fed).detach().numpy()
+    calls, original = [], FoldedNetwork.features
+    monkeypatch.setattr(FoldedNetwork, "features", lambda self, x: calls.append(1) or original(self, x))
     predictions = model.predict(can, grasps)
-    assert_allclose(vectors(predictions), expected.detach().numpy(), atol=5e-3)
+    assert len(calls) == 1
+    assert_allclose(vectors(predictions), expected, atol=5e-3)
     assert [p.grasp for p in predictions] == grasps
     assert {(p.status, p.reference, p.lower, p.upper) for p in predictions} == {("ok", "none", None, None)}
-
-
-def test_features_are_computed_once(model, can, make_grasps, monkeypatch) -> None:
-    calls = []
-    original = FoldedNetwork.features
-    monkeypatch.setattr(FoldedNetwork, "features", lambda self, x: calls.append(1) or original(self, x))
-    model.predict(can, make_grasps(50))
-    assert len(calls) == 1
-
-
-def test_grasps_of_one_call_are_independent(model, can, make_grasps) -> None:
-    grasps = make_grasps(40)
-    together = vectors(model.predict(can, grasps))
-    alone = np.concatenate([vectors(model.predict(can, [grasp])) for grasp in grasps])
-    assert np.array_equal(together, alone)
-    assert np.array_equal(vectors(model.predict(can, grasps[::-1]))[::-1], together)
-
-
-def test_deterministic_and_finite(model, can, make_grasps) -> None:
-    grasps = make_grasps(3)
-    first = vectors(model.predict(can, grasps))
-    assert np.isfinite(first).all()
-    assert np.array_equal(vectors(model.predict(can, grasps)), first)
-
-
-def test_order_of_points_does_not_matter_where_all_are_used(model, can, make_grasps, rng) -> None:
     few = can.take(np.arange(64))
-    grasps = make_grasps(2)
-    shuffled = few.take(rng.permutation(64))
+    shuffled = few.take(np.random.default_rng(0).permutation(64))
     assert_allclose(vectors(model.predict(shuffled, grasps)), vectors(model.predict(few, grasps)), atol=2e-2)
-
-
-def test_no_grasp_gives_no_prediction(model, can) -> None:
     assert model.predict(can, []) == []
 
 
-def test_values_beyond_the_ranges_are_flagged_and_kept(make_net, small, can, make_grasps) -> None:
-    net = make_net()
-    with torch.no_grad():
-        net.target_mean[0] = 5000.0
-    (prediction,) = TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
-    assert "out_of_range" in prediction.flags
-    assert prediction.value.pdc_th > 4000
+def test_grasps_of_one_call_are_independent(model, calibrated, can, make_grasps) -> None:
+    def check(model: TouchModel, cloud: Cloud, grasps: list[Grasp], **readings) -> None:
+        together = model.predict(cloud, grasps, **readings)
+        alone = [model.predict(cloud, [grasp], **readings)[0] for grasp in grasps]
+        assert_array_equal(vectors(together), vectors(alone))
+        assert_array_equal(vectors(model.predict(cloud, grasps[::-1], **readings))[::-1], vectors(together))
+        if readings:
+            assert_array_equal(bounds(together), bounds(alone))
+
+    check(model, can, make_grasps(40))
+    cloud, grasps = SAMPLES[6].cloud, [sample.grasp for sample in SAMPLES]
+    check(calibrated, cloud, grasps, tare=TARE)
+    check(calibrated, cloud, grasps, history=touched(calibrated, 3, TARE))
+    assert calibrated.predict(cloud, [], tare=TARE) == []
+
+
+def test_values_out_of_range_are_flagged_and_overflow_is_refused(make_net, small, can, make_grasps) -> None:
+    found = []
+    for column, value in ((0, 5000.0), (3, float("inf"))):
+        net = make_net()
+        with torch.no_grad():
+            net.target_mean[column] = value
+        found += TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
+    beyond, overflown = found
+    assert "out_of_range" in beyond.flags
+    assert beyond.value.pdc_th > 4000
+    assert (overflown.status, overflown.value) == ("refused", None)
+    assert "not finite" in overflown.reason
 
 
 def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can, make_grasps) -> None:
@@ -129,27 +124,6 @@ def test_clouds_and_grasps_out_of_distribution_are_flagged(make_net, small, can,
     assert ["unfamiliar" in p.flags for p in predictions] == [False, True]
 
 
-def test_a_network_that_overflows_is_refused_by_name(make_net, small, can, make_grasps) -> None:
-    net = make_net()
-    with torch.no_grad():
-        net.target_mean[3] = float("inf")
-    (prediction,) = TouchModel(NetworkEstimator([Member(small, fold(net))]), CARD).predict(can, make_grasps(1))
-    assert (prediction.status, prediction.value) == ("refused", None)
-    assert "not finite" in prediction.reason
-
-
-def test_ensemble_equals_its_members(make_net, small, can, make_grasps) -> None:
-    grasps = make_grasps(4)
-    nets = {name: make_net(small.replace(outputs=(name,)), seed=k) for k, name in enumerate(MODALITIES)}
-    model = TouchModel(NetworkEstimator([Member(net.config, fold(net)) for net in nets.values()]), CARD)
-    together = vectors(model.predict(can, grasps))
-    for name, net in nets.items():
-        prepared = prepare_cloud(can, net.config)
-        fed = torch.from_numpy(prepare_grasps(grasps, prepared.frame, net.config))
-        points = torch.from_numpy(prepared.points).expand(4, -1, -1)
-        assert_allclose(together[:, columns([name])], net.counts(points, fed).detach().numpy(), atol=5e-3)
-
-
 def test_each_modality_must_be_predicted_by_one_member(make_net, small) -> None:
     twice = [Member(small, fold(make_net())), Member(small.replace(outputs=("E_TH",)), fold(make_net()))]
     with pytest.raises(ModelError, match="E_TH is predicted by 2 networks"):
@@ -165,111 +139,83 @@ def test_refusals_reach_the_caller(make_net, small, can, make_grasps) -> None:
         model.predict(Cloud(can.xyz[:5], can.rgb[:5]), make_grasps(1))
 
 
-def test_without_tare_and_touches_it_is_the_estimate_with_the_interval_of_its_group(calibrated) -> None:
-    sample = SAMPLES[3]
-    predictions = calibrated.predict(sample.cloud, [sample.grasp])
-    estimate = small_estimator().estimate(sample.cloud, [sample.grasp])
-    half = calibrated.calibration.group(in_distribution=bool(estimate.in_distribution[0]), tare=False).half_width
-    assert_array_equal(vectors(predictions), estimate.counts)
-    assert_array_equal(bounds(predictions), [estimate.counts - half, estimate.counts + half])
-    assert predictions[0].reference == "none"
+def test_without_readings_it_is_the_estimate_with_the_interval_of_its_group() -> None:
+    """Objects like those of training and others; a hand of which nothing was read yet is no reading."""
+    sample, limits = SAMPLES[3], ObjectLimits(max_extent_m=10.0, max_range_m=100.0)
+    house, reach = scaled(sample.cloud, 50.0), ReachConfig(max_distance_m=1.0)
 
+    def check(calibration, cloud: Cloud, group: str) -> None:
+        model = TouchModel(small_estimator(), CARD, calibration)
+        estimate = small_estimator().estimate(cloud, [sample.grasp])
+        unread = HandHistory(model).at(5, same_object=True)
+        for history in (None, unread):
+            (found,) = model.predict(cloud, [sample.grasp], history=history, limits=limits, reach=reach)
+            half = calibration.unread_half_widths[group]
+            assert_array_equal(vectors([found]), estimate.counts)
+            assert_array_equal(bounds([found]), [estimate.counts - half, estimate.counts + half])
+            assert (found.reference, "unfamiliar" in found.flags) == ("none", group == "new")
 
-def test_a_tare_shifts_by_its_distance_from_rest(calibrated) -> None:
-    sample = SAMPLES[3]
-    before, after = (calibrated.predict(sample.cloud, [sample.grasp], tare=tare) for tare in (None, TARE))
-    assert_array_equal(vectors(after), vectors(before) + (TARE.vector() - REST))
-    inside = "unfamiliar" not in after[0].flags
-    half = calibrated.calibration.group(in_distribution=inside, tare=True).half_width
-    assert_allclose(bounds(after)[1] - vectors(after), half[None], atol=1e-9)
-    assert after[0].reference == "tare"
-
-
-@pytest.mark.parametrize("tare", [None, TARE])
-@pytest.mark.parametrize("touches", [1, 3])
-def test_touches_shift_and_narrow_as_the_group_predicts(calibrated, tare, touches: int) -> None:
-    residuals = residuals_of(calibrated, touches, tare)
-    sample = SAMPLES[6]
-    (prediction,) = calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals)
-    (before,) = calibrated.predict(sample.cloud, [sample.grasp], tare=tare)
-    group = calibrated.calibration.group(in_distribution="unfamiliar" not in before.flags, tare=tare is not None)
-    expected = np.mean([calibrated.expect(s.cloud, [s.grasp], tare)[0] for s in SAMPLES[:touches]], axis=0)
-    read = np.mean([s.touch.vector() for s in SAMPLES[:touches]], axis=0)
-    wanted = group.counts_after(before.value.vector()[None], expected, read, touches)
-    assert_allclose(vectors([prediction]), wanted, rtol=1e-12)
-    assert_allclose(bounds([prediction])[1] - wanted, group.half_width_after(touches)[None], atol=1e-9)
-    assert prediction.reference == "touches"
-
-
-def test_residuals_without_readings_are_their_tare(calibrated) -> None:
-    sample = SAMPLES[6]
-    for tare, reference in ((None, "none"), (TARE, "tare")):
-        (empty,) = calibrated.predict(sample.cloud, [sample.grasp], residuals=ObjectResiduals(calibrated, tare))
-        (wanted,) = calibrated.predict(sample.cloud, [sample.grasp], tare=tare)
-        assert_array_equal(empty.value.vector(), wanted.value.vector())
-        assert_array_equal(bounds([empty]), bounds([wanted]))
-        assert empty.reference == wanted.reference == reference
-
-
-def test_a_drift_that_tare_and_readings_share_changes_predictions_by_itself(calibrated) -> None:
-    """As sensors read 25 counts more, all that changes is 25 counts."""
-    sample, both = SAMPLES[6], []
-    for drift in (0.0, 25.0):
-        residuals = ObjectResiduals(calibrated, Touch.from_vector(REST + SHIFT + drift))
-        for one in SAMPLES[:3]:
-            residuals.add(one.cloud, one.grasp, Touch.from_vector(one.touch.vector() + drift))
-        both.append(residuals)
-    before, after = (
-        vectors(calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals)) for residuals in both
+    known = "known" if small_estimator().estimate(sample.cloud, [sample.grasp]).in_distribution[0] else "new"
+    every_case(
+        [
+            (calibration, cloud, group)
+            for calibration in (make_calibration(), make_tracked_calibration())
+            for cloud, group in ((sample.cloud, known), (house, "new"))
+        ],
+        check,
     )
-    assert_allclose(after, before + 25.0, atol=1e-9)
 
 
-def test_grasps_of_one_call_are_independent_after_tare_and_touches(calibrated) -> None:
-    cloud, grasps = SAMPLES[6].cloud, [sample.grasp for sample in SAMPLES]
-    for adapted in ({"tare": TARE}, {"residuals": residuals_of(calibrated, 3, TARE)}):
-        together = calibrated.predict(cloud, grasps, **adapted)
-        alone = [calibrated.predict(cloud, [grasp], **adapted)[0] for grasp in grasps]
-        assert_array_equal(vectors(together), vectors(alone))
-        assert_array_equal(bounds(together), bounds(alone))
-    assert calibrated.predict(cloud, [], tare=TARE) == []
+def test_a_tare_moves_predictions_part_of_its_way_from_rest(calibrated) -> None:
+    sample, tare = SAMPLES[3], Touch.from_vector(REST + 40.0)
+    before, after = (calibrated.predict(sample.cloud, [sample.grasp], tare=one) for one in (None, tare))
+    moved = (vectors(after) - vectors(before))[0]
+    assert 10.0 < moved.mean() < 40.0
+    assert after[0].reference == "tare"
+    assert (np.diff(bounds(after), axis=0) < np.diff(bounds(before), axis=0)).mean() > 0.9
 
 
-def test_an_object_unlike_those_of_training_is_flagged_and_has_the_interval_of_new_objects(calibrated) -> None:
-    sample = SAMPLES[3]
-    house = scaled(sample.cloud, 50.0)
-    limits, reach = ObjectLimits(max_extent_m=10.0, max_range_m=100.0), ReachConfig(max_distance_m=1.0)
-    (prediction,) = calibrated.predict(house, [sample.grasp], limits=limits, reach=reach)
-    assert "unfamiliar" in prediction.flags
-    half = calibrated.calibration.groups["new"].half_width
-    assert_allclose(bounds([prediction])[1, 0] - prediction.value.vector(), half, atol=1e-9)
+def test_touches_shift_and_narrow_as_the_tracker_predicts(calibrated) -> None:
+    sample = SAMPLES[6]
+    for touches in (1, 3):
+        history = touched(calibrated, touches)
+        found = calibrated.predict(sample.cloud, [sample.grasp], history=history)
+        expected = calibrated.estimator.estimate(sample.cloud, [sample.grasp]).counts
+        counts, half = history.tracker.predict(history.stamp_ns, expected)
+        assert_array_equal(vectors(found), counts)
+        assert_array_equal(bounds(found), [counts - half, counts + half])
+        assert (found[0].reference, found[0].evidence.touches) == ("touches", touches)
 
 
-def test_prediction_leaves_the_residuals_unchanged(calibrated) -> None:
-    residuals = residuals_of(calibrated, 3)
-    before = np.array(residuals.means())
-    calibrated.predict(SAMPLES[6].cloud, [SAMPLES[6].grasp], residuals=residuals)
-    assert residuals.count == 3
-    assert_array_equal(residuals.means(), before)
+def test_wider_intervals_of_a_reduced_model(calibrated) -> None:
+    sample, history = SAMPLES[6], touched(calibrated, 2)
+    wider = calibrated.reduced(calibrated.estimator, np.full(50, 1.5))
+    for readings in ({}, {"history": history}):
+        plain, wide = (one.predict(sample.cloud, [sample.grasp], **readings) for one in (calibrated, wider))
+        assert_array_equal(vectors(plain), vectors(wide))
+        assert_allclose(np.diff(bounds(wide), axis=0), 1.5 * np.diff(bounds(plain), axis=0), rtol=1e-9)
 
 
-def test_without_a_calibration_tare_and_residuals_are_refused() -> None:
+def test_without_a_calibration_readings_are_refused() -> None:
     bare, sample = TouchModel(small_estimator(), CARD), SAMPLES[0]
-    with pytest.raises(ModelError, match="toy: tare: cannot be used: its card holds no rest level"):
+    rule = "toy: cannot adapt to readings: its card holds no calibration"
+    with pytest.raises(ModelError, match=rule):
         bare.predict(sample.cloud, [sample.grasp], tare=TARE)
-    with pytest.raises(ModelError, match="toy: cannot adapt to touches: its card holds no calibration"):
-        bare.predict(sample.cloud, [sample.grasp], residuals=ObjectResiduals(bare))
+    with pytest.raises(ModelError, match=rule):
+        HandHistory(bare)
     (prediction,) = bare.predict(sample.cloud, [sample.grasp])
     assert (prediction.lower, prediction.upper, prediction.reference) == (None, None, "none")
 
 
 def test_contradicting_arguments_are_refused(calibrated) -> None:
-    sample = SAMPLES[0]
-    with pytest.raises(ModelError, match="tare: the residuals have their own"):
-        calibrated.predict(sample.cloud, [sample.grasp], tare=TARE, residuals=ObjectResiduals(calibrated))
-    other = TouchModel(small_estimator(), {"name": "other", "sha256": "1" * 64}, make_calibration())
-    with pytest.raises(ModelError, match="toy: residuals: are of other"):
-        calibrated.predict(sample.cloud, [sample.grasp], residuals=residuals_of(other, 1))
+    sample, history = SAMPLES[0], touched(calibrated, 1)
+    with pytest.raises(ModelError, match="history: has tares and touches of its own"):
+        calibrated.predict(sample.cloud, [sample.grasp], tare=TARE, history=history)
+    other = TouchModel(small_estimator(), CARD, make_tracked_calibration())
+    with pytest.raises(ModelError, match="toy: history: is of another model"):
+        other.predict(sample.cloud, [sample.grasp], history=history)
+    with pytest.raises(ModelError, match="toy: cannot adapt to readings"):
+        TouchModel(small_estimator(), CARD).predict(sample.cloud, [sample.grasp], history=history)
     for tare in (np.zeros(50), np.full(50, np.nan)):
         with pytest.raises(TactileError, match=r"tare: pdc_th: (0|nan) is not between"):
             calibrated.predict(sample.cloud, [sample.grasp], tare=Touch.from_vector(tare))
@@ -290,7 +236,7 @@ def test_predictions_become_objects_when_they_are_read(calibrated) -> None:
     assert one_by_one[1:] == [*one_by_one][1:]
     for one, other in zip([one_by_one[k] for k in range(len(grasps))], together, strict=True):
         for name in ("value", "lower", "upper"):
-            assert np.array_equal(getattr(one, name).vector(), getattr(other, name).vector())
+            assert_array_equal(getattr(one, name).vector(), getattr(other, name).vector())
         assert (one.grasp, one.flags, one.status) == (other.grasp, other.flags, other.status)
     with pytest.raises(IndexError):
         one_by_one[len(grasps)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracker: against conditioning of the joint Gaussian, today's memory, jumps, pauses, bad input, restarts, its cost."""
+"""The tracker: against conditioning of the joint Gaussian, jumps, pauses, bad input, restarts, its cost."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated_models import REST, make_calibration
+from every_case import every_case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import ModelError, TactileError
-from foretouch.models.calibration import Calibration, CalibrationGroup
 from foretouch.models.state_space import FINGERS, TrackerParameters
 from foretouch.models.tracker import SensorTracker
+from foretouch.types import Evidence
 
 SIZE, S, DAY = 50, 10**9, 86400 * 10**9
 START = 1_700_000_000 * S
-GROUPS = make_calibration().groups
-MEMORY = make_calibration().tracker_parameters()
-PATIENT = replace(MEMORY, alarm=np.full((2, 2), 1e6))  # never restarts a finger
+PARAMETERS = make_calibration().tracker_parameters
+PATIENT = replace(PARAMETERS, alarm=np.full((2, 2), 1e6))  # never restarts a finger
 
 
 def drifting(slow: float = 2.0, fast: float = 0.5, lasting: float = 0.5) -> TrackerParameters:
     """Independent values with a deviation of the noise of 20 counts, and a slow and a fast state."""
     ones = np.ones(SIZE)
     return replace(
-        MEMORY,
+        PARAMETERS,
         basis=20.0 * np.eye(SIZE),
         slow=slow * ones,
         fast=fast * ones,
@@ -42,34 +42,6 @@ def drifting(slow: float = 2.0, fast: float = 0.5, lasting: float = 0.5) -> Trac
 
 def touch(tracker: SensorTracker, second: float, residual: np.ndarray) -> tuple[str, ...]:
     return tracker.add_touch(START + int(second * 1e9), REST + residual, REST)
-
-
-@pytest.mark.parametrize("known", [False, True])
-@pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_without_a_state_it_is_the_memory_of_the_calibration(known: bool, count: int, rng) -> None:
-    group: CalibrationGroup = GROUPS["known" if known else "new"]
-    # Of known objects, only the diagonals in the basis of new ones are used: give it such a group.
-    parameters = Calibration(REST, dict.fromkeys(("new", "known"), group)).tracker_parameters()
-    tracker = SensorTracker(replace(parameters, alarm=PATIENT.alarm))
-    tracker.start_object(known=known)
-    expected, readings = REST + rng.normal(0.0, 20.0, (2, 9, SIZE))
-    for k in range(count):
-        tracker.add_touch(START + k * 60 * S, readings[k], expected[k])
-    counts, _ = tracker.predict(START + DAY, expected)
-    wanted = (
-        group.counts_after(expected, expected[:count].mean(axis=0), readings[:count].mean(axis=0), count)
-        if count
-        else expected
-    )
-    assert_allclose(counts, wanted, rtol=0, atol=1e-8)
-    left = tracker.level(START).variance + group.within
-    lasting = (
-        group.between
-        if count == 0
-        else group.between
-        - group.between @ np.linalg.solve(group.between + np.diag(group.within / count), group.between)
-    )
-    assert_allclose(left, np.diag(lasting) + group.within, rtol=1e-9)
 
 
 def conditioned(
@@ -123,8 +95,8 @@ def test_the_level_is_that_of_the_joint_gaussian(rng) -> None:
         mean, variance = conditioned(parameters, seconds, objects, tares, values, at, of)
         assert_allclose(level.offset, mean, atol=1e-6)
         assert_allclose(level.variance, variance, rtol=1e-6)
-    assert level.readings_of_history == 30
-    assert level.history_age_s == pytest.approx(500.0)
+    assert level.evidence.readings == 30
+    assert level.evidence.reading_age_s == pytest.approx(500.0)
 
 
 def test_another_object_keeps_the_state_and_forgets_the_object(rng) -> None:
@@ -137,8 +109,8 @@ def test_another_object_keeps_the_state_and_forgets_the_object(rng) -> None:
     begun = tracker.level(START + 1200 * S)
     assert_array_equal(begun.offset, other.offset)
     assert_array_equal(begun.variance, other.variance)
-    assert (own.touches_of_object, begun.touches_of_object, begun.readings_of_history) == (20, 0, 20)
-    assert (own.object_age_s, begun.object_age_s, begun.history_age_s) == (60.0, None, 60.0)
+    assert own.evidence == Evidence(20, 60.0, 20, 60.0)
+    assert begun.evidence == Evidence(0, None, 20, 60.0)
     assert 15.0 < other.offset.mean() < own.offset.mean() < 31.0
     assert (own.variance < other.variance).all()
 
@@ -164,23 +136,24 @@ def test_after_touches_predicted_differences_are_shrunk() -> None:
     assert_allclose(later[1] - later[0], 10.0)
 
 
-@pytest.mark.parametrize("finger", [0, 1])
-def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(finger: int, rng) -> None:
-    tracker = SensorTracker(drifting(slow=1.0, fast=0.1))
-    values = np.r_[0, 2:26] if finger == 0 else np.r_[1, 26:50]
-    for k in range(30):
-        assert touch(tracker, 60.0 * k, rng.normal(0.0, 20.0, SIZE)) == ()
-    jump = np.zeros(SIZE)
-    jump[values] = -100.0
-    before = tracker.level(START + 1800 * S)
-    assert touch(tracker, 1800.0, jump + rng.normal(0.0, 20.0, SIZE)) == ()  # one odd grasp is not used
-    assert_allclose(tracker.level(START + 1800 * S).offset[values], before.offset[values], atol=2.0)
-    assert touch(tracker, 1860.0, jump + rng.normal(0.0, 20.0, SIZE)) == (FINGERS[finger],)
-    after = tracker.level(START + 1860 * S)
-    assert (after.variance[values] > 2.0 * before.variance[values]).all()
-    assert after.offset[values].mean() < -50.0
-    others = np.setdiff1d(np.arange(SIZE), values)
-    assert_allclose(after.variance[others], before.variance[others], rtol=0.1)
+def test_a_jump_of_one_finger_is_noticed_and_restarts_that_finger_alone(rng) -> None:
+    def check(finger: str, values: np.ndarray) -> None:
+        tracker = SensorTracker(drifting(slow=1.0, fast=0.1))
+        for k in range(30):
+            assert touch(tracker, 60.0 * k, rng.normal(0.0, 20.0, SIZE)) == ()
+        jump = np.zeros(SIZE)
+        jump[values] = -100.0
+        before = tracker.level(START + 1800 * S)
+        assert touch(tracker, 1800.0, jump + rng.normal(0.0, 20.0, SIZE)) == ()  # one odd grasp is not used
+        assert_allclose(tracker.level(START + 1800 * S).offset[values], before.offset[values], atol=2.0)
+        assert touch(tracker, 1860.0, jump + rng.normal(0.0, 20.0, SIZE)) == (finger,)
+        after = tracker.level(START + 1860 * S)
+        assert (after.variance[values] > 2.0 * before.variance[values]).all()
+        assert after.offset[values].mean() < -50.0
+        others = np.setdiff1d(np.arange(SIZE), values)
+        assert_allclose(after.variance[others], before.variance[others], rtol=0.1)
+
+    every_case(zip(FINGERS, (np.r_[0, 2:26], np.r_[1, 26:50]), strict=True), check)
 
 
 def test_a_tare_of_an_exchanged_finger_restarts_it_at_once() -> None:
@@ -272,27 +245,32 @@ def test_a_restart_in_the_middle_is_bit_equal_to_none(events: list[tuple[str, in
             assert_array_equal(left, right)
 
 
-@pytest.mark.parametrize(
-    ("stamp", "now", "rule"),
-    [
-        (START - 61 * S, None, "61.0 s before that of the newest reading"),
-        (START + 11 * 365 * DAY, None, "11 years after"),
-        (START + 120 * S, START, "120.0 s ahead of the clock"),
-        (-1, None, "is not nanoseconds"),
-        (1.5, None, "is not nanoseconds"),
-        (2**63, None, "is not nanoseconds"),
-    ],
-)
-def test_stamps_that_cannot_be_are_refused_and_change_nothing(stamp, now, rule: str) -> None:
+def test_stamps_and_readings_that_cannot_be_are_refused_and_change_nothing() -> None:
     tracker = SensorTracker(drifting())
     touch(tracker, 0.0, np.zeros(SIZE))
     before = tracker.to_tensors()
-    with pytest.raises(TactileError, match=f"^stamp: .*{rule}"):
-        tracker.add_touch(stamp, REST, REST, now_ns=now)
-    with pytest.raises(TactileError, match=f"^stamp: .*{rule}"):
-        tracker.add_tare(stamp, np.zeros(SIZE), now_ns=now)
-    for name, array in tracker.to_tensors().items():
-        assert_array_equal(array, before[name])
+
+    def check(rule: str, stamp: float, now: int | None, reading: np.ndarray = REST) -> None:
+        with pytest.raises(TactileError, match=f"^{rule}"):
+            tracker.add_touch(stamp, reading, REST, now_ns=now)
+        if rule.startswith("stamp"):
+            with pytest.raises(TactileError, match=f"^{rule}"):
+                tracker.add_tare(stamp, np.zeros(SIZE), now_ns=now)
+        for name, array in tracker.to_tensors().items():
+            assert_array_equal(array, before[name])
+
+    spoiled = [np.where(np.arange(SIZE) == 7, value, REST) for value in (np.nan, np.inf, -1.0, 4096.0)]
+    every_case(
+        [
+            ("stamp: .*61.0 s before that of the newest reading", START - 61 * S, None),
+            ("stamp: .*11 years after", START + 11 * 365 * DAY, None),
+            ("stamp: .*120.0 s ahead of the clock", START + 120 * S, START),
+            *(("stamp: .*is not nanoseconds", stamp, None) for stamp in (-1, 1.5, 2**63, True)),
+            *(("reading: value 7", START, None, reading) for reading in spoiled),
+            ("reading: shape", START, None, REST[:7]),
+        ],
+        check,
+    )
 
 
 def test_a_reading_a_little_late_counts_as_of_the_newest_time() -> None:
@@ -303,67 +281,59 @@ def test_a_reading_a_little_late_counts_as_of_the_newest_time() -> None:
     assert_array_equal(trackers[0].level(START).offset, trackers[1].level(START).offset)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 4096.0])
-def test_a_reading_of_no_working_sensor_is_refused_and_changes_nothing(value: float) -> None:
-    tracker = SensorTracker(drifting())
-    reading = REST.copy()
-    reading[7] = value
-    with pytest.raises(TactileError, match=r"^reading: value 7"):
-        tracker.add_touch(START, reading, REST)
-    with pytest.raises(TactileError, match=r"^reading: shape"):
-        tracker.add_touch(START, REST[:7], REST)
-    assert tracker.level(START).readings_of_history == 0
-
-
-def test_parameters_and_state_survive_a_file() -> None:
-    again = TrackerParameters.from_tensors(MEMORY.to_tensors())
-    for name, array in MEMORY.to_tensors().items():
+def test_parameters_that_cannot_be_are_refused_by_name() -> None:
+    again = TrackerParameters.from_tensors(PARAMETERS.to_tensors())
+    for name, array in PARAMETERS.to_tensors().items():
         assert_array_equal(again.to_tensors()[name], array)
 
+    def check(name: str, harm: str) -> None:
+        tensors = {key: array.copy() for key, array in PARAMETERS.to_tensors().items()}
+        if harm in HARM:
+            tensors[name].flat[3] = HARM[harm]
+        elif harm == "shape":
+            tensors[name] = tensors[name][:1]
+        elif harm == "missing":
+            del tensors[name]
+        else:
+            tensors[name] = tensors[name].astype(np.int64)
+        with pytest.raises(ModelError, match=f"^{name}: "):
+            TrackerParameters.from_tensors(tensors)
 
-@pytest.mark.parametrize("name", sorted(MEMORY.to_tensors()))
-@pytest.mark.parametrize("harm", ["nan", "negative", "huge", "shape", "missing", "integer"])
-def test_parameters_that_cannot_be_are_refused_by_name(name: str, harm: str) -> None:
-    tensors = {key: array.copy() for key, array in MEMORY.to_tensors().items()}
-    if harm in ("nan", "negative", "huge"):
-        tensors[name].flat[3] = {"nan": np.nan, "negative": -1e7, "huge": 1e300}[harm]
-    elif harm == "shape":
-        tensors[name] = tensors[name][:1]
-    elif harm == "missing":
-        del tensors[name]
-    else:
-        tensors[name] = tensors[name].astype(np.int64)
-    with pytest.raises(ModelError, match=f"^{name}: "):
-        TrackerParameters.from_tensors(tensors)
+    every_case([(name, harm) for name in again.to_tensors() for harm in (*HARM, "shape", "missing", "integer")], check)
 
 
-def test_a_singular_or_amplifying_basis_is_refused(rng) -> None:
+HARM = {"nan": np.nan, "negative": -1e12, "huge": 1e12}
+
+
+def test_a_singular_or_amplifying_basis_is_refused() -> None:
     with pytest.raises(ModelError, match=r"^basis: is singular"):
-        TrackerParameters.from_tensors(replace(MEMORY, basis=np.ones((SIZE, SIZE))).to_tensors())
+        TrackerParameters.from_tensors(replace(PARAMETERS, basis=np.ones((SIZE, SIZE))).to_tensors())
     skewed = np.eye(SIZE) * 20.0
     skewed[0, 1] = 1e5
     with pytest.raises(ModelError, match=r"^basis, object: [0-9]+ touches turn .* 10 is allowed"):
-        TrackerParameters.from_tensors(replace(MEMORY, basis=skewed).to_tensors())
+        TrackerParameters.from_tensors(replace(PARAMETERS, basis=skewed).to_tensors())
 
 
-@pytest.mark.parametrize("name", ["mean", "covariance", "expected", "log_factor", "counts", "stamps_ns", "parameters"])
-@pytest.mark.parametrize("harm", ["nan", "huge", "negative", "shape", "missing"])
-def test_a_state_that_cannot_be_is_refused_by_name(name: str, harm: str) -> None:
+def test_a_state_that_cannot_be_is_refused_by_name() -> None:
     tracker = SensorTracker(drifting())
     touch(tracker, 0.0, np.zeros(SIZE))
-    tensors = {key: array.copy() for key, array in tracker.to_tensors().items()}
-    if harm == "missing":
-        del tensors[name]
-    elif harm == "shape":
-        tensors[name] = tensors[name][..., :1]
-    elif tensors[name].dtype.kind == "f":
-        tensors[name].flat[0] = {"nan": np.nan, "huge": 1e12, "negative": -1e12}[harm]
-    else:
-        tensors[name].flat[0] ^= np.array(1, tensors[name].dtype) << 6
-        if name == "stamps_ns":
-            tensors[name] = -2 - np.abs(tensors[name])
-    with pytest.raises(ModelError, match=name):
-        SensorTracker.from_tensors(drifting(), tensors)
+
+    def check(name: str, harm: str) -> None:
+        tensors = {key: array.copy() for key, array in tracker.to_tensors().items()}
+        if harm == "missing":
+            del tensors[name]
+        elif harm == "shape":
+            tensors[name] = tensors[name][..., :1]
+        elif tensors[name].dtype.kind == "f":
+            tensors[name].flat[0] = HARM[harm]
+        else:
+            tensors[name].flat[0] ^= np.array(1, tensors[name].dtype) << 6
+            if name == "stamps_ns":
+                tensors[name] = -2 - np.abs(tensors[name])
+        with pytest.raises(ModelError, match=name):
+            SensorTracker.from_tensors(drifting(), tensors)
+
+    every_case([(name, harm) for name in tracker.to_tensors() for harm in (*HARM, "shape", "missing")], check)
 
 
 def test_the_state_of_another_model_is_refused() -> None:

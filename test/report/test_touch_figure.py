@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from sim_builders import CAN, run, scene
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.touch_figure import DrawnGrasp, agreement, draw_electrodes, draw_front, save_touch_picture
+from foretouch.report.touch_figure import DrawnGrasp, _agreement, _draw_electrodes, _draw_front, save_touch_picture
 from foretouch.types import Plane, Touch, TouchPrediction
 
 
@@ -68,7 +68,7 @@ def test_without_a_prediction_what_was_read_is_drawn_still(sample, tmp_path: Pat
     nothing = picture(tmp_path / "a.png", target, refused)
     read = picture(tmp_path / "b.png", target, refused, rest=tare, read=prediction.value)
     assert (read < 0.9).sum() > 1.3 * (nothing < 0.9).sum()
-    assert agreement(DrawnGrasp(target=target, prediction=refused)) == "not predicted: no usable model"
+    assert _agreement(DrawnGrasp(target=target, prediction=refused)) == "not predicted: no usable model"
 
 
 def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
@@ -79,10 +79,10 @@ def test_a_sentence_states_how_prediction_and_reading_agree(sample) -> None:
     shifted[[0, 10, 11, 12]] += (-100.0, 50.0, 70.0, -80.0)
     one = DrawnGrasp(target=target, prediction=prediction, read=Touch.from_vector(shifted))
     text = "Predicted and read differ by 100 (thumb) and 0 (middle finger) counts of pressure, and by 4 counts an electrode"
-    assert agreement(one) == f"{text}."
+    assert _agreement(one) == f"{text}."
     bounded = replace(one, prediction=replace(prediction, lower=low, upper=high))
-    assert agreement(bounded) == f"{text}; within their 90 % intervals: 1 of 2 pressures, 46 of 48 electrodes."
-    assert agreement(replace(one, read=None)) == ""
+    assert _agreement(bounded) == f"{text}; within their 90 % intervals: 1 of 2 pressures, 46 of 48 electrodes."
+    assert _agreement(replace(one, read=None)) == ""
 
 
 def test_an_interval_changes_the_predicted_pressures_alone(sample, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None
     target, prediction, _ = sample
     figure = Figure(figsize=(3, 3))
     axes = figure.add_subplot()
-    draw_front(axes, target.cloud, prediction.grasp)
+    _draw_front(axes, target.cloud, prediction.grasp)
     figure.canvas.draw()
     names = {text.get_text(): text for text in axes.texts}
     assert names.keys() == {"thumb", "middle finger"}
@@ -113,7 +113,7 @@ def test_the_contacts_are_named_by_their_fingers_within_the_axes(sample) -> None
 def test_colours_are_the_levels_within_the_limits() -> None:
     axes = Figure().add_subplot()
     levels = np.linspace(100.0, 600.0, 24)
-    draw_electrodes(axes, levels, tared=True, colour="red", limits=(0.0, 700.0))
+    _draw_electrodes(axes, levels, tared=True, colour="red", limits=(0.0, 700.0))
     dots = axes.collections[0]
     np.testing.assert_array_equal(dots.get_array(), levels)
     assert dots.get_clim() == (0.0, 700.0)

@@ -65,7 +65,7 @@ def test_the_parts_of_the_day_are_those_of_the_level():
 def test_in_the_model_of_the_day_time_passes_faster(tmp_path):
     day, released = example("simulated_day"), load_model("default")
     model = load_model(day.write_model(tmp_path))
-    own, other = (one.calibration.tracker_parameters() for one in (model, released))
+    own, other = (one.calibration.tracker_parameters for one in (model, released))
     assert_allclose(own.slow_time_s * day.SPEED, other.slow_time_s)
     assert_allclose(own.fast_time_s * day.SPEED, other.fast_time_s)
     assert (own.noise == other.noise).all()

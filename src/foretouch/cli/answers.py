@@ -1,21 +1,85 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers that `predict --json` and `run --json` printed, read back from a file."""
+"""Answers as `predict --json` and `run --json` print them: written from messages, and read back from a file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.checked_files import TEXT_LIMIT, parse_json, read_bytes
-from foretouch.errors import ConfigError, FileError
+from foretouch.errors import ConfigError, FileError, ForetouchError
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
-    from foretouch.types import TouchPrediction
+    from numpy.typing import ArrayLike
+
+    from foretouch.types import Grasp, TouchPrediction
+    from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
+    from foretouch_msgs.msg import TouchPredictionArray
 
 
 ANSWER_SUFFIXES = (".json", ".jsonl")
+
+
+def grasp_record(grasp: Grasp) -> dict[str, Any]:
+    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
+    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
+
+
+def prediction_record(prediction: TouchPrediction) -> dict[str, Any]:
+    """One prediction for JSON: values and bounds in counts, bounds null without a calibration."""
+    columns = {"value": prediction.value, "lower": prediction.lower, "upper": prediction.upper}
+    record: dict[str, Any] = {"grasp": grasp_record(prediction.grasp)}
+    for name in MODALITIES:
+        record[name] = {key: None if touch is None else getattr(touch, name.lower()) for key, touch in columns.items()}
+    return record | {
+        "reference": prediction.reference,
+        "evidence": asdict(prediction.evidence),
+        "flags": list(prediction.flags),
+        "status": prediction.status,
+        "reason": prediction.reason,
+    }
+
+
+def answer_record(message: TouchPredictionArray) -> dict[str, Any]:
+    """A `touch` message as `run --json` prints it."""
+    from foretouch.ros.messages.requests import status_name
+    from foretouch.tactile.messages.table import stamp_ns
+
+    return {
+        "stamp_ns": stamp_ns(message.header.stamp),
+        "frame_id": message.header.frame_id,
+        "status": status_name(message.status),
+        "reason": message.reason,
+        "predictions": [_message_record(one) for one in message.predictions],
+    }
+
+
+def _message_record(message: TouchPredictionMsg) -> dict[str, Any]:
+    """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
+    from foretouch.ros.messages.conversions import prediction_from_msg
+    from foretouch.ros.messages.requests import status_name
+
+    try:
+        return prediction_record(prediction_from_msg(message))
+    except ForetouchError as err:
+        status = status_name(message.status) if message.status else "failed"
+        return {"status": status, "reason": message.reason or str(err)}
+
+
+def modality_text(value: ArrayLike, lower: ArrayLike | None, upper: ArrayLike | None) -> str:
+    """Value and half width of a pressure; of electrodes, least and largest value and mean half width [counts]."""
+    import numpy as np
+
+    if value is None:
+        return "refused"
+    values = np.atleast_1d(value)
+    text = f"{values.min():.0f}–{values.max():.0f}" if values.size > 1 else f"{values[0]:.0f}"
+    if lower is None or upper is None or np.isnan(lower).any():  # not calibrated
+        return text
+    return f"{text} ±{np.mean(np.subtract(upper, lower)) / 2.0:.0f}"  # no space: a table folds there
 
 
 def answer_key(record: Mapping[str, Any]) -> str | int:

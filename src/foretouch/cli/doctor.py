@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.self_test is not None:
         return _self_test(arguments.self_test, as_json=arguments.json)
     announce("importing the libraries and loading the models")
-    findings = list(examine())
+    findings = list(_examine())
     problems = [finding for finding in findings if finding.state not in {"ok", "optional"}]
     if arguments.json:
         for finding in findings:
@@ -94,7 +94,7 @@ def _self_test(names: Sequence[str], *, as_json: bool) -> int:
     return int(bool(failed))
 
 
-def examine() -> Iterator[Finding]:
+def _examine() -> Iterator[Finding]:
     """Run all checks, the fastest first."""
     yield _python()
     yield from _requirements()

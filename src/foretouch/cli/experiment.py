@@ -17,6 +17,7 @@ from foretouch.errors import ConfigError, FileError
 if TYPE_CHECKING:
     from foretouch.experiments import Experiment
     from foretouch.experiments.framework.executors import CellResult
+    from foretouch.experiments.framework.sweep import SweepResult
 
 
 ENVIRONMENT = "FORETOUCH_DATA"
@@ -29,11 +30,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="name of an experiment, such as cross_validation; `list` prints all; or a module of your own, such as my_lab.stiffness",
     )
+    add_sweep_arguments(parser, "full", "full (default), smoke, or another preset of the experiment")
+
+
+def add_sweep_arguments(parser: argparse.ArgumentParser, preset: str, presets: str) -> None:
+    """Arguments on the settings, data and output of a sweep.
+
+    Args:
+        parser: Gets the arguments.
+        preset: Default preset.
+        presets: Help text on the presets.
+    """
     parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="DIR", help="output folder of manifest, results.csv and figures"
-    )
-    parser.add_argument("--preset", default="full", help="full (default), smoke, or another preset of the experiment")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="output folder of manifest, table and figures")
+    parser.add_argument("--preset", default=preset, help=presets)
     parser.add_argument(
         "--data",
         type=Path,
@@ -50,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="number of processes (default: one per core); does not change the results",
     )
     parser.add_argument("--address", help="run on Ray: auto, ray://host:port, or local for a node on this machine")
-    parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from DIR/results.csv")
+    parser.add_argument("--redraw", action="store_true", help="only rewrite tables and figures from the table in DIR")
     parser.add_argument("--json", action="store_true", help="print one JSON object per cell, and a summary last")
 
 
@@ -64,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         raise ConfigError("experiment: -o DIR is required")
     if arguments.redraw:
-        return _redraw(experiment, arguments)
-    return _sweep(experiment, arguments)
+        return redraw(experiment, arguments)
+    return sweep(experiment, arguments)
 
 
 def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
@@ -79,7 +89,8 @@ def _list(experiments: Sequence[Experiment[Any, Any]], as_json: bool) -> int:
     return 0
 
 
-def _redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
+def redraw(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
+    """Write summary and figures of the table in a folder."""
     from foretouch.experiments.framework.manifest import SUMMARY_FILE, read_results, require_experiment
 
     require_experiment(arguments.out, experiment.name)
@@ -104,7 +115,8 @@ def _report(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], ou
     return [path.name for path in experiment.draw(rows, out)]
 
 
-def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
+def sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> int:
+    """Run or resume a sweep; the exit status is 1 if a cell failed."""
     from foretouch.experiments import run_sweep
 
     settings = experiment.resolve(arguments.preset, parse_overrides(arguments.overrides))
@@ -123,11 +135,18 @@ def _sweep(experiment: Experiment[Any, Any], arguments: argparse.Namespace) -> i
             only_finished=arguments.finished,
             workers=arguments.workers or len(os.sched_getaffinity(0)),
             address=arguments.address,
-            progress=print_cell if arguments.json else show,
+            progress=_print_cell if arguments.json else show,
+            finishing=lambda done, total: update(done, total, "times"),
         )
+    return show_result(experiment, result, arguments)
+
+
+def show_result(experiment: Experiment[Any, Any], result: SweepResult, arguments: argparse.Namespace) -> int:
+    """Write summary and figures of a sweep and print its result; the exit status is 1 if a cell failed."""
     summary = {
         "status": "failed" if result.failures else "done",
         "experiment": experiment.name,
+        **experiment.facts(result.rows),
         "cells": result.cells,
         "reused": result.reused,
         "finished": result.finished,
@@ -169,7 +188,7 @@ def _show(experiment: Experiment[Any, Any], rows: Sequence[dict[str, Any]], summ
     print("".join(f", {name}" for name in summary["figures"]))
 
 
-def print_cell(result: CellResult, done: int, total: int) -> None:
+def _print_cell(result: CellResult, done: int, total: int) -> None:
     """Print a finished cell as a JSON object."""
     record = {"cell": result.cell.key, "status": "failed" if result.rows is None else "done", "error": result.error}
     print_json({**record, "seconds": round(result.seconds, 3), "done": done, "cells": total})

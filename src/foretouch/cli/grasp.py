@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli import inputs
+from foretouch.cli.answers import grasp_record
 from foretouch.cli.output import print_table
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "status": plan.status,
                 "reason": plan.reason,
                 "plane": one.plane.coefficients,
-                "grasps": [inputs.grasp_record(grasp) for grasp in plan.grasps],
+                "grasps": [grasp_record(grasp) for grasp in plan.grasps],
                 "initial_points": plan.initial_points,
                 "axis": plan.axis,
                 "centroid": plan.centroid,

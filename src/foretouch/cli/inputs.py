@@ -15,52 +15,73 @@ from foretouch.errors import CloudError, ForetouchError
 if TYPE_CHECKING:
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
-    from foretouch.types import Cloud, Grasp
+    from foretouch.types import Cloud
 
 
 Record = dict[str, Any]
 
 
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "--topic": {"help": "point cloud topic of a recording"},
+    "--config": {"metavar": "YAML", "help": "pipeline settings"},
+    "--set": {"metavar": "KEY=VALUE", "action": "append", "default": [], "help": "override one pipeline setting"},
+    "--model": {"help": "name of a model, or path of its card, weights or run folder"},
+    "--params": {"metavar": "YAML", "help": "ROS parameter file for all nodes"},
+    "--namespace": {"help": "namespace of the graph (default: /foretouch)"},
+}
+
+
+def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Options that several commands share, such as `--topic`."""
+    for name in names:
+        parser.add_argument(name, **_OPTIONS[name])
+
+
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     """IN…, --topic, --config, --set and --json."""
     parser.add_argument("inputs", metavar="IN", nargs="+", help=".pcd, .ply, .npz or .npy, a folder, or a recording")
-    parser.add_argument("--topic", help="point cloud topic of a recording")
-    parser.add_argument("--config", metavar="YAML", help="pipeline settings")
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="override one pipeline setting")
+    add_options(parser, "--topic", "--config", "--set")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
 
 
 def add_plan_arguments(parser: argparse.ArgumentParser) -> None:
     """--plane, --scene and --target: the table, and which objects to use."""
     plane = "table ax+by+cz+d=0 [m]; the cloud then contains only the object"
-    parser.add_argument("--plane", type=four_numbers, metavar="a,b,c,d", help=plane)
+    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
     parser.add_argument("--scene", action="store_true", help="segment unorganised clouds too")
     parser.add_argument("--target", choices=["nearest", "largest", "all"], help="objects of a scene to use")
 
 
-def four_numbers(text: str) -> list[float]:
-    """`a,b,c,d` for argparse."""
-    return _numbers(text, 4)
+def numbers(text: str, count: int = 4) -> list[float]:
+    """Numbers with commas between them for argparse, such as `a,b,c,d`."""
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
+    return found
 
 
-def six_numbers(text: str) -> list[float]:
-    """`x1,y1,z1,x2,y2,z2` for argparse."""
-    return _numbers(text, 6)
-
-
-def positive_number(text: str) -> int:
-    """A positive whole number for argparse."""
-    return _whole_number(text, 1)
+def positive_number(text: str, minimum: int = 1) -> int:
+    """A whole number of 1 or more for argparse."""
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+    if value < minimum:
+        raise argparse.ArgumentTypeError(f"{value} is not {minimum} or more")
+    return value
 
 
 def seed_number(text: str) -> int:
     """A whole number of 0 or more for argparse."""
-    return _whole_number(text, 0)
+    return positive_number(text, 0)
 
 
 def positive_value(text: str) -> float:
     """A finite number above 0 for argparse, such as a rate or a time."""
-    value = _finite_value(text)
+    value = _finite(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
@@ -68,9 +89,19 @@ def positive_value(text: str) -> float:
 
 def waiting_time(text: str) -> float:
     """A finite number of 0 or more for argparse [s]."""
-    value = _finite_value(text)
+    value = _finite(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not 0 or more")
+    return value
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
     return value
 
 
@@ -125,11 +156,6 @@ def only_object(cloud: Cloud, arguments: argparse.Namespace) -> FoundObject:
     return FoundObject("1", cloud, table)
 
 
-def grasp_record(grasp: Grasp) -> Record:
-    """A grasp for JSON: contacts [m], rotation row by row, score (null if undefined)."""
-    return {"g1": grasp.g1, "g2": grasp.g2, "rotation": grasp.rotation.reshape(9), "score": grasp.score}
-
-
 def heading(record: Record, by: str = "") -> str:
     """What is printed above a table: input, object and status; a remark follows in a line of its own."""
     status = "" if record["status"] == "ok" else f": {record['status'].replace('_', ' ')}"
@@ -150,65 +176,28 @@ def process_inputs(
     from foretouch.dataset.source import open_source
 
     failed = False
+
+    def refuse(name: str, err: ForetouchError) -> None:
+        nonlocal failed
+        failed = True
+        if arguments.json:
+            print_json({"input": name, "status": "refused", "reason": str(err)})
+        warn(error_line(name, err))
+
     for path in arguments.inputs:
         try:
             for item in open_source(path, topic=arguments.topic):
-                failed |= _process_item(item, arguments.json, process, show)
+                try:
+                    for record in process(item):
+                        failed |= record.pop("failed", False)
+                        (print_json if arguments.json else show)({"input": item.name, **record})
+                except ForetouchError as err:
+                    refuse(item.name, err)
         except ForetouchError as err:
-            failed = True
-            _refuse(path, err, as_json=arguments.json)
+            refuse(path, err)
     return int(failed)
 
 
-def _process_item(
-    item: SourceItem, as_json: bool, process: Callable[[SourceItem], Iterator[Record]], show: Callable[[Record], None]
-) -> bool:
-    failed = False
-    try:
-        for record in process(item):
-            failed |= record.pop("failed", False)
-            if as_json:
-                print_json({"input": item.name, **record})
-            else:
-                show({"input": item.name, **record})
-    except ForetouchError as err:
-        _refuse(item.name, err, as_json=as_json)
-        return True
-    return failed
-
-
-def _refuse(name: str, err: ForetouchError, *, as_json: bool) -> None:
-    reason = str(err)
-    if as_json:
-        print_json({"input": name, "status": "refused", "reason": reason})
-    warn(reason if name in reason else f"{name}: {reason}")
-
-
-def _whole_number(text: str, minimum: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-    if value < minimum:
-        raise argparse.ArgumentTypeError(f"{value} is not {minimum} or more")
-    return value
-
-
-def _finite_value(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
-
-
-def _numbers(text: str, count: int) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers with commas between them")
-    return numbers
+def error_line(name: str, err: ForetouchError) -> str:
+    """The message of an error, with the name of the input where it lacks it."""
+    return str(err) if name in str(err) else f"{name}: {err}"

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import dist, isnan
+from math import dist
 from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 from rich.text import Text
 
+from foretouch.cli.answers import modality_text
 from foretouch.cli.screen import FittedPanel
 from foretouch.cli.tables import FittedTable
 from foretouch.tactile import MODALITIES
@@ -17,7 +18,7 @@ from foretouch.tactile import MODALITIES
 if TYPE_CHECKING:
     from foretouch.dataset.pairing import TouchCut
     from foretouch.ros.nodes.monitor import NodeView, View
-    from foretouch_msgs.msg import Interval, TouchPrediction
+    from foretouch_msgs.msg import TouchPrediction
 
 
 _LEVELS = {0: "green", 1: "yellow", 2: "red", 3: "dim"}
@@ -39,21 +40,23 @@ def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
     if view.executed is not None:
         parts.append(_executed(*view.executed))
     if view.last is not None and view.last.predictions:
-        parts.append(_predictions(view.last.predictions, _touches(view.nodes)))
-    parts += [Text(line) for line in _drops(view.nodes)]
+        parts.append(_predictions(view.last.predictions, view.nodes))
+    for name, node in view.nodes.items():
+        if found := _dropped(node.values):
+            parts.append(Text(f"{_short(name)} dropped {', '.join(f'{n} {why}' for why, n in found.items())}"))
     parts += [Text(f"{count} x {reason}", "yellow") for reason, count in view.reasons.most_common(_MAX_REASONS)]
     return FittedPanel(parts, title)
 
 
 def _table(*columns: str, rows: list[list[str | Text]], title: str = "") -> FittedTable:
-    return FittedTable(columns, rows, title=title, box=None, expand=True, listed=False, limit=_MAX_ROWS)
+    return FittedTable(columns, rows, title=title, live=True, limit=_MAX_ROWS)
 
 
-def _nodes(nodes: dict[str, NodeView]) -> FittedTable:
+def _nodes(nodes: Mapping[str, NodeView]) -> FittedTable:
     rows: list[list[str | Text]] = []
     for name, node in sorted(nodes.items(), key=lambda pair: _order(pair[0])):
         values = node.values
-        dropped = sum(count for _, count in _dropped(values)) or values.get("dropped", "")
+        dropped = sum(_dropped(values).values()) or values.get("dropped", "")
         rows.append([
             Text(_short(name), _LEVELS.get(node.level, "")),
             values.get("phase" if values.get("state") == "active" and "phase" in values else "state", ""),
@@ -65,35 +68,22 @@ def _nodes(nodes: dict[str, NodeView]) -> FittedTable:
     return _table("node", "state", "Hz", "in", "used", "drops", "p50 ms", "p95 ms", rows=rows)
 
 
-def _dropped(values: Mapping[str, str]) -> list[tuple[str, int]]:
+def _dropped(values: Mapping[str, str]) -> dict[str, int]:
     """Numbers of dropped messages by reason."""
-    return [(key.removeprefix("dropped."), int(n)) for key, n in values.items() if key.startswith("dropped.")]
+    found = {key.removeprefix("dropped."): int(n) for key, n in values.items() if key.startswith("dropped.")}
+    return {reason: count for reason, count in found.items() if count}
 
 
-def _drops(nodes: dict[str, NodeView]) -> list[str]:
-    """One line for each node that has dropped messages, with the reasons."""
-    reasons = {name: [f"{n} {why}" for why, n in _dropped(node.values) if n] for name, node in nodes.items()}
-    return [f"{_short(name)} dropped {', '.join(found)}" for name, found in reasons.items() if found]
-
-
-def _problems(nodes: dict[str, NodeView]) -> list[Text]:
+def _problems(nodes: Mapping[str, NodeView]) -> list[Text]:
     """One line for each node with a warning or an error."""
-    return [
-        Text(f"{_short(name)}: {node.message}", _LEVELS.get(node.level, ""))
-        for name, node in nodes.items()
-        if node.level
-    ]
+    level = _LEVELS.get
+    return [Text(f"{_short(name)}: {one.message}", level(one.level, "")) for name, one in nodes.items() if one.level]
 
 
-def _touches(nodes: dict[str, NodeView]) -> int:
-    """Number of touches in the memory of the predictor, from its last report."""
-    counts = [node.values["touches"] for node in nodes.values() if "touches" in node.values]
-    return int(counts[0]) if counts else 0
-
-
-def _predictions(predictions: Sequence[TouchPrediction], touches: int) -> FittedTable:
+def _predictions(predictions: Sequence[TouchPrediction], nodes: Mapping[str, NodeView]) -> FittedTable:
     from foretouch.ros.messages.conversions import reference_text
 
+    touches = next((int(node.values["touches"]) for node in nodes.values() if "touches" in node.values), 0)
     models = " ".join(sorted({one.model for one in predictions if one.model}))
     rows: list[list[str | Text]] = []
     for one in predictions:
@@ -112,25 +102,16 @@ def _predictions(predictions: Sequence[TouchPrediction], touches: int) -> Fitted
 
 def _modalities(prediction: TouchPrediction) -> list[str]:
     """PDC and electrodes of both fingers, each with its half width."""
-    pressures = [_interval(one) for one in (prediction.pdc_th, prediction.pdc_mf)]
-    return [*pressures, _span(prediction.e_th), _span(prediction.e_mf)]
+    parts = ([prediction.pdc_th], [prediction.pdc_mf], prediction.e_th, prediction.e_mf)
+    return [modality_text(*zip(*((one.value, one.lower, one.upper) for one in part), strict=True)) for part in parts]
 
 
 def _executed(prediction: TouchPrediction, readings: TouchCut) -> FittedTable:
-    rows: list[list[str | Text]] = []
-    if not prediction.status:
-        rows.append(["predicted", *_modalities(prediction)])
+    rows: list[list[str | Text]] = [] if prediction.status else [["predicted", *_modalities(prediction)]]
     for name, touch in (("read", readings.touch), ("tare", readings.tare)):
-        spans = [f"{e.min():.0f}–{e.max():.0f}" for e in (touch.e_th, touch.e_mf)]
-        rows.append([name, f"{touch.pdc_th:.0f}", f"{touch.pdc_mf:.0f}", *spans])
+        parts = ([touch.pdc_th], [touch.pdc_mf], touch.e_th, touch.e_mf)
+        rows.append([name, *(modality_text(part, None, None) for part in parts)])
     return _table("", *MODALITIES, rows=rows, title="last grasp executed (counts)")
-
-
-def _interval(interval: Interval) -> str:
-    """Value and half width, without a space before the number, where it would be folded."""
-    from foretouch.ros.messages.conversions import interval_text
-
-    return interval_text(interval).replace("± ", "±")
 
 
 def _rounded(number: str) -> str:
@@ -140,14 +121,6 @@ def _rounded(number: str) -> str:
     except ValueError:
         return number
     return f"{value:.0f}" if value >= 99.95 else f"{value:.1f}"
-
-
-def _span(intervals: list[Interval]) -> str:
-    """Smallest and largest value of 24 electrodes, and the mean half width if the model is calibrated."""
-    values = [one.value for one in intervals]
-    half = sum(one.upper - one.lower for one in intervals) / 2.0 / len(intervals)
-    span = f"{min(values):.0f}–{max(values):.0f}"
-    return span if isnan(half) else f"{span} ±{half:.0f}"  # NaN: not calibrated
 
 
 def _short(name: str) -> str:

@@ -152,7 +152,6 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
     if calibration is not None:
         note = f"{calibration['level']:.0%} intervals, calibrated on {calibration['objects']} objects: "
         note += f"the guaranteed coverage of one more object is at most {calibration['promise']:.0%}"
-        notes.append(
-            note if "known_tare" in calibration["regimes"] else f"{note}; not calibrated for predictions with a tare"
-        )
+        recorded = record["card"]["calibration"].get("rest") == "recorded tares"
+        notes.append(note if recorded else f"{note}; not calibrated for predictions with a tare")
     return [note for note in [*notes, *map(str, record["card"].get("limits", []))] if note]

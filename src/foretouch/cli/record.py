@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
-from collections.abc import Callable
-from math import isnan
 from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from foretouch.cli.inputs import positive_number, positive_value
+from foretouch.cli.inputs import add_options, positive_number, positive_value
 from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.run import report_conflicts
 from foretouch.cli.screen import FittedPanel, can_draw, draw_until
@@ -29,13 +26,12 @@ from foretouch.topics import TACTILE_TOPIC
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from foretouch_msgs.msg import RecorderStatus, TopicAccount
-if TYPE_CHECKING:
     from foretouch.ros.nodes.recorder import RecorderNode
-    from foretouch_msgs.msg import RecorderStatus
-
+    from foretouch_msgs.msg import RecorderStatus, TopicAccount
 
 _GB = 1e9
+_REFRESH_S = 0.25
+_REPORT_S = 1.0  # between two lines of --json
 
 
 def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
@@ -43,7 +39,11 @@ def record_panel(status: RecorderStatus, title: str) -> FittedPanel:
     parts: list[RenderableType] = [_samples(status), _grasps(status), _sensors(status)]
     if status.reason:
         parts.append(Text(status.reason, "red"))
-    parts += [_topics(status.topics), *map(Text, _drops(status.topics))]
+    parts.append(_topics(status.topics))
+    for one in status.topics:
+        if one.drop_counts:
+            found = ", ".join(f"{n} {why}" for why, n in zip(one.drop_reasons, one.drop_counts, strict=True))
+            parts.append(Text(f"{one.topic} dropped {found}"))
     return FittedPanel(parts, title)
 
 
@@ -56,15 +56,12 @@ def _samples(status: RecorderStatus) -> Text:
         text.append(f", {60.0 * status.samples / status.duration.sec:.1f} a minute")
     if status.last_sample:
         text.append(f"; last {status.last_sample}")
-    text.append(f"  {status.bytes_written / _GB:.3f} GB, ")
-    text.append(_disk(status.disk_left))
+    left_s = status.disk_left
+    disk = (
+        f"disk full in {left_s / 60.0:.0f} min" if left_s < 1e6 else "disk: -" if math.isinf(left_s) else "disk: weeks"
+    )
+    text.append(f"  {status.bytes_written / _GB:.3f} GB, {disk}")
     return text
-
-
-def _disk(seconds: float) -> str:
-    if seconds == float("inf"):
-        return "disk: -"
-    return f"disk full in {seconds / 60.0:.0f} min" if seconds < 1e6 else "disk: weeks"
 
 
 def _grasps(status: RecorderStatus) -> Text:
@@ -87,9 +84,7 @@ def _sensors(status: RecorderStatus) -> Text:
 
 
 def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
-    common = (
-        commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"
-    )  # the first topic is the hand's
+    common = commonpath([topic.topic for topic in topics[1:]] or ["/"]).rstrip("/") + "/"  # the first is the hand's
     rows: list[list[str | Text]] = []
     for topic in topics:
         dropped = sum(topic.drop_counts)
@@ -103,16 +98,7 @@ def _topics(topics: Sequence[TopicAccount]) -> FittedTable:
             Text(str(dropped), "red" if dropped else ""),
         ])  # fmt: skip
     columns = ("topic", "Hz", "received", "written", "queue", "lost", "dropped")
-    return FittedTable(columns, rows, box=None, expand=True, listed=False)
-
-
-def _drops(topics: Sequence[TopicAccount]) -> list[str]:
-    """One line for each topic with dropped messages, with the reasons."""
-    reasons = {one.topic: zip(one.drop_reasons, one.drop_counts, strict=True) for one in topics if one.drop_counts}
-    return [f"{name} dropped {', '.join(f'{n} {why}' for why, n in found)}" for name, found in reasons.items()]
-
-
-_REFRESH_S = 0.25
+    return FittedTable(columns, rows, live=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -141,8 +127,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples", type=positive_number, metavar="N", help="end after this number of labelled samples"
     )
-    parser.add_argument("--params", metavar="YAML", help="ROS parameter file")
-    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
+    add_options(parser, "--params", "--namespace")
     parser.add_argument("--json", action="store_true", help="one JSON object a second, the last with the final counts")
 
 
@@ -194,34 +179,21 @@ def _watch(node: RecorderNode, arguments: argparse.Namespace) -> None:
         return enough or not node.recording or (end is not None and time.monotonic() >= end)
 
     try:
-        if arguments.json:
-            _report_until(ended, node)
-        elif can_draw():
-            _draw_until(ended, node)
-        else:
-            while not ended():
-                time.sleep(_REFRESH_S)
+        if not arguments.json and can_draw():
+            draw_until(ended, lambda: record_panel(node.status(), "foretouch record (Ctrl-C ends it)"), _REFRESH_S)
+        printed = -math.inf
+        while not ended():
+            if arguments.json and time.monotonic() - printed >= _REPORT_S:
+                printed = time.monotonic()
+                print_json(_status_record(node.status()))
+            time.sleep(_REFRESH_S)
     except KeyboardInterrupt:
         pass
 
 
-def _report_until(ended: Callable[[], bool], node: RecorderNode) -> None:
-    printed = 0.0
-    while not ended():
-        if time.monotonic() - printed >= 1.0:
-            printed = time.monotonic()
-            print_json(status_record(node.status()))
-            sys.stdout.flush()
-        time.sleep(_REFRESH_S)
-
-
-def _draw_until(ended: Callable[[], bool], node: RecorderNode) -> None:
-    draw_until(ended, lambda: record_panel(node.status(), "foretouch record (Ctrl-C ends it)"), _REFRESH_S)
-
-
 def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
     if arguments.json:
-        print_json(status_record(status))
+        print_json(_status_record(status))
     else:
         terminal().print(record_panel(status, f"foretouch record: {status.path}"))
     if status.reason:
@@ -229,7 +201,7 @@ def _finish(status: RecorderStatus, arguments: argparse.Namespace) -> int:
     return 1 if status.reason else 0
 
 
-def status_record(status: RecorderStatus) -> dict[str, Any]:
+def _status_record(status: RecorderStatus) -> dict[str, Any]:
     """The status as `--json` prints it."""
     from foretouch.tactile.messages.table import stamp_ns
 
@@ -242,7 +214,7 @@ def status_record(status: RecorderStatus) -> dict[str, Any]:
         "samples": status.samples,
         "unlabelled": status.unlabelled,
         "outcomes": dict(zip(status.outcomes, status.outcome_counts, strict=True)),
-        "pairing_error_s": {name: None if isnan(error) else error for name, error in errors.items()},
+        "pairing_error_s": {name: None if math.isnan(error) else error for name, error in errors.items()},
         "received": status.received,
         "written": status.used,
         "dropped": dict(zip(status.drop_reasons, status.drop_counts, strict=True)),
@@ -259,6 +231,6 @@ def status_record(status: RecorderStatus) -> dict[str, Any]:
             for topic in status.topics
         },
         "sensors": dict(zip(status.sensors, status.sensor_states, strict=True)),
-        "disk_left_min": None if status.disk_left == float("inf") else status.disk_left / 60.0,
+        "disk_left_min": None if math.isinf(status.disk_left) else status.disk_left / 60.0,
         "reason": status.reason,
     }

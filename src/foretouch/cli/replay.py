@@ -3,27 +3,18 @@
 
 import argparse
 
-from foretouch.cli.inputs import four_numbers, positive_value
 from foretouch.cli.output import print_json, warn
-from foretouch.cli.run import add_wait_arguments, replay_fault, report_conflicts, source_parameters
+from foretouch.cli.run import add_replay_arguments, replay_fault, report_conflicts, source_parameters
 from foretouch.errors import ForetouchError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("path", metavar="PATH", help="a recording, a folder of clouds or samples, or a file")
-    parser.add_argument("--topic", help="topic of the clouds in a recording")
-    parser.add_argument(
-        "--rate", type=positive_value, metavar="HZ", help="clouds per second (default: recorded times; 10 for files)"
-    )
+    add_replay_arguments(parser, "recorded times; 10 for files")
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--restamp", action="store_true", help="stamp each message with the time it is published")
-    parser.add_argument(
-        "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
-    )
-    add_wait_arguments(parser)
     parser.add_argument("--no-wait", action="store_true", help="play even without subscribers")
-    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
     parser.add_argument("--json", action="store_true", help="print the counts as a JSON object at the end")
 
 
@@ -56,6 +47,6 @@ def run(arguments: argparse.Namespace) -> int:
             print_json(counts)
         else:
             warn(f"{arguments.path}: {replay.outcome}, {graph.played()} clouds played")
-        if (fault := replay_fault(replay)) is not None:
+        if fault := replay_fault(replay):
             warn(f"{arguments.path}: {fault}")
-        return int(fault is not None)
+        return int(bool(fault))

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from foretouch.checked_files import require_writable
-from foretouch.cli.inputs import four_numbers, positive_number, positive_value, waiting_time
+from foretouch.cli.answers import answer_record
+from foretouch.cli.inputs import add_options, numbers, positive_number, positive_value, waiting_time
 from foretouch.cli.output import announce, print_json, terminal, warn
 from foretouch.cli.screen import can_draw, draw_until
 from foretouch.errors import ConfigError, ForetouchError
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from foretouch.ros.nodes.bridge import BridgeNode
     from foretouch.ros.nodes.monitor import Drawable
     from foretouch.ros.nodes.replay import ReplayNode
+    from foretouch_msgs.msg import TouchPredictionArray
 
 
 _REFRESH_S = 0.2
@@ -47,28 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="files or a folder of clouds or samples, a recording, a scene (.yaml) with simulated camera and hand,"
         " or `camera`, the RealSense",
     )
-    parser.add_argument("--topic", help="topic of the clouds in a recording")
     parser.add_argument("--serial", help="serial number of the camera")
-    parser.add_argument(
-        "--rate",
-        type=positive_value,
-        metavar="HZ",
-        help="clouds per second (default: recorded times; files one by one; scenes at 5)",
-    )
-    parser.add_argument(
-        "--dwell",
-        type=positive_value,
-        metavar="S",
-        help="time that each object of a scene stays on the table (default: 3)",
-    )
-    add_wait_arguments(parser)
+    dwell = "time that each object of a scene stays on the table (default: 3)"
+    parser.add_argument("--dwell", type=positive_value, metavar="S", help=dwell)
+    add_replay_arguments(parser, "recorded times; files one by one; scenes at 5")
     parser.add_argument("--count", type=positive_number, metavar="N", help="end after N answered clouds")
-    parser.add_argument(
-        "--plane", type=four_numbers, metavar="a,b,c,d", help="table ax+by+cz+d=0 of clouds that hold one object each"
-    )
-    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
-    parser.add_argument("--params", metavar="YAML", help="ROS parameter file for all nodes")
-    parser.add_argument("--namespace", help="namespace of the graph (default: /foretouch)")
+    add_options(parser, "--model", "--params")
     parser.add_argument("--picture", metavar="PNG", help="save a picture of the last prediction")
     parser.add_argument(
         "--serve",
@@ -78,21 +63,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve the topics to Foxglove or Lichtblick (default: 127.0.0.1:8765)",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print a JSON object for each cloud, and the counts at the end"
-    )
+    json_help = "print a JSON object for each cloud, and the counts at the end"
+    parser.add_argument("--json", action="store_true", help=json_help)
 
 
-def _address(text: str) -> tuple[str, int]:
-    """`HOST:PORT` for argparse."""
-    host, colon, port = text.rpartition(":")
-    if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
-        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
-    return host.removeprefix("[").removesuffix("]"), int(port)
-
-
-def add_wait_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare for whom a replay waits before its first cloud."""
+def add_replay_arguments(parser: argparse.ArgumentParser, default_rate: str) -> None:
+    """Declare what is played, and for whom a replay waits before its first cloud."""
+    add_options(parser, "--topic", "--namespace")
+    rate = f"clouds per second (default: {default_rate})"
+    parser.add_argument("--rate", type=positive_value, metavar="HZ", help=rate)
+    plane = "table ax+by+cz+d=0 of clouds that hold one object each"
+    parser.add_argument("--plane", type=numbers, metavar="a,b,c,d", help=plane)
     parser.add_argument(
         "--wait-for",
         action="append",
@@ -104,6 +85,14 @@ def add_wait_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait-limit", type=waiting_time, metavar="S", help="longest wait for subscribers to be matched (default: 10)"
     )
+
+
+def _address(text: str) -> tuple[str, int]:
+    """`HOST:PORT` for argparse."""
+    host, colon, port = text.rpartition(":")
+    if not (host and colon and port.isdecimal() and int(port) <= _MOST_PORTS):
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT, such as 127.0.0.1:8765")
+    return host.removeprefix("[").removesuffix("]"), int(port)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -201,13 +190,11 @@ def source_parameters(arguments: argparse.Namespace, path: str) -> dict[str, Any
     return {name: value for name, value in given.items() if value is not None}
 
 
-def replay_fault(replay: ReplayNode | None) -> str | None:
-    """Describe why the source was not played completely; None if it was."""
-    if replay is None:
-        return None
-    if replay.outcome == "failed":
+def replay_fault(replay: ReplayNode | None) -> str:
+    """Describe why the source was not played completely; "" if it was."""
+    if replay is not None and replay.outcome == "failed":
         return f"failed: {replay.reason}"
-    return f"{replay.unreadable} entries could not be read" if replay.unreadable else None
+    return f"{replay.unreadable} entries could not be read" if replay is not None and replay.unreadable else ""
 
 
 def report_conflicts(graph: Graph) -> list[str]:
@@ -227,17 +214,21 @@ def _watch(graph: Graph, arguments: argparse.Namespace) -> bool:
             raise arguments.printer.error
         return (replay is not None and replay.ended.is_set()) or (count is not None and graph.answered() >= count)
 
-    title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
+    def draw() -> RenderableType:
+        from foretouch.cli.live import live_panel
+
+        title = f"foretouch run: {arguments.source} (Ctrl-C to end)"
+        return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
+
     try:
-        if arguments.json or not can_draw():
-            said = time.monotonic()
-            while not ended():
-                time.sleep(_REFRESH_S)
-                if not graph.played() and time.monotonic() - said > _WAITING_S:
-                    said = time.monotonic()
-                    warn(f"waiting for the first cloud: {_source_state(graph)}")
-        else:
-            _draw_until(ended, graph, title)
+        if not arguments.json and can_draw():
+            draw_until(ended, draw, _REFRESH_S)
+        said = time.monotonic()
+        while not ended():
+            time.sleep(_REFRESH_S)
+            if not graph.played() and time.monotonic() - said > _WAITING_S:
+                said = time.monotonic()
+                warn(f"waiting for the first cloud: {_source_state(graph)}")
     except KeyboardInterrupt:
         graph.stop_source()  # or answers would still arrive after the counts
         return True
@@ -253,15 +244,6 @@ def _source_state(graph: Graph) -> str:
     """What the source does, or what keeps it from sending."""
     source = graph.nodes["replay" if graph.replay else "camera"]
     return "; ".join(source.errors()) or f"{source.get_name()} is {source.state_name}"
-
-
-def _draw_until(ended: Callable[[], bool], graph: Graph, title: str) -> None:
-    from foretouch.cli.live import live_panel
-
-    def draw() -> RenderableType:
-        return live_panel(graph.monitor.view(), title, f"waiting for the first: {_source_state(graph)}")
-
-    draw_until(ended, draw, _REFRESH_S)
 
 
 def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> int:
@@ -285,13 +267,12 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     if graph.replay is None and not played:
         warn(f"no cloud came from the {'scene' if 'hand' in graph.nodes else 'camera'}: {_source_state(graph)}")
         return _NO_CLOUDS
-    if (fault := replay_fault(graph.replay)) is not None:
+    if fault := replay_fault(graph.replay):
         warn(f"{arguments.source}: {fault}")
     if not complete:
         warn(f"{played - answered} of {played} clouds were not answered")
     predicted = view.answers.get("ok", 0) + view.answers.get("initial_points", 0)
-    whole = complete and replay_fault(graph.replay) is None
-    return 0 if whole and (predicted or not answered) else 1
+    return 0 if complete and not fault and (predicted or not answered) else 1
 
 
 def _draw(graph: Graph, path: str) -> None:
@@ -312,12 +293,8 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        known = (
-            "of a kind that the model does not know (unfamiliar)"
-            if "unfamiliar" in prediction.flags
-            else "of a kind that the model knows"
-        )
-        title += f", {known}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
+        unknown = "unfamiliar" in prediction.flags
+        title += f", of a kind that the model {'does not know (unfamiliar)' if unknown else 'knows'}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
         title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
     return DrawnGrasp(
         target=found.target,
@@ -330,45 +307,13 @@ def _drawn(found: Drawable) -> DrawnGrasp:
 
 
 class _Printer:
-    """Prints each answer in the executor's thread.
-
-    Attributes:
-        error: Why it could not, such as that the reader (`| head`) has exited; None if it could.
-    """
+    """Prints each answer in the executor's thread."""
 
     def __init__(self) -> None:
-        self.error: OSError | None = None
+        self.error: OSError | None = None  # why it could not, such as that the reader (`| head`) has exited
 
-    def __call__(self, message: Any) -> None:
+    def __call__(self, message: TouchPredictionArray) -> None:
         try:
-            _print_answer(message)
+            print_json(answer_record(message))
         except OSError as err:
             self.error = err
-
-
-def _print_answer(message: Any) -> None:
-    from foretouch.ros.messages.requests import status_name
-    from foretouch.tactile.messages.table import stamp_ns
-
-    print_json(
-        {
-            "stamp_ns": stamp_ns(message.header.stamp),
-            "frame_id": message.header.frame_id,
-            "status": status_name(message.status),
-            "reason": message.reason,
-            "predictions": list(map(_prediction_record, message.predictions)),
-        }
-    )
-
-
-def _prediction_record(message: Any) -> dict[str, Any]:
-    """A prediction for JSON; one that cannot be read, such as on a grasp that is not finite, gets its reason alone."""
-    from foretouch.cli.predict import prediction_record
-    from foretouch.ros.messages.conversions import prediction_from_msg
-    from foretouch.ros.messages.requests import status_name
-
-    try:
-        return dict(prediction_record(prediction_from_msg(message)))
-    except ForetouchError as err:
-        status = status_name(message.status) if message.status else "failed"
-        return {"status": status, "reason": message.reason or str(err)}

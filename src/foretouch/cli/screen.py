@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
@@ -58,39 +59,31 @@ def _kept_messages() -> Iterator[None]:
             sys.stderr.flush()
 
 
-def _height(console: Console, part: RenderableType, options: ConsoleOptions) -> int:
-    return len(console.render_lines(part, options, pad=False))
-
-
+@dataclass
 class FittedPanel:
-    """A panel whose parts are left out from the last one, as far as the screen is too low for all; tables lose rows.
+    """A panel whose parts are left out from the last one, as far as the screen is too low for all; tables lose rows."""
 
-    Args:
-        parts: In order of importance.
-        title: Of the panel.
-    """
-
-    def __init__(self, parts: list[RenderableType], title: str) -> None:
-        self.parts = parts
-        self.title = title
+    parts: list[RenderableType]  # in order of importance
+    title: str
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw as many parts as fit; all where the height is not limited."""
-        title, parts = self.title, self.parts
+        title, parts = self.title, list(self.parts)
         if len(title) > options.max_width - _TITLE_MARGIN:  # rich would cut it
             title, parts = "", [Text(title, "bold", overflow="fold"), *parts]
         if options.height is not None:
             inner = options.update(width=options.max_width - 4, height=None)
-            room = options.height - 2
-            all_parts, parts = parts, []
-            for part in all_parts:
-                height = _height(console, part, inner)
-                if height > room and isinstance(part, FittedTable):
+            room, fitting = options.height - 2, []
+            for part in parts:
+                height = len(console.render_lines(part, inner, pad=False))
+                if isinstance(part, FittedTable):
+                    part.limit = min(part.limit, len(part.rows))
                     while height > room and part.limit > 1:
-                        part.limit = max(1, min(part.limit - 1, part.limit * room // height))
-                        height = _height(console, part, inner)
+                        part.limit -= 1
+                        height = len(console.render_lines(part, inner, pad=False))
                 room -= height
                 if room < 0:
                     break
-                parts.append(part)
+                fitting.append(part)
+            parts = fitting
         yield Panel(Group(*parts), title=title or None, title_align="left")

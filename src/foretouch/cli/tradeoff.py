@@ -4,21 +4,15 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foretouch.cli.experiment import ENVIRONMENT, data_source, print_cell
-from foretouch.cli.inputs import positive_number
-from foretouch.cli.output import print_json, print_table, print_text, progress_bar, warn
+from foretouch.cli.experiment import add_sweep_arguments, data_source, redraw, show_result, sweep
+from foretouch.cli.output import print_json, print_table, progress_bar, warn
 from foretouch.config import parse_overrides
 from foretouch.errors import ConfigError
 
 if TYPE_CHECKING:
-    from foretouch.experiments.framework.executors import CellResult
-    from foretouch.tradeoff.area import Area
-    from foretouch.tradeoff.run import TradeoffResult
+    from foretouch.experiments.framework.tradeoff import Area
 
 _PROFILE_S = 30.0
 
@@ -30,58 +24,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AREA",
         help="model, or another area; `list` prints all; `profile` measures how long predictions take here, for latency budgets",
     )
-    parser.add_argument("overrides", metavar="key=value", nargs="*", help="settings that differ from the preset")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="output folder of table, picture and summary")
+    add_sweep_arguments(parser, "small", "small (default): within 3 minutes, trains no network; full: all settings")
     parser.add_argument(
-        "--preset", default="small", help="small (default): within 3 minutes, trains no network; full: all settings"
+        "--times", action="store_true", help="measure times alone again; skills are those of DIR/tradeoff.csv"
     )
-    parser.add_argument(
-        "--data", type=Path, metavar="PATH", help=f"path of the data (default: the area's folder in {ENVIRONMENT})"
-    )
-    parser.add_argument(
-        "--resume", action="store_true", help="keep the finished skills in DIR; times are measured again"
-    )
-    parser.add_argument(
-        "--times", action="store_true", help="measure times alone again; skills are those of DIR/results.csv"
-    )
-    parser.add_argument(
-        "--workers", type=positive_number, help="number of processes that measure skills (default: one per core)"
-    )
-    parser.add_argument("--redraw", action="store_true", help="only rewrite picture and summary from DIR/tradeoff.csv")
     parser.add_argument("--model", default="default", help="of `profile`: name or path of the model")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per measured skill, and a summary")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; the exit status is 1 if a skill could not be measured."""
-    from foretouch.tradeoff.area import area_names, find_area
+    from foretouch.experiments.framework.tradeoff import find_area, list_areas
 
     if arguments.area == "list":
-        return _list([find_area(name) for name in area_names()], as_json=arguments.json)
+        return _list(list_areas(), as_json=arguments.json)
     if arguments.area == "profile":
         return _profile(arguments)
     area = find_area(arguments.area)
     if arguments.out is None:
         raise ConfigError("tradeoff: -o DIR is required")
     if arguments.redraw:
-        from foretouch.tradeoff.run import report
-
-        figures = report(area, arguments.out)
-        if arguments.json:
-            print_json({"status": "done", "figures": figures})
-        else:
-            print(f"drawn: {', '.join(['summary.md', *figures])}")
-        return 0
-    return _measure(area, arguments)
+        return redraw(area, arguments)
+    return _times(area, arguments) if arguments.times else sweep(area, arguments)
 
 
 def _list(areas: list[Area[Any, Any]], *, as_json: bool) -> int:
     if as_json:
         for area in areas:
-            print_json({"name": area.name, "question": area.question, "presets": list(area.presets)})
+            print_json({"name": area.area, "question": area.question, "presets": list(area.presets)})
     else:
-        print_table("areas", ["name", "question"], [[area.name, area.question] for area in areas])
+        print_table("areas", ["name", "question"], [[area.area, area.question] for area in areas])
     return 0
+
+
+def _times(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
+    from foretouch.experiments.framework.sweep import SweepResult
+    from foretouch.experiments.framework.tradeoff import measure_times
+
+    settings = area.resolve(arguments.preset, parse_overrides(arguments.overrides))
+    with progress_bar("reading the data", hidden=arguments.json) as update:
+        source = data_source(area, arguments.data)
+        rows = measure_times(area, settings, arguments.out, source, lambda done, total: update(done, total, "times"))
+    return show_result(area, SweepResult(rows=rows), arguments)
 
 
 def _profile(arguments: argparse.Namespace) -> int:
@@ -105,66 +88,3 @@ def _profile(arguments: argparse.Namespace) -> int:
     print_table(f"levels of {levels[0].model.name} on this machine, which was {profile.state}", columns, rows)
     print(profile.origin)
     return 0
-
-
-def _measure(area: Area[Any, Any], arguments: argparse.Namespace) -> int:
-    from foretouch.tradeoff.run import estimate_seconds, run_tradeoff
-
-    settings = area.resolve(arguments.preset, parse_overrides(arguments.overrides))
-    workers = arguments.workers or len(os.sched_getaffinity(0))
-    source = data_source(area, arguments.data)
-    read = None
-    if arguments.preset != "small" and not arguments.times:
-        read = area.read(settings, source, arguments.out)
-        minutes = estimate_seconds(area, settings, arguments.out, read.values, workers) / 60.0
-        print(f"about {minutes:.0f} minutes with {workers} processes", file=sys.stderr)
-    with progress_bar("reading the data", hidden=arguments.json) as update:
-
-        def show(result: CellResult, done: int, total: int) -> None:
-            update(done, total, f"skill: {result.cell.key}")
-
-        result = run_tradeoff(
-            area,
-            settings,
-            arguments.out,
-            preset=arguments.preset,
-            source=source,
-            resume=arguments.resume,
-            times_only=arguments.times,
-            workers=workers,
-            progress=print_cell if arguments.json else show,
-            timing_progress=lambda done, total: update(done, total, "times"),
-            read=read,
-        )
-    _show(area, result, arguments)
-    for key, error in result.failures.items():
-        warn(f"{key}: {error}")
-    return 1 if result.failures else 0
-
-
-def _show(area: Area[Any, Any], result: TradeoffResult, arguments: argparse.Namespace) -> None:
-    from foretouch.tradeoff.frontier import frontier, of_request, summary_tables
-
-    if arguments.json:
-        lines = {
-            panel.title: [row["variant"] for row in frontier(of_request(result.rows, panel.request), panel.skill)]
-            for panel in area.panels
-        }
-        print_json({
-            "status": "failed" if result.failures else "done",
-            "area": area.name,
-            "cells": result.cells,
-            "reused": result.reused,
-            "failed": result.failures,
-            "skipped": result.skipped,
-            "rows": len(result.rows),
-            "frontier": lines,
-            "figures": result.figures,
-            "path": str(arguments.out),
-        })  # fmt: skip
-        return
-    for table in summary_tables(area, result.rows, result.skipped):
-        print_table(table.title, list(table.columns), [list(row) for row in table.rows])
-        for note in table.notes:
-            print_text(f"  {note}")
-    print(f"{arguments.out}/tradeoff.csv, {', '.join(result.figures)}")

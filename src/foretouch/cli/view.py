@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foretouch.cli import inputs
+from foretouch.cli.adaptation import add_adaptation_arguments, read_adaptation
 from foretouch.cli.answers import ANSWER_SUFFIXES, answer_key, model_name, prediction_from_record, read_answers
 from foretouch.cli.output import progress_bar, warn
-from foretouch.cli.predict import add_adaptation_arguments
 from foretouch.errors import ForetouchError
 
 if TYPE_CHECKING:
-    from foretouch.cli.predict import Adaptation
+    from foretouch.cli.adaptation import Adaptation
     from foretouch.dataset.record import SampleRecord
     from foretouch.dataset.source import SourceItem
     from foretouch.pipeline import FoundObject, Pipeline
-    from foretouch.report.rerun_view import Shown
-    from foretouch.types import Cloud, Grasp, GraspSample, TouchPrediction
+    from foretouch.report.rerun_view import ViewStep
+    from foretouch.types import Cloud, Grasp, GraspSample
 
 
 _CANDIDATES = 10  # grasps that are planned on each cloud
@@ -43,11 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--count", type=inputs.positive_number, metavar="N", help="show the first N clouds, samples or answers"
     )
-    parser.add_argument("--topic", help="point cloud topic of a recording")
-    parser.add_argument("--config", metavar="YAML", help="pipeline settings")
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="override one pipeline setting")
+    inputs.add_options(parser, "--topic", "--config", "--set", "--model")
     inputs.add_plan_arguments(parser)
-    parser.add_argument("--model", help="name of a model, or path of its card, weights or run folder")
     add_adaptation_arguments(parser)
 
 
@@ -59,13 +56,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     path = require_existing(arguments.path)
     steps = _Steps(arguments)
-    made = (
-        steps.of_answers(path) if path.suffix in ANSWER_SUFFIXES and path.is_file() else steps.of_source(arguments.path)
-    )
+    answered = path.suffix in ANSWER_SUFFIXES and path.is_file()
+    made = steps.of_answers(path) if answered else steps.of_source(arguments.path)
     with tempfile.TemporaryDirectory(prefix="foretouch-view-") as folder:
         file = arguments.save or Path(folder) / "view.rrd"
         with progress_bar("reading", arguments.count) as advance:
-            write_view(file, _counted(itertools.islice(made, arguments.count), advance), f"foretouch view {path}")
+            counted = (step for step in itertools.islice(made, arguments.count) if advance() is None)
+            write_view(file, counted, f"foretouch view {path}")
         if arguments.screenshot:
             save_screenshot(file, arguments.screenshot)
         if not (arguments.save or arguments.screenshot):
@@ -75,34 +72,20 @@ def run(arguments: argparse.Namespace) -> int:
     return int(steps.failed)
 
 
-def _counted(steps: Iterator[Shown], advance: Any) -> Iterator[Shown]:
-    for step in steps:
-        advance()
-        yield step
-
-
 class _Steps:
-    """Makes the steps of the view.
-
-    Args:
-        arguments: Of the command.
-
-    Attributes:
-        failed: Whether an input could not be read.
-    """
+    """Makes the steps of the view, whose inputs are as those of `predict`."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         from foretouch.pipeline import Pipeline
 
         changes = {"model": arguments.model} if arguments.model else {}
-        self.failed = False
+        self.failed = False  # whether an input could not be read
         self._arguments = arguments
         self._pipeline: Pipeline = Pipeline(inputs.pipeline_config(arguments, changes, {"grasp.count": _CANDIDATES}))
-        self._adaptation: Adaptation | None = None
+        self._adaptation: Adaptation
 
-    def of_source(self, path: str) -> Iterator[Shown]:
+    def of_source(self, path: str) -> Iterator[ViewStep]:
         """A step for each cloud or sample, with the touch that the model predicts now."""
-        from foretouch.cli.predict import read_adaptation
         from foretouch.dataset.samples import is_sample_set
         from foretouch.dataset.source import open_source
 
@@ -117,7 +100,7 @@ class _Steps:
             except ForetouchError as err:
                 self._refuse(item.name, err)
 
-    def _of_samples(self, path: str) -> Iterator[Shown]:
+    def _of_samples(self, path: str) -> Iterator[ViewStep]:
         """The samples of a dataset that the operator has not discarded."""
         from foretouch.dataset.record import DISCARDED
         from foretouch.dataset.samples import open_samples
@@ -131,129 +114,99 @@ class _Steps:
                 except ForetouchError as err:
                     self._refuse(samples.name(k), err)
 
-    def of_answers(self, path: Path) -> Iterator[Shown]:
+    def of_answers(self, path: Path) -> Iterator[ViewStep]:
         """A step for each answer, in their order where no clouds are given, else in the order of these."""
-        records = read_answers(path)
-        if self._arguments.data is None:
+        from foretouch.cloud.io.files import CLOUD_SUFFIXES
+        from foretouch.dataset.source import open_source
+
+        records, data = read_answers(path), self._arguments.data
+        if data is None:
             for record in records:
-                yield self._of_answer(record, self._own_cloud(record))
+                own = Path(str(record.get("input", "")))
+                there = own.suffix.lower() in CLOUD_SUFFIXES and own.is_file()
+                yield self._of_answer(record, next(iter(open_source(own))) if there else None)
             return
         by_key: dict[str | int, list[dict[str, Any]]] = {}
         for record in records:
             by_key.setdefault(answer_key(record), []).append(record)
-        yield from self._matched(by_key)
-        if by_key:
-            warn(f"{path}: {sum(map(len, by_key.values()))} answers belong to nothing in {self._arguments.data}")
-            self.failed = True
-
-    def _matched(self, by_key: dict[str | int, list[dict[str, Any]]]) -> Iterator[Shown]:
-        """Steps of the answers to the clouds of --data; those are taken out of the mapping."""
-        from foretouch.dataset.source import open_source
-
-        for item in open_source(self._arguments.data, topic=self._arguments.topic):
+        for item in open_source(data, topic=self._arguments.topic):
             try:
-                keys = [item.name, *([item.sample.id] if item.sample is not None else [item.cloud.stamp_ns])]
+                keys = (item.name, item.sample.id if item.sample is not None else item.cloud.stamp_ns)
             except ForetouchError as err:
                 self._refuse(item.name, err)
                 continue
-            for key in keys:
-                for record in by_key.pop(key, []):
-                    yield self._of_answer(record, item)
+            for record in itertools.chain.from_iterable(by_key.pop(key, []) for key in keys):
+                yield self._of_answer(record, item)
+        if by_key:
+            warn(f"{path}: {sum(map(len, by_key.values()))} answers belong to nothing in {data}")
+            self.failed = True
 
     def _refuse(self, name: str, err: ForetouchError) -> None:
         self.failed = True
-        warn(str(err) if name in str(err) else f"{name}: {err}")
+        warn(inputs.error_line(name, err))
 
-    def _of_cloud(self, item: SourceItem, *, stamped: bool) -> Shown:
-        from foretouch.report.rerun_view import Shown
+    def _of_cloud(self, item: SourceItem, *, stamped: bool) -> ViewStep:
+        from foretouch.report.rerun_view import ViewStep
 
-        cloud = item.cloud
-        found = self._found(cloud)
+        found = self._found(item.cloud)
         target = found.pop("target")
-        shown = {"name": item.name, "cloud": cloud, "stamp_ns": cloud.stamp_ns if stamped else 0, **found}
+        shown = {"name": item.name, "stamp_ns": item.cloud.stamp_ns if stamped else 0, **found}
         if target is None:
-            return Shown(**shown)
+            return ViewStep(**shown)
         plan = self._pipeline.plan(target)
         if not plan.grasps:
-            return Shown(**shown, reason=f"{plan.status}: {plan.reason}")
-        prediction = self._predict(target, plan.grasps[0], None)
-        return Shown(**shown, **self._predicted(prediction), candidates=plan.grasps[1:])
+            return ViewStep(**shown, reason=f"{plan.status}: {plan.reason}")
+        return ViewStep(**shown, **self._predicted(target, plan.grasps[0], None), candidates=plan.grasps[1:])
 
-    def _of_sample(self, record: SampleRecord) -> Shown:
-        from foretouch.report.rerun_view import Shown
+    def _of_sample(self, record: SampleRecord) -> ViewStep:
+        from foretouch.report.rerun_view import ViewStep
 
         sample = record.sample
         target = inputs.only_object(sample.cloud, self._arguments)
-        prediction = self._predict(target, sample.grasp, sample)
-        return Shown(
-            name=sample.id,
-            cloud=sample.cloud,
-            table=target.plane,
-            **self._predicted(prediction),
-            candidates=record.candidates,
-            read=sample.touch,
-            tare=sample.tare,
-            stamp_ns=sample.stamp_ns,
-        )
+        predicted = self._predicted(target, sample.grasp, sample)
+        return ViewStep(name=sample.id, **self._read(sample), **predicted, candidates=record.candidates)
 
-    def _predict(self, target: FoundObject, grasp: Grasp, sample: GraspSample | None) -> TouchPrediction:
-        assert self._adaptation is not None  # noqa: S101  made before the first cloud
+    def _predicted(self, target: FoundObject, grasp: Grasp, sample: GraspSample | None) -> dict[str, Any]:
         (prediction,) = self._adaptation.predict(self._pipeline, target, [grasp], sample)
-        return prediction
-
-    def _predicted(self, prediction: TouchPrediction) -> dict[str, Any]:
         return {"grasp": prediction.grasp, "prediction": prediction, "model": self._pipeline.model.name}
+
+    def _read(self, sample: GraspSample) -> dict[str, Any]:
+        """Cloud, table, readings and time of a sample."""
+        table = inputs.only_object(sample.cloud, self._arguments).plane
+        seen = {"cloud": sample.cloud, "table": table, "stamp_ns": sample.stamp_ns}
+        return {**seen, "read": sample.touch, "tare": sample.tare}
 
     def _found(self, cloud: Cloud) -> dict[str, Any]:
         """Table, objects and target of a cloud, as `predict` finds them; the target is first."""
         if inputs.holds_one_object(cloud, self._arguments):
             target = inputs.only_object(cloud, self._arguments)
-            return {"table": target.plane, "target": target}
+            return {"cloud": cloud, "table": target.plane, "target": target}
         scene = self._pipeline.segment(cloud)
         objects = {one.id: one.cloud for one in scene.targets[:1]}
         objects |= {str(one.id): one.cloud for one in scene.segmentation.objects if str(one.id) not in objects}
-        found: dict[str, Any] = {"table": scene.segmentation.plane, "objects": objects}
+        found = {"cloud": cloud, "table": scene.segmentation.plane, "objects": objects}
         if not scene.targets:
             return {**found, "target": None, "reason": f"{scene.status}: {scene.reason}"}
         return {**found, "target": scene.targets[0]}
 
-    def _own_cloud(self, record: Mapping[str, Any]) -> SourceItem | None:
-        """The cloud file that an answer names, if it is still there."""
-        from foretouch.cloud.io.files import CLOUD_SUFFIXES
-        from foretouch.dataset.source import open_source
-
-        path = Path(str(record.get("input", "")))
-        if path.suffix.lower() not in CLOUD_SUFFIXES or not path.is_file():
-            return None
-        return next(iter(open_source(path)))
-
-    def _of_answer(self, record: Mapping[str, Any], item: SourceItem | None) -> Shown:
-        from foretouch.report.rerun_view import Shown
+    def _of_answer(self, record: Mapping[str, Any], item: SourceItem | None) -> ViewStep:
+        from foretouch.report.rerun_view import ViewStep
 
         shown: dict[str, Any] = {
             "name": str(record.get("sample") or record.get("input") or record.get("stamp_ns", "")),
             "stamp_ns": int(record.get("stamp_ns") or 0),
             "model": model_name(record),
-            "reason": str(record.get("reason", "")),
         }
         try:
             if item is not None:
-                shown |= self._seen(item)
+                shown |= self._found(item.cloud) if item.sample is None else self._read(item.sample)
             predictions = [prediction_from_record(one) for one in record.get("predictions", ())]
         except ForetouchError as err:
             self._refuse(shown["name"], err)
-            return Shown(**shown)
+            predictions = []
+        shown |= {"reason": str(record.get("reason", ""))}
+        shown.pop("target", None)
         if predictions:
             shown |= {"grasp": predictions[0].grasp, "prediction": predictions[0]}
             shown["candidates"] = [one.grasp for one in predictions[1:]]
-        return Shown(**shown)
-
-    def _seen(self, item: SourceItem) -> dict[str, Any]:
-        """Cloud, table and reading of an answer."""
-        sample = item.sample
-        if sample is not None:
-            table = inputs.only_object(sample.cloud, self._arguments).plane
-            seen = {"cloud": sample.cloud, "table": table, "read": sample.touch, "tare": sample.tare}
-            return {**seen, "stamp_ns": sample.stamp_ns}
-        found = self._found(item.cloud)
-        return {"cloud": item.cloud, "table": found["table"], "objects": found.get("objects")}
+        return ViewStep(**shown)

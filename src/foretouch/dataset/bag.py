@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from foretouch.checked_files import open_regular
+from foretouch.checked_files import open_regular, require_existing
 from foretouch.config import load_yaml
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import CloudError, ConfigError, FileError
@@ -33,23 +33,14 @@ RECORDING_SUFFIXES = (".mcap", ".db3", ".bag")
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a recording.
+    """One topic of a recording."""
 
-    Attributes:
-        name: As recorded.
-        type: ROS 2 name of its messages, such as `sensor_msgs/msg/PointCloud2`; "" where publishers disagreed.
-        count: Number of messages that the recording declares.
-        fields: Names of the message's fields in serialised order; empty if the recording has no definition.
-        stamped: Whether the message begins with a `std_msgs/Header`.
-        latched: Whether late subscribers receive the last message (transient local).
-    """
-
-    name: str
-    type: str
-    count: int
-    fields: tuple[str, ...] = ()
-    stamped: bool = False
-    latched: bool = False
+    name: str  # as recorded
+    type: str  # ROS 2 name of its messages, such as `sensor_msgs/msg/PointCloud2`; "" where publishers disagreed
+    count: int  # number of messages that the recording declares
+    fields: tuple[str, ...] = ()  # of the message, in serialised order; empty if the recording has no definition
+    stamped: bool = False  # whether the message begins with a `std_msgs/Header`
+    latched: bool = False  # whether late subscribers receive the last message (transient local)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +180,6 @@ def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
             yield cloud
 
 
-def list_topics(path: str | Path) -> tuple[Topic, ...]:
-    """The topics of a recording, by name."""
-    with Recording(path) as recording:
-        return recording.topics
-
-
 def is_recording(path: Path) -> bool:
     """Whether the path looks like a recording, by its name or, for a directory, by the files in it."""
     if path.is_dir():
@@ -204,21 +189,19 @@ def is_recording(path: Path) -> bool:
 
 def _storage_paths(path: Path) -> list[Path]:
     """The directory or file itself, or the files of a directory without metadata."""
-    if not path.exists():
-        raise FileError(path, "does not exist")
+    require_existing(path)
     if not is_recording(path):
         kinds = ", ".join(RECORDING_SUFFIXES)
         raise FileError(path, f"is no recording: neither a rosbag2 directory nor a file of {kinds}")
-    loose = path.is_dir() and not (path / "metadata.yaml").is_file()
-    files = _loose_files(path) if loose else [path]
-    for file in files:
-        if not file.is_dir():
-            open_regular(file).close()
     if (path / "metadata.yaml").is_file():
         try:
             load_yaml(path / "metadata.yaml")  # its reader in rosbags has no limits
         except ConfigError as err:
             raise FileError(path, str(err)) from err
+        return [path]
+    files = _loose_files(path) if path.is_dir() else [path]
+    for file in files:
+        open_regular(file).close()
     return files
 
 
@@ -228,11 +211,7 @@ def _loose_files(path: Path) -> list[Path]:
 
 @contextmanager
 def _known_failures(path: Path, position: str | None = None) -> Iterator[None]:
-    """Turn the parsers' exceptions into one line.
-
-    On damaged bytes they raise their own errors, but also those of struct, zstd, SQLite and
-    Python itself (KeyError, TypeError, UnicodeDecodeError...), hence the broad except clause.
-    """
+    """Turn the parsers' exceptions into one line; damaged bytes make them raise those of any library and of Python."""
     try:
         yield
     except FileError:

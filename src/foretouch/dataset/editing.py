@@ -5,7 +5,8 @@ Each function writes one line of the log (see `foretouch.dataset.recording.edits
 writing. Samples are named by their current ids.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from foretouch.dataset.record import check_name
@@ -18,11 +19,6 @@ from foretouch.errors import DatasetError, FileError
 def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
     """Assign samples to another object, which also changes their ids.
 
-    Args:
-        path: The dataset.
-        ids: Ids of the samples.
-        label: The object.
-
     Returns:
         The number of the edit.
 
@@ -31,57 +27,43 @@ def relabel(path: str | Path, ids: Sequence[str], label: str) -> int:
         FileError: If the dataset is damaged, or a recorder is writing it.
     """
     check_name(label, "object")
-    return _edit(Path(path), lambda now: Edit(action="relabel", ids=_renamed(now, ids, label), object=label))
+    with _locked(Path(path)) as now:
+        return append_edit(Path(path), Edit(action="relabel", ids=_renamed(now, ids, label), object=label))
 
 
 def merge(path: str | Path, label: str, into: str) -> int:
     """Merge two objects: all samples of `label` become samples of `into` (raises as `relabel`)."""
     check_name(into, "object")
-
-    def make(now: dict[str, str]) -> Edit:
+    with _locked(Path(path)) as now:
         ids = [name for name in now if name.partition("/")[0] == label]
         if not ids:
             raise DatasetError(f"{path}: holds no sample of {label!r}")
-        return Edit(action="relabel", ids=_renamed(now, ids, into), object=into)
-
-    return _edit(Path(path), make)
+        return append_edit(Path(path), Edit(action="relabel", ids=_renamed(now, ids, into), object=into))
 
 
 def drop(path: str | Path, ids: Sequence[str]) -> int:
     """Discard samples: they stay in the recording, but builds and exports leave them out (raises as `relabel`)."""
-    return _edit(Path(path), lambda now: Edit(action="drop", ids=_recorded(now, ids)))
+    with _locked(Path(path)) as now:
+        return append_edit(Path(path), Edit(action="drop", ids=_recorded(now, ids)))
 
 
 def undo(path: str | Path) -> int:
-    """Undo the latest edit that is in force (raises as `relabel`).
-
-    Returns:
-        The number of the undone edit.
-
-    Raises:
-        DatasetError: If no edit is in force.
-    """
-    undone = 0
-
-    def make(_: dict[str, str]) -> Edit:
-        nonlocal undone
+    """Undo the latest edit that is in force, and return its number; a `DatasetError` if there is none."""
+    with _locked(Path(path)):
         undone = max(read_edits(Path(path)).in_force(), default=0)
         if not undone:
             raise DatasetError(f"{path}: holds no edit to undo")
-        return Edit(action="undo", edit=undone)
-
-    _edit(Path(path), make)
+        append_edit(Path(path), Edit(action="undo", edit=undone))
     return undone
 
 
-def _edit(path: Path, make: Callable[[dict[str, str]], Edit]) -> int:
-    """Append the edit that `make` returns for a mapping of current ids to recorded ones."""
+@contextmanager
+def _locked(path: Path) -> Iterator[dict[str, str]]:
+    """The recorded ids by the current ones of a dataset that nobody else writes meanwhile."""
     if not is_dataset(path):
         raise FileError(path, "is no recorded dataset" if path.exists() else "does not exist")
-    with lock(path):
-        with RecordedDataset(path) as dataset:
-            now = {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
-        return append_edit(path, make(now))
+    with lock(path), RecordedDataset(path) as dataset:
+        yield {dataset[k].record.sample.id: dataset.as_recorded(k).record.sample.id for k in range(len(dataset))}
 
 
 def _recorded(now: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:

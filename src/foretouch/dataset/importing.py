@@ -6,15 +6,16 @@ is extended. From a bag without samples of foretouch, samples are assembled as t
 `foretouch.dataset.pairing`); clouds without a grasp that could be paired become samples without a touch.
 """
 
-import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from foretouch.dataset.bag import Recording, is_recording
+from foretouch.dataset.disk import disk_errors, new_folder
 from foretouch.dataset.pairing import (
     AssembledSample,
     AssemblerConfig,
@@ -25,7 +26,7 @@ from foretouch.dataset.pairing import (
     SerializedCloud,
 )
 from foretouch.dataset.recording import Identity, RecordingConfig, RecordingWriter, SampleRecord
-from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, decode_sample
+from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE, StoredSample, decode_sample
 from foretouch.dataset.samples import is_sample_set, open_samples
 from foretouch.errors import DatasetError, FileError, TactileError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, TactileReader, make_reader
@@ -88,7 +89,7 @@ def import_samples(
     Args:
         source: Vision2tactile folders, a store, a recorded dataset, or a bag.
         out: The dataset: created, or extended where it is of the same hand and camera.
-        identity: Hand and camera; needed where the source does not hold them.
+        identity: Hand and camera, instead of those that the source holds.
         topics: Topics of a bag without samples of foretouch.
         progress: Called after each sample.
 
@@ -98,64 +99,43 @@ def import_samples(
     """
     source, out = Path(source), Path(out)
     result = ImportResult()
-    if is_sample_set(source):
-        with open_samples(source) as samples:
-            known = identity or samples.identity
-            _write(out, known, samples.records(discarded=True), result, progress)
-        return result
-    if not is_recording(source):
-        rule = "holds no samples and is not a recording" if source.exists() else "does not exist"
-        raise FileError(source, rule)
-    with Recording(source) as bag:
-        holding = [topic.name for topic in bag.topics if topic.type == SAMPLE_TYPE]
-        if holding:
-            recorded, records = _own_samples(bag, holding)
-            _write(out, identity or recorded, records, result, progress)
-            return result
-        unknown = Identity(hand={"name": "unknown"}, camera={"name": "unknown"})
-        records = _assemble(bag, topics or BagTopics(), result)
-        _write(out, identity or unknown, records, result, progress)
-    return result
-
-
-def _write(
-    out: Path, identity: Identity, records: Iterable[SampleRecord], result: ImportResult, progress: Callable[[], None]
-) -> None:
-    """Write into the dataset; a new one is written beside its path and moved there at the end."""
-    adding = out.exists()
-    folder = out if adding else out.with_name(f".{out.name}.part")
-    if not adding:
-        shutil.rmtree(folder, ignore_errors=True)
-    try:
-        with RecordingWriter(folder, identity, _CONFIG) as writer:
+    with ExitStack() as stack:
+        if is_sample_set(source):
+            samples = stack.enter_context(open_samples(source))
+            found, records = samples.identity, samples.records(discarded=True)
+        elif is_recording(source):
+            bag = stack.enter_context(Recording(source))
+            holding = [topic.name for topic in bag.topics if topic.type == SAMPLE_TYPE]
+            found, records = _own_samples(bag, holding) if holding else _assembled(bag, topics or BagTopics(), result)
+        else:
+            raise FileError(source, "holds no samples and is not a recording" if source.exists() else "does not exist")
+        folder = out if out.exists() else stack.enter_context(new_folder(out))
+        with disk_errors(out), RecordingWriter(folder, identity or found, _CONFIG) as writer:
             for record in records:
                 writer.append(record)
                 result.samples += 1
                 result.labelled += record.sample.touch is not None
                 progress()
-        if not adding:
-            folder.rename(out)
-    except OSError as err:
-        raise FileError(out, f"{err.strerror or err} (errno {err.errno})") from err
-    finally:
-        if not adding:
-            shutil.rmtree(folder, ignore_errors=True)
+    return result
 
 
 def _own_samples(bag: Recording, topics: list[str]) -> tuple[Identity, Iterator[SampleRecord]]:
-    messages = bag.messages(topics)
-    first = next(messages, None)
-    if first is None:
-        return Identity(hand={}, camera={}), iter(())
+    """Hand and camera of the first sample of foretouch in a bag, and all samples."""
 
-    def records() -> Iterator[SampleRecord]:
+    def stored() -> Iterator[StoredSample]:
         for message in bag.messages(topics):
             try:
-                yield decode_sample(message.data).record
+                yield decode_sample(message.data)
             except DatasetError as err:
                 raise FileError(bag.path, str(err), field=f"{message.topic}[{message.index}]") from err
 
-    return decode_sample(first.data).identity, records()
+    first = next(stored(), None)
+    return Identity() if first is None else first.identity, (one.record for one in stored())
+
+
+def _assembled(bag: Recording, topics: BagTopics, result: ImportResult) -> tuple[Identity, Iterator[SampleRecord]]:
+    unknown = {"name": "unknown"}
+    return Identity(hand=unknown, camera=unknown), _assemble(bag, topics, result)
 
 
 def _assemble(bag: Recording, topics: BagTopics, result: ImportResult) -> Iterator[SampleRecord]:
@@ -191,11 +171,7 @@ def _samples(assembled: list[AssembledSample | RejectedGrasp], result: ImportRes
 
 
 def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
-    """The decoder of the bag's tactile messages; the default one where the bag has no such topic.
-
-    Raises:
-        FileError: If a topic is missing, or the tactile messages are of a type that is not supported.
-    """
+    """The decoder of the bag's tactile messages; the default one where the bag has no such topic."""
     types = {topic.name: topic.type for topic in bag.topics}
     for name in (topics.clouds, topics.grasps):
         if name not in types:
@@ -215,10 +191,10 @@ def _tactile_reader(bag: Recording, topics: BagTopics) -> TactileReader:
 
 
 def _is_live(bag: Recording, topics: BagTopics) -> bool:
-    """Whether the bag was recorded live: its times then show how far the clocks of robot and sensor differ.
+    """Whether the bag was recorded live, so that its times show how far the clocks of robot and sensor differ.
 
-    In a bag that was converted, or recorded from a replay or in simulated time, the robot's own messages too are
-    stamped far from their time of reception.
+    In one that was converted, or recorded from a replay or in simulated time, the robot's messages too are stamped far
+    from their time of reception.
     """
     limit_ns = topics.pairing.clock_s * 1e9
     return any(

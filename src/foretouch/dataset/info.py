@@ -11,55 +11,37 @@ import numpy as np
 
 from foretouch.dataset.record import DISCARDED
 from foretouch.dataset.samples import open_samples
-from foretouch.types import TOUCH_SIZE, Float64
+from foretouch.tactile import MODALITIES, columns
+from foretouch.types import Float64
 
 PAIRING_EDGES_MS: Final = (0.0, 5.0, 10.0, 20.0, 50.0, 100.0, float("inf"))
 """Bin edges of the histogram of pairing errors [ms]."""
 
-_PARTS: Final = {"PDC_TH": slice(0, 1), "PDC_MF": slice(1, 2), "E_TH": slice(2, 26), "E_MF": slice(26, 50)}
-
 
 @dataclass(kw_only=True)
 class SampleSetInfo:
-    """Counts and ranges of a dataset; the names are the keys of the JSON output.
+    """Counts and ranges of a dataset; the names are the keys of the JSON output."""
 
-    Attributes:
-        kind: Name of the format.
-        samples: All samples, including discarded ones.
-        labelled: Samples with a touch.
-        tared: Samples with a reading without contact.
-        discarded: Samples that the operator discarded.
-        objects: Samples by object.
-        outcomes: Samples by outcome.
-        flags: Samples by flag.
-        first_ns, last_ns: Earliest and latest stamp [ns]; 0 if there is no sample.
-        points: Minimum, median and maximum number of points of a cloud.
-        ranges: Minimum and maximum of each modality [counts]; empty if no sample is labelled.
-        pairing_ms: Samples by pairing error, in the bins of `PAIRING_EDGES_MS`; empty if no error is known.
-        hand, camera: Their properties.
-        unfinished: Recordings that were cut off and not repaired.
-        accounts: Message counts by topic: received, written, dropped by reason, lost before arrival.
-        edits: Descriptions of later changes.
-    """
-
-    kind: str
-    samples: int = 0
-    labelled: int = 0
-    tared: int = 0
-    discarded: int = 0
-    objects: Counter[str] = field(default_factory=Counter)
-    outcomes: Counter[str] = field(default_factory=Counter)
-    flags: Counter[str] = field(default_factory=Counter)
-    first_ns: int = 0
-    last_ns: int = 0
-    points: tuple[int, int, int] = (0, 0, 0)
-    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
-    pairing_ms: list[int] = field(default_factory=list)
+    kind: str  # name of the format
+    samples: int = 0  # all, including discarded ones
+    labelled: int = 0  # those with a touch
+    tared: int = 0  # those with a reading without contact
+    discarded: int = 0  # those that the operator discarded
+    objects: Counter[str] = field(default_factory=Counter)  # samples by object
+    outcomes: Counter[str] = field(default_factory=Counter)  # samples by outcome
+    flags: Counter[str] = field(default_factory=Counter)  # samples by flag
+    first_ns: int = 0  # earliest stamp [ns]; 0 if there is no sample
+    last_ns: int = 0  # latest stamp [ns]
+    points: tuple[int, int, int] = (0, 0, 0)  # minimum, median and maximum of a cloud
+    ranges: dict[str, tuple[float, float]] = field(
+        default_factory=dict
+    )  # of each modality [counts]; empty without touch
+    pairing_ms: list[int] = field(default_factory=list)  # samples in the bins of `PAIRING_EDGES_MS`; empty if unknown
     hand: dict[str, str] = field(default_factory=dict)
     camera: dict[str, str] = field(default_factory=dict)
-    unfinished: list[str] = field(default_factory=list)
-    accounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    edits: list[str] = field(default_factory=list)
+    unfinished: list[str] = field(default_factory=list)  # recordings that were cut off and not repaired
+    accounts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # message counts by topic
+    edits: list[str] = field(default_factory=list)  # descriptions of later changes
 
 
 def describe(path: str | Path) -> SampleSetInfo:
@@ -68,8 +50,7 @@ def describe(path: str | Path) -> SampleSetInfo:
     Raises:
         FileError: If there is no dataset, or a sample is damaged.
     """
-    low: Float64 = np.full(TOUCH_SIZE, np.inf)
-    high: Float64 = np.full(TOUCH_SIZE, -np.inf)
+    touches: list[Float64] = []
     sizes: list[int] = []
     stamps: list[int] = []
     errors: list[float] = []
@@ -95,14 +76,14 @@ def describe(path: str | Path) -> SampleSetInfo:
             if record.pairing_error_ns is not None:
                 errors.append(record.pairing_error_ns * 1e-6)
             if sample.touch is not None:
-                info.labelled += 1
-                vector = sample.touch.vector()
-                low, high = np.minimum(low, vector), np.maximum(high, vector)
+                touches.append(sample.touch.vector())
     if sizes:
         info.points = (min(sizes), int(np.median(sizes)), max(sizes))
         info.first_ns, info.last_ns = min(stamps), max(stamps)
-    if info.labelled:
-        info.ranges = {name: (float(low[part].min()), float(high[part].max())) for name, part in _PARTS.items()}
+    info.labelled = len(touches)
+    for name in MODALITIES if touches else ():
+        counts = np.stack(touches)[:, columns([name])]
+        info.ranges[name] = (float(counts.min()), float(counts.max()))
     if errors:
         info.pairing_ms = np.histogram(errors, PAIRING_EDGES_MS)[0].tolist()
     return info

@@ -8,7 +8,7 @@ same clouds as it was recorded.
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from foretouch.dataset.bag import Message, Recording, Topic
+from foretouch.dataset.bag import Recording, Topic
 from foretouch.dataset.bag_writer import serialize_cloud
 from foretouch.dataset.source import STAMP_STEP_NS, Source
 from foretouch.errors import ForetouchError
@@ -30,18 +30,11 @@ class Entry:
 
 
 def entries(source: Source, topics: Collection[str] = ()) -> Iterator[Entry]:
-    """Iterate over the messages of a source in order.
+    """The messages of a source in order, for a recording its clouds and these topics.
 
-    Args:
-        source: Files, samples or a recording.
-        topics: Of a recording, to be played with its clouds.
-
-    Yields:
-        Clouds of a recording exactly as they were recorded, even where their sizes do not add up: the subscribers
-        must refuse these. A message that is not valid CDR, or a file that cannot be read, is a `refusal`.
-
-    Raises:
-        FileError: Where a recording is cut off.
+    Clouds of a recording are yielded as they were recorded, even where their sizes do not add up: the subscribers must
+    refuse these. A message that is not valid CDR, or a file that cannot be read, is a `refusal`. Raises a `FileError`
+    where a recording is cut off.
     """
     if source.kind == "recording":
         yield from _recorded(source, topics)
@@ -63,11 +56,7 @@ def other_topics(source: Source) -> tuple[Topic, ...]:
 
 
 def cloud_is_object(source: Source) -> bool:
-    """Whether each cloud holds exactly one object, so that there is nothing to segment.
-
-    This is true of samples, and of files if the first readable one is not organised like an image. Recordings hold
-    clouds of a camera.
-    """
+    """Whether each cloud holds one object: samples do, and files if the first readable one is not organised."""
     if source.kind != "clouds":
         return source.kind == "samples"
     for item in source:
@@ -92,10 +81,7 @@ class Pace:
         self._last_ns = 0
 
     def due_s(self, entry: Entry) -> float:
-        """Time from the start of the round at which to publish the entry [s].
-
-        Must be called once per entry, in order.
-        """
+        """Time from the start of the round at which to publish the entry [s]; called once per entry, in order."""
         if self._first_ns is None:
             self._first_ns = entry.at_ns
         self._last_ns = max(self._last_ns, entry.at_ns)
@@ -123,16 +109,11 @@ def _recorded(source: Source, topics: Collection[str]) -> Iterator[Entry]:
         clouds = recording.cloud_topic(source.topic)
         stamped = {topic.name: topic.stamped for topic in recording.topics}
         for message in recording.messages({clouds, *topics}):
-            name = f"{source.path}: {message.topic}[{message.index}]"
+            data, refusal = message.data, ""
+            try:
+                recording.content(message)
+            except ForetouchError as err:
+                data, refusal = b"", str(err)
             topic = CLOUDS if message.topic == clouds else message.topic
-            refusal = _refusal(recording, message)
-            data = b"" if refusal else message.data
+            name = f"{source.path}: {message.topic}[{message.index}]"
             yield Entry(name, topic, message.bag_time_ns, data, stamped[message.topic], refusal)
-
-
-def _refusal(recording: Recording, message: Message) -> str:
-    try:
-        recording.content(message)
-    except ForetouchError as err:
-        return str(err)
-    return ""

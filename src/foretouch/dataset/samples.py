@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from foretouch.checked_files import require_existing
 from foretouch.dataset import formats
@@ -21,31 +20,18 @@ from foretouch.types import GraspSample
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """The samples of a dataset in order, read on demand and as often as needed; a context manager.
+    """The samples of a dataset in order, read on demand and as often as needed; a context manager."""
 
-    Attributes:
-        path: The dataset.
-        kind: Name of its format.
-        size: Number of samples, including discarded ones.
-        record: Reads one sample by its number; raises `FileError` with file and position.
-        name: Where a sample is stored, for messages.
-        identity: Hand and camera, as far as they are known.
-        close: Closes the files.
-        unfinished: Recordings that were cut off, if those may be read.
-        message_counts: Reads the message counts by topic, in plain types; empty for formats without messages.
-        edits: Descriptions of later changes.
-    """
-
-    path: Path
-    kind: str
-    size: int
-    record: Callable[[int], SampleRecord]
-    name: Callable[[int], str]
-    identity: Identity = field(default_factory=Identity)
-    close: Callable[[], None] = lambda: None
-    unfinished: tuple[Path, ...] = ()
-    message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict
-    edits: tuple[str, ...] = ()
+    path: Path  # the dataset
+    kind: str  # name of its format
+    size: int  # number of samples, including discarded ones
+    record: Callable[[int], SampleRecord]  # reads one sample by its number; raises `FileError` with file and position
+    name: Callable[[int], str]  # where a sample is stored, for messages
+    identity: Identity = field(default_factory=Identity)  # hand and camera, as far as they are known
+    close: Callable[[], None] = lambda: None  # closes the files
+    unfinished: tuple[Path, ...] = ()  # recordings that were cut off, if those may be read
+    message_counts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict  # reads them by topic, in plain types
+    edits: tuple[str, ...] = ()  # descriptions of later changes
 
     def __enter__(self) -> Self:
         return self
@@ -66,17 +52,11 @@ class SampleSet:
 
 @dataclass(kw_only=True)
 class ExportResult:
-    """Counts of an export.
+    """Counts of an export."""
 
-    Attributes:
-        written: Samples written.
-        left_out: Samples that the format cannot hold, by reason.
-        lost: Fields that the format cannot hold, by name, with the number of samples that had them.
-    """
-
-    written: int = 0
-    left_out: Counter[str] = field(default_factory=Counter)
-    lost: Counter[str] = field(default_factory=Counter)
+    written: int = 0  # samples
+    left_out: Counter[str] = field(default_factory=Counter)  # samples that the format cannot hold, by reason
+    lost: Counter[str] = field(default_factory=Counter)  # samples with a field that the format cannot hold, by field
 
 
 def _not_supported(*_: Any) -> Any:
@@ -105,12 +85,8 @@ def _functions(entry: formats.FormatEntry) -> DatasetFormat:
 
 
 def _format_of(path: Path) -> DatasetFormat | None:
-    for entry in formats.FORMATS:
-        if entry.may_hold(path):
-            functions = _functions(entry)
-            if functions.recognise(path):
-                return functions
-    return None
+    candidates = (_functions(entry) for entry in formats.FORMATS if entry.may_hold(path))
+    return next((functions for functions in candidates if functions.recognise(path)), None)
 
 
 def is_sample_set(path: str | Path) -> bool:
@@ -137,11 +113,8 @@ def open_samples(path: str | Path, *, unfinished: bool = False) -> SampleSet:
 
 def only_finite(sample: GraspSample) -> GraspSample:
     """The sample with an unorganised cloud, without points that have no depth."""
-    cloud = sample.cloud
-    finite: npt.NDArray[np.bool_] = np.asarray(np.isfinite(cloud.xyz).all(axis=-1))
-    if not cloud.organised and finite.all():
-        return sample
-    return replace(sample, cloud=cloud.take(finite))
+    finite = np.asarray(np.isfinite(sample.cloud.xyz).all(axis=-1), np.bool_)
+    return sample if not sample.cloud.organised and finite.all() else replace(sample, cloud=sample.cloud.take(finite))
 
 
 def export_samples(

@@ -17,7 +17,7 @@ from foretouch.cloud.io.files import CLOUD_SUFFIXES, read_cloud
 from foretouch.dataset.bag import RECORDING_SUFFIXES, Message, Recording, is_recording
 from foretouch.dataset.formats import readable_formats
 from foretouch.dataset.samples import SampleSet, is_sample_set, open_samples
-from foretouch.errors import FileError, ForetouchError
+from foretouch.errors import FileError
 from foretouch.types import Cloud, GraspSample
 
 STAMP_STEP_NS = 100_000_000
@@ -149,31 +149,6 @@ def open_source(path: str | Path, topic: str | None = None, *, frame_id: str = "
         known = ", ".join(CLOUD_SUFFIXES)
         raise FileError(path, f"holds no clouds ({known}), no recording and no dataset ({readable_formats()})")
     return Source(path, "clouds", None, frame_id, entries, len(entries))
-
-
-def readable(
-    source: Source, refuse: Callable[[str, ForetouchError], None]
-) -> Iterator[tuple[str, Cloud | GraspSample]]:
-    """The clouds or samples that can be read, with their names.
-
-    Args:
-        source: Of clouds or samples.
-        refuse: Called with name and error for each item that cannot be read; a recording that breaks off ends the
-            iteration.
-    """
-    items = iter(source)
-    while True:
-        name = str(source.path)
-        try:
-            item = next(items, None)
-            if item is None:
-                return
-            name = item.name
-            value = item.value
-        except ForetouchError as err:
-            refuse(name, err)
-            continue
-        yield name, value
 
 
 def _natural(name: str | Path) -> list[tuple[int, int | str]]:

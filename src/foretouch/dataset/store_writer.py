@@ -25,7 +25,7 @@ from foretouch.dataset.record import DISCARDED, id_number, numbered_id
 from foretouch.dataset.samples import only_finite, open_samples
 from foretouch.dataset.store import FORMAT, MANIFEST, SCHEMA, SCHEMA_VERSION, SEAL, sample_digest
 from foretouch.errors import DatasetError
-from foretouch.types import GraspSample, Touch
+from foretouch.types import GraspSample
 
 _BATCH_ROWS = 64
 _SHARD_ROWS = 1024
@@ -154,7 +154,7 @@ def build_store(
     sources: Sequence[str | Path],
     out: str | Path,
     *,
-    attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] | None = None,
+    attach: Callable[[Sequence[SampleFacts]], Mapping[str, str]] = lambda _: {},
     progress: Callable[[], None] = lambda: None,
 ) -> BuildResult:
     """Write all samples of some datasets into one training store, without those that the operator discarded.
@@ -195,8 +195,11 @@ def build_store(
             if renumbered:
                 origins[-1]["renumbered"] = renumbered
                 result.renumbered += len(renumbered)
-        writer.about |= _shared_identity(origins)
-        for name, text in (attach(result.samples) if attach else {}).items():
+        for name in ("hand", "camera"):
+            if origins and all(origin[name] == origins[0][name] for origin in origins):
+                about[name] = origins[0][name]
+        writer.about |= about
+        for name, text in attach(result.samples).items():
             writer.attach(name, text)
         result.sha256 = writer.sha256
     return result
@@ -221,16 +224,11 @@ class _UniqueIds:
         return self._renumbered
 
     def with_own_id(self, sample: GraspSample) -> GraspSample:
-        """The sample with an id that no source before and no sample renumbered so far has.
-
-        Raises:
-            DatasetError: If it is the same sample as one of a source before, whatever the ids.
-        """
+        """The sample with an id of its own; a `DatasetError` if a source before holds it, whatever the ids."""
         content = sample_digest(replace(sample, id=""))
         if content in self._holders:
-            raise DatasetError(
-                f"{self._source}: {sample.id}: is in {self._holders[content]} too; build from one of both"
-            )
+            held = self._holders[content]
+            raise DatasetError(f"{self._source}: {sample.id}: is in {held} too; build from one of both")
         if sample.id in self._taken and sample.id not in self._renumbered:
             new = numbered_id(sample.object, self._last + 1)
             self._renumbered[sample.id] = new
@@ -241,23 +239,19 @@ class _UniqueIds:
         return sample
 
 
-def _shared_identity(origins: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Hand and camera, if they are the same in all sources."""
-    return {
-        name: origins[0][name]
-        for name in ("hand", "camera")
-        if origins and all(origin[name] == origins[0][name] for origin in origins)
-    }
-
-
 def _row(sample: GraspSample) -> dict[str, Any]:
     cloud = sample.cloud
     if cloud.organised or not np.isfinite(cloud.xyz).all():
         raise DatasetError(f"{sample.id}: the cloud is organised or not finite; a store holds the object's points only")
     extra = {name: float(value) for name, value in sorted(sample.extra.items())}
-    bad = [name for name, value in extra.items() if not np.isfinite(value)]
-    if bad:
-        raise DatasetError(f"{sample.id}: extra.{bad[0]}: {extra[bad[0]]} is not finite")
+    for name, value in extra.items():
+        if not np.isfinite(value):
+            raise DatasetError(f"{sample.id}: extra.{name}: {value} is not finite")
+    touches = {"touch": sample.touch, "tare": sample.tare}
+    counts = {name: None if touch is None else touch.vector() for name, touch in touches.items()}
+    for name, vector in counts.items():
+        if vector is not None and not np.isfinite(vector).all():
+            raise DatasetError(f"{sample.id}: {name}: holds a value that is not finite")
     return {
         "id": sample.id,
         "object": sample.object,
@@ -269,16 +263,6 @@ def _row(sample: GraspSample) -> dict[str, Any]:
         "g2": sample.grasp.g2,
         "rotation": sample.grasp.rotation.ravel(),
         "score": sample.grasp.score,
-        "touch": _counts(sample.touch, f"{sample.id}: touch"),
-        "tare": _counts(sample.tare, f"{sample.id}: tare"),
+        **counts,
         "extra": json.dumps(extra, separators=(",", ":")),
     }
-
-
-def _counts(touch: Touch | None, name: str) -> Any:
-    if touch is None:
-        return None
-    vector = touch.vector()
-    if not np.isfinite(vector).all():
-        raise DatasetError(f"{name}: holds a value that is not finite")
-    return vector

@@ -12,8 +12,8 @@ computes the pose of the hand, for a table seen from straight above and a finger
 """
 
 import hashlib
-import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
@@ -47,19 +47,6 @@ _NAME_DIGITS: Final = 20  # more than those of any stamp
 _TEXT_LIMIT: Final = 100_000  # bytes; the public files have less than 400
 
 
-def read_folder(path: str | Path) -> list[GraspSample]:
-    """Read one sample folder, an object folder or the whole dataset.
-
-    Returns:
-        The samples, ordered by object and time.
-
-    Raises:
-        DatasetError: If the folder is absent or holds no sample.
-        FileError: At the first file that breaks a rule; names file, field and rule.
-    """
-    return [read_sample(folder) for folder in sample_folders(path)]
-
-
 def sample_folders(path: str | Path) -> list[Path]:
     """The sample folders at or below `path`, by object and time, without opening their files.
 
@@ -71,30 +58,19 @@ def sample_folders(path: str | Path) -> list[Path]:
         raise DatasetError(f"{root}: no such folder")
     found = sorted(_folders_in(root))
     if not found:
-        raise DatasetError(f"{root}: holds no sample: a folder with {CLOUD_FILE}, {GRASP_FILE} and {TOUCH_FILE}")
+        raise DatasetError(f"{root}: holds no sample: a folder with {', '.join(_FILES)}")
     return found
 
 
 def _folders_in(root: Path) -> Iterator[Path]:
-    if is_sample_folder(root):
-        yield root
-        return
-    for pattern in ("*", "*/*"):
-        yield from filter(is_sample_folder, root.glob(pattern))
-
-
-def is_sample_folder(path: Path) -> bool:
-    """Whether a folder is meant as a sample: it holds at least one of the three files."""
-    return path.is_dir() and any((path / name).is_file() for name in _FILES)
+    """The folders meant as samples: they hold at least one of the three files."""
+    for path in chain([root], root.glob("*"), root.glob("*/*")):
+        if path.is_dir() and any((path / name).is_file() for name in _FILES):
+            yield path
 
 
 def folder_sha256(path: str | Path) -> str:
-    """One hash over names and contents of all samples' files, independent of where the folder is.
-
-    Raises:
-        DatasetError: See `sample_folders`.
-        FileError: If a file is missing.
-    """
+    """One hash over names and contents of all samples' files, independent of where the folder is."""
     digest = hashlib.sha256()
     for folder in sample_folders(path):
         for name in _FILES:
@@ -107,7 +83,8 @@ def read_sample(folder: str | Path) -> GraspSample:
     """Read one sample folder, `<object>/<unix time>` or `<object>/<name>`.
 
     Returns:
-        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as `TDC_MF` [counts].
+        The sample; its stamp is 0 if the name is no time; `extra` holds PAC0, PAC1, TAC and TDC of both fingers, such as
+        `TDC_MF` [counts].
 
     Raises:
         FileError: Names the file, the field and the rule that it breaks.
@@ -141,31 +118,22 @@ def _read_grasp(path: Path, cloud: Cloud, object_name: str) -> Grasp:
             raise FileError(path, f"{contact.tolist()} is not finite", field=name)
     try:
         axis, _ = object_axis(cloud, ASSUMED_TABLE, _HAND)
-    except CloudError as err:
-        raise FileError(path.with_name(CLOUD_FILE), str(err)) from err
-    try:
         rotation = hand_rotation(numbers[:3], numbers[3:], axis)
         return Grasp(numbers[:3], numbers[3:], rotation, id=path.parent.name, object_id=object_name)
+    except CloudError as err:
+        raise FileError(path.with_name(CLOUD_FILE), str(err)) from err
     except GraspError as err:
         raise FileError(path, str(err)) from err
 
 
 def read_touch(path: Path) -> tuple[Touch, dict[str, float]]:
-    """Read a `tactile.tac`.
-
-    Returns:
-        The touch, and PAC0, PAC1, TAC and TDC of both fingers by name [counts].
-
-    Raises:
-        FileError: Names the file, the field and the rule that it breaks.
-    """
+    """The touch in a `tactile.tac`, and PAC0, PAC1, TAC and TDC of both fingers by name [counts] (raises as `read_sample`)."""
     numbers = _read_numbers(path, 2 * _FINGER_SIZE)
     fingers = {"MF": numbers[:_FINGER_SIZE], "TH": numbers[_FINGER_SIZE:]}
     extra: dict[str, float] = {}
     for finger, values in fingers.items():
-        for i, value in enumerate(values):
-            if not math.isfinite(value):
-                raise FileError(path, f"{value} is not finite", field=f"{finger}[{i}]")
+        for i in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise FileError(path, f"{values[i]} is not finite", field=f"{finger}[{i}]")
         others = np.delete(values[ELECTRODES:], _PDC - ELECTRODES)
         extra |= {f"{name}_{finger}": float(value) for name, value in zip(_EXTRA, others, strict=True)}
     touch = Touch(
@@ -221,7 +189,8 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
         if sample.touch is None:
             result.left_out["unlabelled"] += 1
             continue
-        folder = _free_folder(out / sample.object, sample.stamp_ns // _NS_PER_S)
+        seconds = count(sample.stamp_ns // _NS_PER_S)  # or the next free one: the format supports no other names
+        folder = next(path for k in seconds if not (path := out / sample.object / str(k)).exists())
         folder.mkdir(parents=True)
         write_cloud(folder / CLOUD_FILE, sample.cloud)
         (folder / GRASP_FILE).write_text(_as_text([*sample.grasp.g1, *sample.grasp.g2]), encoding="ascii")
@@ -231,13 +200,6 @@ def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Calla
         result.lost["series"] += record.series is not None
         result.lost["extra"] += bool(sample.extra.keys() - exported)
         result.lost["id"] += folder.name != sample.id.partition("/")[2]
-
-
-def _free_folder(parent: Path, second: int) -> Path:
-    """Named by the second of the recording, or by the next free one: the format supports no other names."""
-    while (parent / str(second)).exists():
-        second += 1
-    return parent / str(second)
 
 
 def _fingers(sample: GraspSample, touch: Touch) -> list[float]:

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adaptation of predictions to tactile readings, and calibrated prediction intervals; and their file beside a model.
+"""Statistics of a model's errors: calibrated prediction intervals, and what the tracker of readings needs; their file.
 
 The residuals of a model on one object have a part that stays for that object and day, of covariance B, and a part that
-is new with each grasp, of variance W. After n readings with mean residual r, the best linear estimate of the lasting
-part is B (B + W/n)⁻¹ r (the multivariate empirical Bayes estimator [Efron and Morris 1973]): closed form, a 50 x 50
-system, no training. Once an object was touched, predicted differences between two grasps on it are multiplied by a
-shrinkage factor (`worth`), because on a new object the actual differences are smaller than predicted.
-
-Intervals are conformal with objects as the exchangeable unit: half widths cover the requested share of residuals,
-with equal weight for each calibration object (`learning.training.calibration`).
+is new with each grasp, of variance W. Intervals before any reading are conformal with objects as the exchangeable unit:
+half widths cover the requested share of residuals, with equal weight for each calibration object
+(`learning.training.calibration`). Readings are adapted to by the tracker (`models.tracker`), whose parameters were
+fitted to recordings in order of time, or else follow from B and W.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,19 +24,18 @@ from foretouch.models.card import card_text, read_card
 from foretouch.models.files import TensorRecord, file_beside, packed, read_part, read_tensors, replace_files
 from foretouch.models.novelty import Fallback
 from foretouch.models.state_space import TrackerParameters
+from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
 
-GROUPS: Final = ("known", "new", "known_tare", "new_tare")
-"""Objects in or out of the training distribution, each predicted without a tare or with one."""
+GROUPS: Final = ("known", "new")
+"""Objects in the training distribution, and out of it."""
 
 _POSITIVE: Final = ("within", "spread", "half_width")
 _FALLBACK: Final = "fallback/"
 _TRACKER: Final = "tracker/"
-_TOUCHES: Final = (1, 10, 100, 1000)  # counts of touches at which an adaptation is checked
-_MAX_GAIN: Final = 10.0  # of a mean residual; the released models reach 2.5
+_MIN_VALUE: Final = 1e-9  # [counts²] of a variance; that of rounding is 0.08
 _MAX_VALUE: Final = 1e12  # [counts²]; readings have at most 4095 counts
-_MAX_CONDITION: Final = 1e12  # of B + W/n; that of the released models is below 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +57,6 @@ class CalibrationGroup(TensorRecord):
     spread: Float64
     half_width: Float64
 
-    def counts_after(self, expected: Float64, mean_expected: Float64, mean_reading: Float64, count: int) -> Float64:
-        """Predictions adapted to some touches.
-
-        Args:
-            expected: (K, 50) predictions before any touch [counts].
-            mean_expected: (50,) mean of the predictions, before any touch, at the touched grasps [counts].
-            mean_reading: (50,) mean of the readings there [counts].
-            count: Number of touches; with none the predictions are returned unchanged.
-        """
-        if count == 0:
-            return expected
-        gain = np.linalg.solve(self.between + np.diag(self.within / count), mean_reading - mean_expected)
-        return np.asarray(mean_expected + self.between @ gain + self.worth * (expected - mean_expected), np.float64)
-
-    def half_width_after(self, count: int) -> Float64:
-        """(50,) half width after `count` touches [counts]: scaled with the remaining deviation, never widened."""
-        if count == 0:
-            return self.half_width
-        solved = np.linalg.solve(self.between + np.diag(self.within / count), self.between)
-        lasting = np.diag(self.between) - np.einsum("ij,ji->i", self.between, solved)
-        left = (np.maximum(lasting, 0.0) + self.within) / self.spread
-        return np.asarray(self.half_width * np.sqrt(np.minimum(left, 1.0)), np.float64)
-
     def _check(self) -> None:
         for name, array in self.to_tensors().items():
             _check_array(name, array)
@@ -93,29 +67,8 @@ class CalibrationGroup(TensorRecord):
             raise ModelError("between: is not symmetric")
         if np.linalg.eigvalsh(self.between)[0] < -tolerance:
             raise ModelError("between: is no covariance: it has a negative eigenvalue")
-        self._check_amplification()
         if self.worth.min() < 0.0 or self.worth.max() > 1.0:
             raise ModelError("worth: leaves [0, 1]")
-
-    def _check_amplification(self) -> None:
-        """Refuse an adaptation that is singular, or that makes more of a residual than is there.
-
-        In units of the deviations of W, a touch moves the predictions by A (A + 1)⁻¹ of the residual, where A is B in
-        these units: less than 1 in every direction. In counts, a channel can move by more than the largest residual,
-        since correlated channels with less noise vouch for it; beyond `_MAX_GAIN` times it, B and W were not estimated
-        together.
-        """
-        for count in _TOUCHES:
-            total = self.between + np.diag(self.within / count)
-            with np.errstate(all="ignore"):
-                condition = float(np.linalg.cond(total))
-            if not condition < _MAX_CONDITION:
-                rule = f"B + W/{count} is singular: its condition is {condition:.3g}, {_MAX_CONDITION:g} is allowed"
-                raise ModelError(f"between, within: {rule}")
-            largest = float(np.abs(np.linalg.solve(total, self.between)).sum(axis=0).max())
-            if not largest <= _MAX_GAIN:
-                rule = f"B (B + W/{count})^-1 turns residuals of at most 1 into {largest:.3g}, {_MAX_GAIN:g} is allowed"
-                raise ModelError(f"between, within: {rule}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,62 +78,49 @@ class Calibration:
     Attributes:
         rest: (50,) float64 [counts]: readings of the training sensors without contact. A tare shifts predictions by its
             difference from it.
-        groups: By name from `GROUPS`; "known" and "new" always exist, the others where tares were recorded.
-        tracker: Of the sensors' state, fitted to recordings with stamps; None in calibrations without.
+        groups: By name from `GROUPS`.
+        tracker: Parameters fitted to recordings with stamps; None without such recordings.
     """
 
     rest: Float64
     groups: Mapping[str, CalibrationGroup]
     tracker: TrackerParameters | None = None
 
+    @cached_property
     def tracker_parameters(self) -> TrackerParameters:
-        """The fitted ones, or else those of a sensor without drift, whose tracker adapts to touches as `adapt` does."""
+        """The fitted ones, or else those of the groups, by B of known objects split into sensors and objects.
+
+        On an object that the model knows, what stays is of the sensors; what stays beyond it on new ones, of the object.
+
+        Raises:
+            ModelError: If B and W amplify residuals, or are out of any range.
+        """
         if self.tracker is not None:
             return self.tracker
         new, known = self.groups["new"], self.groups["known"]
         ratio = new.half_width / np.sqrt(new.spread)
-        return TrackerParameters.from_memory(
-            (new.between, known.between),
-            (new.within, known.within),
-            (new.worth, known.worth),
-            np.array([ratio[columns([name])].mean() for name in MODALITIES]),
-        )
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is refused below
+                found = TrackerParameters.from_calibration(
+                    (new.between, known.between),
+                    (new.within, known.within),
+                    (new.worth, known.worth),
+                    np.array([ratio[columns([name])].mean() for name in MODALITIES]),
+                )
+            sensors = found.object.min(axis=0)
+            found = replace(found, slow=sensors, object=found.object - sensors)
+            return TrackerParameters.from_tensors(found.to_tensors())
+        except (ModelError, np.linalg.LinAlgError) as err:
+            raise ModelError(f"between, within: no tracker can be made of them: {err}") from err
 
-    def group(self, *, in_distribution: bool, tare: bool) -> CalibrationGroup:
-        """The group of a prediction; if training had no recorded tares, the one without a tare serves for both."""
-        name = "known" if in_distribution else "new"
-        return self.groups.get(f"{name}_tare" if tare else name, self.groups[name])
-
-    def adapt(
-        self,
-        expected: Float64,
-        in_distribution: npt.NDArray[np.bool_],
-        *,
-        tare: bool,
-        touched: tuple[Float64, Float64] | None = None,
-        count: int = 0,
-    ) -> tuple[Float64, Float64]:
-        """Adapt predictions to touches, and compute the half widths of their intervals.
-
-        Args:
-            expected: (K, 50) before any touch, shifted by the tare if there is one [counts].
-            in_distribution: (K,) whether each resembles the training data.
-            tare: Whether there is one.
-            touched: (50,) means of the predictions and of the readings at the touched grasps [counts].
-            count: Number of touches.
-
-        Returns:
-            (K, 50) predictions and (K, 50) half widths [counts].
-        """
-        counts, half = expected.copy(), np.empty_like(expected)
-        for inside in (False, True):
-            group, rows = self.group(in_distribution=inside, tare=tare), in_distribution == inside
-            if not rows.any():
-                continue
-            if touched is not None:
-                counts[rows] = group.counts_after(expected[rows], *touched, count)
-            half[rows] = group.half_width_after(count)
-        return counts, half
+    @cached_property
+    def unread_half_widths(self) -> Mapping[str, Float64]:
+        """(50,) half widths before any reading, by group [counts]."""
+        if self.tracker is None:
+            return {name: group.half_width for name, group in self.groups.items()}
+        tracker = SensorTracker(self.tracker)
+        levels = {name: tracker.level(0, same_object=False, known=name == "known") for name in GROUPS}
+        return {name: tracker.adapt(level, np.zeros((1, TOUCH_SIZE)))[1][0] for name, level in levels.items()}
 
     def to_tensors(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by name, for a file."""
@@ -203,10 +143,12 @@ class Calibration:
             raise ModelError("rest: is missing")
         tensors = {name: np.asarray(array, np.float64) for name, array in tensors.items()}
         _check_array("rest", tensors["rest"])
-        names = [name for name in GROUPS if name in ("known", "new") or f"{name}/between" in tensors]
         tracked = any(name.startswith(_TRACKER) for name in tensors)
         tracker = read_part(TrackerParameters, tensors, _TRACKER) if tracked else None
-        return cls(tensors["rest"], {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in names}, tracker)
+        groups = {name: read_part(CalibrationGroup, tensors, f"{name}/") for name in GROUPS}
+        calibration = cls(tensors["rest"], groups, tracker)
+        _ = calibration.tracker_parameters  # refuses groups of which none can be made
+        return calibration
 
 
 def _check_array(name: str, array: npt.NDArray[Any]) -> None:
@@ -214,8 +156,10 @@ def _check_array(name: str, array: npt.NDArray[Any]) -> None:
     if array.shape != shape:
         raise ModelError(f"{name}: shape {array.shape} is not {shape}")
     positive = name in _POSITIVE
-    if not np.isfinite(array).all() or (positive and not (array > 0.0).all()):
-        raise ModelError(f"{name}: holds a value that is not finite{' and above 0' if positive else ''}")
+    if not np.isfinite(array).all() or (positive and not (array >= _MIN_VALUE).all()):
+        raise ModelError(
+            f"{name}: holds a value that is not finite{f' and at least {_MIN_VALUE:g}' if positive else ''}"
+        )
 
 
 def add_calibration(

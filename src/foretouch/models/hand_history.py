@@ -68,10 +68,10 @@ class HandHistory:
     """Readings of one hand, compared with the predictions of one model. Not thread-safe.
 
     Args:
-        model: Its calibration has the parameters of a tracker.
+        model: With a calibration.
 
     Raises:
-        ModelError: If the model has no tracker.
+        ModelError: If the model has no calibration.
 
     Attributes:
         tracker: What the readings say about the sensors and the current object.
@@ -306,9 +306,9 @@ def read_history(path: Path, model: TouchModel, hand: str | None = None) -> Hand
 
     Raises:
         FileError: If the file is absent or damaged, or of another version, hand or model.
-        ModelError: If the model has no tracker.
+        ModelError: If the model has no calibration.
     """
-    model.new_tracker()  # a model without one is named before the file
+    model.new_tracker()  # a model without a calibration is named before the file
     try:
         tensors = load(read_bytes(path, _LARGEST))
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as err:

@@ -36,8 +36,10 @@ FAST_TIME_S: Final = 3600.0
 TARE_NOISE: Final = 0.1
 """Variance of a tare over that of a grasp, where no tares were recorded: assumed, not measured."""
 
-_CHI2_1, _CHI2_25 = 9.14, 51.0  # quantiles 0.9975 and 0.9985 of chi-square with 1 and 25 degrees of freedom
-_COMMON_SHARE: Final = 0.84  # correlation of noise within a finger, measured on recorded grasps
+_ALARM: Final = (10.0, 7.7)
+"""Limits of the innovation test without a fit: of the mean square as on the public recordings, whose noise has heavier
+tails than a Gaussian (2.0), and of the squared mean at their correlation of .84 within a finger (.84 · 9.14)."""
+
 _PER_VALUE: Final = ("slow", "slow_time_s", "fast", "fast_time_s", "tare_noise")
 _SHAPES: Final = {
     "basis": (TOUCH_SIZE, TOUCH_SIZE),
@@ -86,17 +88,20 @@ class TrackerParameters(TensorRecord):
     alarm: Float64  # (2, 2) by finger: limits of the two statistics of the innovation test (`models.tracker`)
 
     @classmethod
-    def from_memory(
+    def from_calibration(
         cls,
         between: tuple[Float64, Float64],
         within: tuple[Float64, Float64],
         worth: tuple[Float64, Float64],
         factor: Float64,
     ) -> Self:
-        """Without a state: on new objects the filter is then B (B + W/n)⁻¹ r, as of `CalibrationGroup.counts_after`.
+        """Of sensors without drift, from the statistics of residuals.
+
+        After n touches of a new object with mean residual r its offset is then B (B + W/n)⁻¹ r, the multivariate
+        empirical Bayes estimate [Efron and Morris 1973].
 
         The basis diagonalises B and W of new objects at the same time; of B and W of known ones only the diagonals are
-        used.
+        used. Variances beyond their bounds, as of a model without errors, are set to these.
 
         Args:
             between: B of new and of known objects, (50, 50) each [counts²].
@@ -115,12 +120,12 @@ class TrackerParameters(TensorRecord):
             slow_time_s=np.full(TOUCH_SIZE, SLOW_TIME_S),
             fast=np.zeros(TOUCH_SIZE),
             fast_time_s=np.full(TOUCH_SIZE, FAST_TIME_S),
-            object=np.maximum([values, known_object], 0.0),
-            noise=np.array([np.ones(TOUCH_SIZE), known_noise]),
+            object=np.clip([values, known_object], *_BOUNDS["object"]),
+            noise=np.clip([np.ones(TOUCH_SIZE), known_noise], *_BOUNDS["noise"]),
             tare_noise=np.full(TOUCH_SIZE, TARE_NOISE),
             worth=np.array(worth),
             factor=factor,
-            alarm=np.tile([_CHI2_25 / 25.0, _COMMON_SHARE * _CHI2_1], (len(FINGERS), 1)),
+            alarm=np.tile(_ALARM, (len(FINGERS), 1)),
         )
 
     def _check(self) -> None:

@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction of touch: one cloud and K grasps in, K predictions out, with an interval, a reference and flags.
 
-cloud, K grasps ─ estimator ─► counts ─ adapted to earlier readings ─► value ± half width, flags
+cloud, K grasps ─ estimator ─► counts ─ tracker of earlier readings ─► value ± half width, flags
 
-Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. A calibration with
-the parameters of a tracker (`models.tracker`) adapts to all of them by it; one without, such as that of contact-v1, to
-a tare and to touches of one object in closed form (`models.calibration`).
+Earlier readings are a tare, touches of the same object, or the history of a hand with many objects. All of them go
+through the tracker of the sensors' state (`models.tracker`), with the parameters of the model's calibration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,7 +24,6 @@ from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
 from foretouch.tactile import TactileRanges, check_touch
 from foretouch.types import (
-    TOUCH_SIZE,
     Cloud,
     Evidence,
     Float64,
@@ -56,16 +53,6 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Adapted:
-    """Predictions for K grasps after readings."""
-
-    counts: Float64  # (K, 50) float64 [counts]
-    half: Float64  # (K, 50) float64, half widths of the intervals; NaN without a calibration [counts]
-    reference: Reference
-    evidence: Evidence
-
-
-@dataclass(frozen=True, eq=False)
 class History:
     """Readings of one hand up to a time, for predictions at that time."""
 
@@ -74,20 +61,30 @@ class History:
     same_object: bool = True  # whether they are for the object that was touched last
     tare: bool = False  # whether a tare was taken shortly before
 
-    def adapt(self, estimate: Estimate) -> _Adapted:
-        """Predictions by sight, adapted to the readings."""
-        counts, half = estimate.counts.copy(), np.empty_like(estimate.counts)
-        same = self.same_object and self.tracker.touches > 0
-        for inside in (False, True):
-            rows = estimate.in_distribution == inside
+    def adapt(self, estimate: Estimate) -> tuple[Float64, Float64]:
+        """(K, 50) predictions adapted to the readings, and the half widths of their intervals [counts]."""
+        counts, half = np.empty((2, *estimate.counts.shape))
+        for known in (False, True):
+            rows = estimate.in_distribution == known
             if rows.any():
-                level = self.tracker.level(self.stamp_ns, same_object=same, known=inside)
+                level = self.tracker.level(self.stamp_ns, same_object=self._touched, known=known)
                 counts[rows], half[rows] = self.tracker.adapt(level, estimate.counts[rows])
-        evidence = self.tracker.evidence(self.stamp_ns, same_object=same)
-        reference: Reference = (
-            "touches" if same else "tare" if self.tare else "history" if evidence.readings else "none"
-        )
-        return _Adapted(counts, half, reference, evidence)
+        return counts, half
+
+    @property
+    def evidence(self) -> Evidence:
+        """Numbers and ages of the readings."""
+        return self.tracker.evidence(self.stamp_ns, same_object=self._touched)
+
+    @property
+    def reference(self) -> Reference:
+        """The strongest of the readings."""
+        read: Reference = "tare" if self.tare else "history" if self.evidence.readings else "none"
+        return "touches" if self._touched else read
+
+    @property
+    def _touched(self) -> bool:
+        return self.same_object and self.tracker.touches > 0
 
 
 class Estimator(Protocol):
@@ -136,8 +133,6 @@ class TouchModel:
         self.ranges = estimator.ranges
         self._estimator = estimator
         self._widen = widen
-        parameters = None if calibration is None else calibration.tracker
-        self._unread = None if parameters is None else SensorTracker(parameters)
 
     def reduced(self, estimator: Estimator, widen: Float64) -> TouchModel:
         """The same model, which estimates in a cheaper way.
@@ -153,20 +148,13 @@ class TouchModel:
         """Predicts from the cloud and the grasp alone."""
         return self._estimator
 
-    @property
-    def tracks(self) -> bool:
-        """Whether its calibration has the parameters of a tracker, so that predictions may adapt to a `history`."""
-        return self._unread is not None
-
     def new_tracker(self) -> SensorTracker:
         """A tracker of a hand whose readings are compared with this model's predictions.
 
         Raises:
-            ModelError: If the calibration has no parameters of a tracker.
+            ModelError: If the model has no calibration.
         """
-        if self._unread is None:
-            raise ModelError(f"{self.name}: history: cannot be used: its calibration does not model the sensors' drift")
-        return self._unread.copy()
+        return SensorTracker(self._calibrated().tracker_parameters)
 
     def predict(
         self,
@@ -174,7 +162,6 @@ class TouchModel:
         grasps: Sequence[Grasp],
         *,
         tare: Touch | None = None,
-        residuals: ObjectResiduals | None = None,
         history: History | None = None,
         limits: ObjectLimits = DEFAULT_LIMITS,
         reach: ReachConfig = DEFAULT_REACH,
@@ -186,9 +173,8 @@ class TouchModel:
         Args:
             cloud: The object's points [m]; points without depth are ignored.
             grasps: In the cloud's frame.
-            tare: A reading without contact, taken shortly before.
-            residuals: Of earlier touches on the same object. Their own tare is used, and `tare` must be omitted.
-            history: Readings of the hand so far, which include tares; `tare` and `residuals` must be omitted.
+            tare: A reading without contact, taken shortly before, of a hand of which nothing else was read.
+            history: Readings of the hand so far, which include tares; `tare` must be omitted.
             limits: Range and size of objects.
             reach: Of the hand.
 
@@ -201,100 +187,49 @@ class TouchModel:
         Raises:
             CloudError: If the cloud holds too few points or all at one position, or is out of `limits`.
             ModelError: If the cloud lacks a colour that the model needs; if readings are given to a model without
-                calibration, or in more than one form; if residuals or history are of another model.
+                calibration, or in more than one form; if the history is of another model.
             TactileError: If the tare is not a reading of working sensors.
         """
-        if residuals is not None:
+        if history is not None:
             if tare is not None:
-                raise ModelError("tare: the residuals have their own")
-            if residuals.model.sha256 != self.sha256:
-                raise ModelError(f"{self.name}: residuals: are of {residuals.model.name}, which predicts otherwise")
-            self._require_calibration()
-            tare = residuals.tare
-        if history is not None and (tare is not None or residuals is not None):
-            raise ModelError("history: has tares and touches of its own")
-        if history is not None and history.tracker.parameters is not self.new_tracker().parameters:
-            raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
+                raise ModelError("history: has tares and touches of its own")
+            if history.tracker.parameters is not self._calibrated().tracker_parameters:
+                raise ModelError(f"{self.name}: history: is of another model, which predicts otherwise")
         check_object(cloud.xyz, limits)
         grasps = GraspList(grasps)
         refusals = _refusals(grasps, cloud, reach.max_width_m, reach.max_distance_m)
         if any(refusals):
             usable = GraspList(grasp for grasp, reason in zip(grasps, refusals, strict=True) if not reason)
-            predicted = iter(self._predict(cloud, usable, tare, residuals, history))
+            predicted = iter(self._predict(cloud, usable, tare, history))
             return [
                 TouchPrediction(grasp, None, status="bad_grasp", reason=reason) if reason else next(predicted)
                 for grasp, reason in zip(grasps, refusals, strict=True)
             ]
-        return self._predict(cloud, grasps, tare, residuals, history)
+        return self._predict(cloud, grasps, tare, history)
 
     def _predict(
-        self,
-        cloud: Cloud,
-        grasps: Sequence[Grasp],
-        tare: Touch | None,
-        residuals: ObjectResiduals | None,
-        history: History | None,
+        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None, history: History | None
     ) -> Sequence[TouchPrediction]:
         """Predictions for executable grasps."""
         estimate = self._estimator.estimate(cloud, grasps)
-        if residuals is None and self._unread is not None:
-            if history is None and tare is not None:
-                history = self._history_of(tare)
-            adapted = self._by_sight(estimate) if history is None else history.adapt(estimate)
-        else:
-            adapted = self._adapted(estimate, tare, residuals)
-        if self._widen is not None:
-            adapted = replace(adapted, half=adapted.half * self._widen)
-        return self._predictions(grasps, estimate.in_distribution, adapted)
-
-    def _by_sight(self, estimate: Estimate) -> _Adapted:
-        """As `History.adapt` of a hand of which nothing was read, whose levels are computed once."""
-        known, new = self._unread_levels
-        inside = estimate.in_distribution[:, None]
-        offset, half = (np.where(inside, *pair) for pair in zip(known, new, strict=True))
-        return _Adapted(estimate.counts + offset, half, "none", Evidence())
-
-    @cached_property
-    def _unread_levels(self) -> tuple[tuple[Float64, Float64], tuple[Float64, Float64]]:
-        """(50,) offset and half widths of known and of new objects [counts]."""
-        tracker = self.new_tracker()
-        levels = (tracker.level(0, same_object=False, known=known) for known in (True, False))
-        (known, known_half), (new, new_half) = (tracker.adapt(one, np.zeros((1, TOUCH_SIZE))) for one in levels)
-        return (known[0], known_half[0]), (new[0], new_half[0])
-
-    def _history_of(self, tare: Touch) -> History:
-        """A hand of which nothing was read but a tare, just now."""
-        tracker = self.new_tracker()
-        tracker.add_tare(0, self.tare_offset(tare))
-        return History(tracker, 0, tare=True)
-
-    def _adapted(self, estimate: Estimate, tare: Touch | None, residuals: ObjectResiduals | None) -> _Adapted:
-        """Adapted to a tare and to touches of one object in closed form."""
-        counts = self._shifted(estimate.counts, tare)
-        touches = residuals.count if residuals is not None else 0
-        half = np.full_like(counts, np.nan)
-        if self.calibration is not None:
-            touched = residuals.means() if residuals is not None else None
-            counts, half = self.calibration.adapt(
-                counts, estimate.in_distribution, tare=tare is not None, touched=touched, count=touches
-            )
-        reference: Reference = "touches" if touches else "none" if tare is None else "tare"
-        return _Adapted(counts, half, reference, Evidence(touches=touches))
-
-    def expect(
-        self, cloud: Cloud, grasps: Sequence[Grasp], tare: Touch | None = None, limits: ObjectLimits = DEFAULT_LIMITS
-    ) -> Float64:
-        """(K, 50) predictions before any touch, which readings are compared with [counts].
-
-        Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
-        """
-        self._require_calibration()
-        return self._shifted(self.estimate_executed(cloud, grasps, limits).counts, tare)
+        if tare is not None:
+            tracker = self.new_tracker()
+            tracker.add_tare(0, self.tare_offset(tare))
+            history = History(tracker, 0, same_object=False, tare=True)
+        if history is None or not history.evidence.readings:
+            counts, half = estimate.counts, self._unread_half_widths(estimate.in_distribution)
+            return self._predictions(grasps, estimate.in_distribution, counts, half, "none", Evidence())
+        return self._predictions(
+            grasps, estimate.in_distribution, *history.adapt(estimate), history.reference, history.evidence
+        )
 
     def estimate_executed(
         self, cloud: Cloud, grasps: Sequence[Grasp], limits: ObjectLimits = DEFAULT_LIMITS
     ) -> Estimate:
-        """Predictions by sight for grasps that were executed; raises as `expect`."""
+        """Predictions by sight for grasps that were executed, which readings are compared with.
+
+        Raises as `predict`, and a `GraspError` for a grasp that no hand can execute.
+        """
         check_object(cloud.xyz, limits)
         # These grasps were executed, maybe beside the cloud, but not out of the sensor's range.
         refusals = _refusals(grasps, cloud, _EXECUTED_WIDTH_M, limits.max_range_m)
@@ -308,40 +243,49 @@ class TouchModel:
         """(50,) a tare minus the rest level of the model [counts].
 
         Raises:
-            ModelError: If the model has no rest level.
+            ModelError: If the model has no calibration.
             TactileError: If the tare is not a reading of working sensors.
         """
-        if self.calibration is None:
-            raise ModelError(f"{self.name}: tare: cannot be used: its card holds no rest level")
+        rest = self._calibrated().rest
         faults = check_touch(tare).faults
         if faults:
             raise TactileError(f"tare: {faults[0]}")
-        return tare.vector() - self.calibration.rest
+        return tare.vector() - rest
 
-    def _require_calibration(self) -> None:
+    def _calibrated(self) -> Calibration:
         if self.calibration is None:
-            raise ModelError(f"{self.name}: cannot adapt to touches: its card holds no calibration")
+            raise ModelError(f"{self.name}: cannot adapt to readings: its card holds no calibration")
+        return self.calibration
 
-    def _shifted(self, counts: Float64, tare: Touch | None) -> Float64:
-        """Counts at the rest level of training, shifted to that of the tare."""
-        return counts if tare is None else counts + self.tare_offset(tare)
+    def _unread_half_widths(self, known: npt.NDArray[np.bool_]) -> Float64 | None:
+        """(K, 50) half widths before any reading [counts], of objects in the training distribution or out of it."""
+        if self.calibration is None:
+            return None
+        return np.where(known[:, None], *(self.calibration.unread_half_widths[name] for name in ("known", "new")))
 
     def _predictions(
-        self, grasps: Sequence[Grasp], in_distribution: npt.NDArray[np.bool_], adapted: _Adapted
+        self,
+        grasps: Sequence[Grasp],
+        in_distribution: npt.NDArray[np.bool_],
+        counts: Float64,
+        half: Float64 | None,
+        reference: Reference,
+        evidence: Evidence,
     ) -> Sequence[TouchPrediction]:
         if not grasps:
             return []
-        counts, half = adapted.counts, adapted.half
+        if half is not None and self._widen is not None:
+            half = half * self._widen
         outside: list[bool] = np.any(self.ranges.outside(counts), axis=1).tolist()
         known: list[bool] = in_distribution.tolist()
         flags = [_FLAGS[pair] for pair in zip(outside, known, strict=True)]
-        bounds = None if self.calibration is None else (counts - half, counts + half)
+        bounds = None if half is None else (counts - half, counts + half)
         reason = "the model gives a value that is not finite"
         refused = {
             k: TouchPrediction(grasps[k], None, status="refused", reason=reason)
             for k in np.flatnonzero(~np.isfinite(counts).all(axis=1)).tolist()
         }
-        return TouchPredictions(grasps, counts, bounds, flags, adapted.reference, adapted.evidence, refused)
+        return TouchPredictions(grasps, counts, bounds, flags, reference, evidence, refused)
 
 
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
@@ -362,51 +306,3 @@ def _refusal(grasp: Grasp, cloud: Cloud, max_width_m: float, max_distance_m: flo
     except GraspError as err:
         return str(err)
     return ""
-
-
-class ObjectResiduals:
-    """Readings of earlier touches on one object, and a model's predictions for the same grasps.
-
-    Only their sums are kept, so the cost of a later prediction does not depend on the number of touches.
-
-    Args:
-        model: Makes the predictions that readings are compared with.
-        tare: A reading without contact, if there is one; predictions that use these residuals are shifted to it.
-
-    Attributes:
-        count: Number of touches.
-    """
-
-    def __init__(self, model: TouchModel, tare: Touch | None = None) -> None:
-        self.model = model
-        self.tare = tare
-        self.count = 0
-        self._read = np.zeros(TOUCH_SIZE)
-        self._expected = np.zeros(TOUCH_SIZE)
-
-    def add(self, cloud: Cloud, grasp: Grasp, reading: Touch, limits: ObjectLimits = DEFAULT_LIMITS) -> None:
-        """Add the reading of an executed grasp.
-
-        Args:
-            cloud: The cloud that the grasp was planned on.
-            grasp: As executed.
-            reading: Both fingers in contact [counts].
-            limits: Range and size of objects.
-
-        Raises:
-            TactileError: If the reading, or the tare, is not that of working sensors.
-            CloudError: If the cloud cannot be used.
-            GraspError: If no hand can execute the grasp.
-            ModelError: If the model has no calibration, or refuses the cloud.
-        """
-        faults = check_touch(reading).faults
-        if faults:
-            raise TactileError(f"touched: {faults[0]}")
-        self._expected += self.model.expect(cloud, [grasp], self.tare, limits)[0]
-        self._read += reading.vector()
-        self.count += 1
-
-    def means(self) -> tuple[Float64, Float64]:
-        """(50,) mean of the predictions and of the readings [counts]; zeros before the first touch."""
-        count = max(self.count, 1)
-        return self._expected / count, self._read / count

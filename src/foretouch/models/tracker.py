@@ -77,10 +77,7 @@ class Level:
     variance: Float64  # (50,) of the offset, without the noise of a grasp [counts²]
     same_object: bool  # whether it is for the current object
     kind: int  # of the object, KNOWN or NEW
-    touches_of_object: int  # touches of the current object; 0 for another object
-    readings_of_history: int  # all touches and tares, of whatever object, since the sensor's state was unknown
-    object_age_s: float | None  # since the last touch of the object; None without
-    history_age_s: float | None  # since the last reading; None without
+    evidence: Evidence  # readings behind it
 
 
 class SensorTracker:
@@ -220,16 +217,12 @@ class SensorTracker:
         if not same_object:
             at.start_object(self.parameters.object[kind])
         mean, variance = at.predicted()
-        evidence = self.evidence(stamp_ns, same_object=same_object)
         return Level(
             offset=np.asarray(self.parameters.basis @ mean, np.float64),
             variance=np.asarray(self._squared @ np.maximum(variance, 0.0), np.float64),
             same_object=same_object,
             kind=kind,
-            touches_of_object=evidence.touches,
-            readings_of_history=evidence.readings,
-            object_age_s=evidence.touch_age_s,
-            history_age_s=evidence.reading_age_s,
+            evidence=self.evidence(stamp_ns, same_object=same_object),
         )
 
     def evidence(self, stamp_ns: int, *, same_object: bool = True) -> Evidence:
@@ -264,8 +257,8 @@ class SensorTracker:
     def adapt(self, level: Level, expected: Float64) -> tuple[Float64, Float64]:
         """As `predict`, at a level of this tracker since its last reading."""
         counts = expected + level.offset
-        if level.touches_of_object:
-            anchor = self._expected / level.touches_of_object
+        if level.evidence.touches:
+            anchor = self._expected / level.evidence.touches
             counts = anchor + self.parameters.worth[level.kind] * (expected - anchor) + level.offset
         factor = np.exp(self._log_factor if level.same_object else self._other_log_factor())[_MODALITY]
         half = factor * np.sqrt(level.variance + self._squared @ self.parameters.noise[level.kind])

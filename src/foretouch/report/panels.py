@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Create and save figures without a display; matplotlib is only imported when a figure is drawn."""
+"""What figures share: creation without a display, saving, fingers; matplotlib is imported when a figure is drawn."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from foretouch.errors import FileError
+from foretouch.types import Float64, Touch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,6 +19,9 @@ Rows = Sequence[Mapping[str, Any]]
 """Rows of a `results.csv`."""
 
 _DPI = 120
+
+FINGER_NAMES: Final = {"TH": "thumb", "MF": "middle finger"}
+"""In the order of g1, g2."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -51,3 +55,14 @@ def mark_off_scale(axes: Axes, lower_limit: float, y: float, text: str, colour: 
     """Draw an arrow at the left edge of the axes, with the value that lies below their lower limit."""
     axes.plot(lower_limit, y, marker="<", color=colour, clip_on=False)
     axes.annotate(text, (lower_limit, y), (6, 0), textcoords="offset points", va="center", fontsize=8)
+
+
+def finger_parts(touch: Touch, name: str) -> tuple[float, Float64]:
+    """Pressure, and (24,) float64 electrodes, of `TH` or `MF` [counts]."""
+    return (touch.pdc_th, touch.e_th) if name == "TH" else (touch.pdc_mf, touch.e_mf)
+
+
+def electrode_levels(touch: Touch, rest: Touch | None, name: str) -> Float64:
+    """(24,) float64: what the electrodes of a finger are coloured by, their drop from rest or their counts."""
+    electrodes = finger_parts(touch, name)[1]
+    return electrodes if rest is None else finger_parts(rest, name)[1] - electrodes

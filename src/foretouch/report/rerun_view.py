@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
 from foretouch.grasp.fingertip import fingertip_rotation
-from foretouch.report.fingers import FINGER_NAMES, electrode_levels, finger_parts
+from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.tactile import electrode_normals, electrode_positions
 from foretouch.types import ELECTRODES, Cloud, Float32, Float64, Grasp, Plane, Touch, TouchPrediction
@@ -46,7 +47,7 @@ _MM_A_DEGREE: Final = 0.15  # about the core, whose radius is 8 mm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Shown:
+class ViewStep:
     """One step of the time line: a cloud, what was found in it, and one grasp."""
 
     name: str  # of the input
@@ -63,7 +64,7 @@ class Shown:
     reason: str = ""  # why there is no prediction
 
 
-def write_view(path: Path, steps: Iterable[Shown], title: str) -> int:
+def write_view(path: Path, steps: Iterable[ViewStep], title: str) -> int:
     """Write a Rerun recording with a layout; returns the number of steps.
 
     Args:
@@ -112,11 +113,11 @@ class _Writer:
     def __init__(self, rerun: Any, recording: Any) -> None:
         self._rr = rerun
         self._to = recording
-        self._steps: list[Shown] = []  # without their clouds
+        self._steps: list[ViewStep] = []  # without their clouds
         self._present: set[str] = set()
         self._eye: tuple[Float64, float] | None = None  # what to look at first, and its size [m]
 
-    def write(self, steps: Iterable[Shown]) -> int:
+    def write(self, steps: Iterable[ViewStep]) -> int:
         rr = self._rr
         self._to.set_log_time_enabled(False)
         self._to.log("/scene", rr.ViewCoordinates.RDF, static=True)
@@ -158,7 +159,7 @@ class _Writer:
             self._present.remove(path)
             self._to.log(path, self._rr.Clear(recursive=True))
 
-    def _scene(self, step: Shown) -> None:
+    def _scene(self, step: ViewStep) -> None:
         rr = self._rr
         points, colours = _points(step.cloud)
         if self._eye is None and len(points):
@@ -168,7 +169,7 @@ class _Writer:
         self._log("/scene/objects", self._boxes(step.objects) if step.objects else None)
         table = None
         if step.table is not None and len(points):
-            corners = table_corners(step.table, points)
+            corners = _table_corners(step.table, points)
             table = rr.Mesh3D(vertex_positions=corners, triangle_indices=_QUAD, albedo_factor=_TABLE)
         self._log("/scene/table", table)
         lines = [[one.g1, one.g2] for one in step.candidates]
@@ -184,45 +185,53 @@ class _Writer:
             show_labels=len(bounds) > 1,
         )
 
+    def _column(self, path: str, kind: Any, rows: Sequence[Mapping[str, Any] | None], **style: Any) -> None:
+        """Write what is at a path in each step, nothing where it is None, in one style."""
+        known = [row for row in rows if row is not None]
+        columns = {name: list(chain.from_iterable(row[name] for row in known)) for name in known[0]}
+        sizes = [0 if row is None else len(next(iter(row.values()))) for row in rows]
+        self._send(path, kind.columns(**columns).partition(sizes))
+        self._to.log(path, kind.from_fields(**style), static=True)
+
     def _hands(self) -> None:
         """The pose of the hand, and both fingertips with their skin at the contacts."""
-        rr = self._rr
-        found = [k for k, step in enumerate(self._steps) if step.grasp is not None]
-        grasps = [grasp for step in self._steps if (grasp := step.grasp) is not None]
-        if not grasps:
+        rr, steps = self._rr, self._steps
+        found = [k for k, step in enumerate(steps) if step.grasp is not None]
+        grasps = [step.grasp for step in steps]
+        if not found:
             return
-        there = [int(step.grasp is not None) for step in self._steps]  # one hand in a step, or none
-        poses = [(grasp.midpoint, grasp.rotation) for grasp in grasps]
+        poses = [(grasp.midpoint, grasp.rotation) for grasp in grasps if grasp is not None]
         self._poses("/scene/hand", found, poses)
-        self._send("/scene/hand", rr.TransformAxes3D.columns(axis_length=[_AXIS_M * one for one in there]))
-        ends = [(np.stack([one.g1, one.g2]) - one.midpoint) @ one.rotation for one in grasps]
-        self._send("/scene/hand/line", rr.LineStrips3D.columns(strips=ends).partition(there))
-        self._to.log("/scene/hand/line", rr.LineStrips3D.from_fields(radii=0.0006), static=True)
+        shown = [_AXIS_M * (grasp is not None) for grasp in grasps]
+        self._send("/scene/hand", rr.TransformAxes3D.columns(axis_length=shown))
+        lines = [
+            None if one is None else {"strips": [(np.stack([one.g1, one.g2]) - one.midpoint) @ one.rotation]}
+            for one in grasps
+        ]
+        self._column("/scene/hand/line", rr.LineStrips3D, lines, radii=0.0006)
         for name, finger in FINGER_NAMES.items():
-            path = _path(finger)
-            self._poses(path, found, [fingertip_pose(one, one.g1 if name == "TH" else one.g2) for one in grasps])
-            skin = rr.Ellipsoids3D.columns(half_sizes=[_PAD.skin_axes] * len(grasps)).partition(there)
-            self._send(f"{path}/skin", skin)
-            style = rr.Ellipsoids3D.from_fields(colors=_COLOURS[name], line_radii=0.0001)
-            self._to.log(f"{path}/skin", style, static=True)
-            contact = rr.Points3D.columns(positions=[[0.0, 0.0, -_PAD.skin_axes[2]]] * len(grasps)).partition(there)
-            self._send(f"{path}/contact", contact)
-            style = rr.Points3D.from_fields(colors=_COLOURS[name], radii=0.002, labels=[finger])
-            self._to.log(f"{path}/contact", style, static=True)
+            path, colour = _path(finger), _COLOURS[name]
+            ends = [_fingertip_pose(one, one.g1 if name == "TH" else one.g2) for one in grasps if one is not None]
+            self._poses(path, found, ends)
+            skin = [None if one is None else {"half_sizes": [_PAD.skin_axes]} for one in grasps]
+            self._column(f"{path}/skin", rr.Ellipsoids3D, skin, colors=colour, line_radii=0.0001)
+            lowest = [None if one is None else {"positions": [[0.0, 0.0, -_PAD.skin_axes[2]]]} for one in grasps]
+            self._column(f"{path}/contact", rr.Points3D, lowest, colors=colour, radii=0.002, labels=[finger])
 
     def _poses(self, path: str, steps: Sequence[int], poses: Sequence[tuple[Float64, Float64]]) -> None:
         origins, rotations = zip(*poses, strict=True)
-        columns = self._rr.Transform3D.columns(translation=origins, mat3x3=rotations)
-        self._send(path, columns, steps)
+        self._send(path, self._rr.Transform3D.columns(translation=origins, mat3x3=rotations), steps)
 
     def _electrodes(self) -> None:
         """Electrodes of all steps, coloured by one scale for each finger, predicted as read."""
         from matplotlib import colormaps
 
-        rr = self._rr
-        predicted = [None if one.prediction is None else one.prediction.value for one in self._steps]
-        rows = {"predicted": predicted, "read": [one.read for one in self._steps]}
-        tared = all(one.tare is not None for one in self._steps if one.read is not None or one.prediction is not None)
+        rr, steps = self._rr, self._steps
+        touches = {
+            "predicted": [None if one.prediction is None else one.prediction.value for one in steps],
+            "read": [one.read for one in steps],
+        }
+        tared = all(one.tare is not None for one in steps if one.read is not None or one.prediction is not None)
         colours = colormaps["plasma" if tared else "viridis"]
         on_skin = electrode_positions() + _PAD.layer_m * electrode_normals()
         along, across, depth = 1e3 * electrode_positions().T
@@ -231,32 +240,29 @@ class _Writer:
             levels = {
                 what: [
                     None if touch is None else electrode_levels(touch, step.tare if tared else None, name)
-                    for touch, step in zip(touches, self._steps, strict=True)
+                    for touch, step in zip(column, steps, strict=True)
                 ]
-                for what, touches in rows.items()
+                for what, column in touches.items()
+                if any(touch is not None for touch in column)
             }
-            known = [one for column in levels.values() for one in column if one is not None]
-            if not known:
+            if not levels:
                 continue
-            low, high = np.percentile(known, [1.0, 99.0])
-            for k, (what, column) in enumerate(levels.items()):
-                path = f"/electrodes/{name}/{what}"
-                seen = [one for one in column if one is not None]
-                if not seen:
-                    continue
-                heading = rr.Points2D([[k * _GAP_MM, -15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
+            low, high = np.percentile([one for column in levels.values() for one in column if one is not None], [1, 99])
+            for what, column in levels.items():
+                path, place = f"/electrodes/{name}/{what}", np.array([_GAP_MM * (what == "read"), 0.0])
+                heading = rr.Points2D([place - [0.0, 15.0]], radii=0.01, labels=[what], colors=_CANDIDATE)
                 self._to.log(f"{path}_title", heading, static=True)
-                sizes = [0 if one is None else ELECTRODES for one in column]
-                shades = colours(np.clip((np.concatenate(seen) - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
-                places = np.tile(flat + np.array([k * _GAP_MM, 0.0]), (len(seen), 1))
-                labels = [f"{value:.0f}" for one in seen for value in one]
-                points = rr.Points2D.columns(positions=places, colors=shades, labels=labels).partition(sizes)
-                self._send(path, points)
-                self._to.log(path, rr.Points2D.from_fields(radii=1.0, show_labels=False), static=True)
+                rows: list[dict[str, Any] | None] = []
+                for one in column:
+                    if one is None:
+                        rows.append(None)
+                        continue
+                    shades = colours(np.clip((one - low) / max(high - low, 1.0), 0.0, 1.0), bytes=True)
+                    rows.append({"positions": flat + place, "colors": shades, "labels": [f"{x:.0f}" for x in one]})
+                self._column(path, rr.Points2D, rows, radii=1.0, show_labels=False)
                 if what == "predicted":
-                    spheres = rr.Points3D.columns(positions=np.tile(on_skin, (len(seen), 1)), colors=shades)
-                    self._send(f"{_path(finger)}/electrodes", spheres.partition(sizes))
-                    self._to.log(f"{_path(finger)}/electrodes", rr.Points3D.from_fields(radii=0.0012), static=True)
+                    spheres = [row and {"positions": on_skin, "colors": row["colors"]} for row in rows]
+                    self._column(f"{_path(finger)}/electrodes", rr.Points3D, spheres, radii=0.0012)
 
     def _curves(self, name: str) -> int:
         """Pressure and all electrodes of a finger over time; returns the electrode that varies most."""
@@ -289,13 +295,13 @@ class _Writer:
         return self._rr.SeriesLines(colors=colour, widths=width, names=label)
 
 
-def fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
+def _fingertip_pose(grasp: Grasp, contact: Float64) -> tuple[Float64, Float64]:
     """Origin (3,) [m] and rotation (3, 3) of a fingertip whose skin meets a contact in the middle of its pad."""
     rotation = fingertip_rotation(grasp, contact)
     return contact + rotation @ [0.0, 0.0, _PAD.skin_axes[2]], rotation
 
 
-def table_corners(table: Plane, points: Float32) -> Float64:
+def _table_corners(table: Plane, points: Float32) -> Float64:
     """(4, 3) float64 [m]: corners of the part of the table under and around (N, 3) points."""
     first = np.eye(3)[np.argmin(np.abs(table.normal))]
     u = np.cross(table.normal, first)
@@ -311,7 +317,7 @@ def _path(finger: str) -> str:
     return f"/scene/{finger.replace(' ', '_')}"
 
 
-def _point_of_interest(step: Shown, points: Float32) -> tuple[Float64, float]:
+def _point_of_interest(step: ViewStep, points: Float32) -> tuple[Float64, float]:
     """What to look at, the grasp or else the middle of the cloud, and its size [m]."""
     if step.grasp is not None:
         return step.grasp.midpoint, max(step.grasp.width_m, _LEAST_SIZE_M)
@@ -337,7 +343,7 @@ def _points(cloud: Cloud | None) -> tuple[Float32, Any]:
     return points, colormaps["cividis_r"](np.clip((points[:, 2] - near) / max(far - near, 1e-3), 0.0, 1.0), bytes=True)
 
 
-def _text(step: Shown) -> str:
+def _text(step: ViewStep) -> str:
     """The answer in Markdown."""
     lines = [f"**{step.name}**", ""]
     one = step.prediction

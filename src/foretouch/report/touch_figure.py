@@ -15,12 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from foretouch.pipeline import FoundObject
-from foretouch.report.fingers import FINGER_NAMES, electrode_levels, finger_parts
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts, new_figure, save
 from foretouch.tactile import electrode_positions
 from foretouch.types import Cloud, Float64, Grasp, GraspSample, Touch, TouchPrediction
 
-FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
+_FINGER_COLOURS = {"TH": "#d1495b", "MF": "#00798c"}  # of g1, g2 in the order of the models: thumb, middle finger
 _SHEET_COLUMNS = 2  # samples side by side
 _SHEET_DPI = 100
 _SHEET_ROW_INCHES = 2.6
@@ -67,22 +66,22 @@ def save_touch_picture(path: str | Path, grasps: Sequence[DrawnGrasp]) -> Path:
     drawn: Any = None
     parts = np.atleast_1d(np.asarray(figure.subfigures(len(grasps), 1, hspace=0.02)))
     for part, one, row in zip(parts, grasps, rows, strict=True):
-        part.suptitle("\n".join(filter(None, (one.title, agreement(one)))), fontsize=11)
+        part.suptitle("\n".join(filter(None, (one.title, _agreement(one)))), fontsize=11)
         axes = part.subplots(1, 2 + most, squeeze=False, width_ratios=[1.5, 1.3] + [1.0] * most)[0]
-        draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
-        draw_front(axes[1], one.target.cloud, one.prediction.grasp)
+        _draw_scene(axes[0], one.scene if one.scene is not None else one.target.cloud, one.target)
+        _draw_front(axes[1], one.target.cloud, one.prediction.grasp)
         for panel in axes[2 + len(row) :]:
             panel.set_axis_off()
         for panel, (name, what, touch) in zip(axes[2:], row, strict=False):
             levels = electrode_levels(touch, one.rest if tared else None, name)
-            drawn = draw_electrodes(panel, levels, tared=tared, colour=FINGER_COLOURS[name], limits=limits)
-            panel.set_title(_finger_title(one.prediction, name, what, touch), color=FINGER_COLOURS[name], fontsize=10)
+            drawn = _draw_electrodes(panel, levels, tared=tared, colour=_FINGER_COLOURS[name], limits=limits)
+            panel.set_title(_finger_title(one.prediction, name, what, touch), color=_FINGER_COLOURS[name], fontsize=10)
         if drawn is not None and row:
             _add_scale(part, drawn, list(axes[2 : 2 + len(row)]), tared=tared)
     return save(figure, Path(path))
 
 
-def agreement(one: DrawnGrasp) -> str:
+def _agreement(one: DrawnGrasp) -> str:
     """A sentence on how prediction and reading agree; why there is no prediction; "" if nothing was read."""
     value, read = one.prediction.value, one.read
     if value is None:
@@ -118,7 +117,7 @@ def save_contact_sheet(path: str | Path, samples: Sequence[GraspSample], title: 
     touches = [(sample.touch, sample.tare) for sample in samples if sample.touch is not None]
     tared = all(tare is not None for _, tare in touches)
     limits = _limits(
-        [electrode_levels(touch, tare if tared else None, name) for touch, tare in touches for name in FINGER_COLOURS]
+        [electrode_levels(touch, tare if tared else None, name) for touch, tare in touches for name in _FINGER_COLOURS]
     )
     drawn: Any = None
     for k, sample in enumerate(samples):
@@ -134,15 +133,15 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, limits: tuple[floa
     """Draw object and fingers of a sample; returns what the scale belongs to, None for an unlabelled sample."""
     front, *fingers = panels
     front.set_axis_on()
-    draw_front(front, sample.cloud, sample.grasp)
+    _draw_front(front, sample.cloud, sample.grasp)
     front.set_title(f"{sample.id}, {1e3 * sample.grasp.width_m:.0f} mm", fontsize=9)
     if sample.touch is None:
         return None
     drawn: Any = None
-    for axes, (name, colour) in zip(fingers, FINGER_COLOURS.items(), strict=True):
+    for axes, (name, colour) in zip(fingers, _FINGER_COLOURS.items(), strict=True):
         axes.set_axis_on()
         levels = electrode_levels(sample.touch, sample.tare if tared else None, name)
-        drawn = draw_electrodes(axes, levels, tared=tared, colour=colour, limits=limits, size=110)
+        drawn = _draw_electrodes(axes, levels, tared=tared, colour=colour, limits=limits, size=110)
         force = sample.extra.get(f"force_{name.lower()}_n")
         suffix = "" if force is None else f", {force:.1f} N"
         pdc, _ = finger_parts(sample.touch, name)
@@ -153,7 +152,7 @@ def _draw_sample(panels: Sequence[Axes], sample: GraspSample, limits: tuple[floa
 def _columns(one: DrawnGrasp) -> list[tuple[str, str, Touch]]:
     """Finger, `predicted` or `read`, and the touch of each panel of electrodes; those of a finger are side by side."""
     rows = (("predicted", one.prediction.value), ("read", one.read))
-    return [(name, what, touch) for name in FINGER_COLOURS for what, touch in rows if touch is not None]
+    return [(name, what, touch) for name in _FINGER_COLOURS for what, touch in rows if touch is not None]
 
 
 def _finger_title(prediction: TouchPrediction, name: str, what: str, touch: Touch) -> str:
@@ -173,7 +172,7 @@ def _limits(levels: Sequence[Float64]) -> tuple[float, float]:
     return (float(np.min(levels)), float(np.max(levels))) if levels else (0.0, 1.0)
 
 
-def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
+def _draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
     """Draw the scene from the camera, coloured by depth, with the outline of the target.
 
     An organised cloud is drawn as a depth image, an unorganised one as points with x right and y down [m].
@@ -199,7 +198,7 @@ def draw_scene(axes: Axes, scene: Cloud, target: FoundObject) -> None:
     axes.figure.colorbar(drawn, ax=axes, location="bottom", label="depth [m]", shrink=0.9)
 
 
-def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
+def _draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     """Draw the object from the camera, with both contacts, their fingers and the line between them [m]."""
     points = _finite_subset(target)
     axes.scatter(points[:, 0], points[:, 1], s=3, c=points[:, 2], cmap="cividis_r", linewidths=0)
@@ -207,7 +206,7 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     axes.plot(ends[:, 0], ends[:, 1], color="black", linewidth=1)
     middle, half = (points.min(axis=0) + points.max(axis=0)) / 2.0, 0.9 * float(np.ptp(points[:, :2], axis=0).max())
     upper = int(ends[1, 1] < ends[0, 1])  # y points down
-    for k, (name, colour) in enumerate(FINGER_COLOURS.items()):
+    for k, (name, colour) in enumerate(_FINGER_COLOURS.items()):
         axes.scatter(ends[k, 0], ends[k, 1], s=70, color=colour, edgecolors="white", zorder=3)
         axes.annotate(
             FINGER_NAMES[name],
@@ -225,7 +224,7 @@ def draw_front(axes: Axes, target: Cloud, grasp: Grasp) -> None:
     _as_image(axes, f"grasp, {1e3 * grasp.width_m:.0f} mm wide")
 
 
-def draw_electrodes(
+def _draw_electrodes(
     axes: Axes,
     levels: Float64,
     *,

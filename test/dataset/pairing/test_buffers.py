@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from pair_builders import NONE, PERIOD, REST, SECOND, T0
 
-from foretouch.dataset.pairing import CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing import SerializedCloud, TouchBuffer, TouchReading
+from foretouch.dataset.pairing.buffers import CloudBuffer
 
 
 def feed(buffer: TouchBuffer, *stamps: int) -> None:

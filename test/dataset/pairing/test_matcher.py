@@ -10,19 +10,18 @@ import pytest
 from pair_builders import SECOND, Named, interval, level, stream
 
 from foretouch.dataset.pairing import (
-    CloudBuffer,
-    ContactEpisodes,
     ExecutedGrasp,
-    GraspTouchMatcher,
     Interval,
     Label,
-    MatchedGrasp,
     PairingConfig,
     PairingError,
     RejectedGrasp,
     SerializedCloud,
     TouchBuffer,
 )
+from foretouch.dataset.pairing.buffers import CloudBuffer
+from foretouch.dataset.pairing.matcher import GraspTouchMatcher, MatchedGrasp
+from foretouch.dataset.pairing.sensors import ContactEpisodes
 from foretouch.simulation.message_faults import FaultConfig
 
 CONFIG = PairingConfig(wait_s=1.0)

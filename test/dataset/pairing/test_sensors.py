@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from pair_builders import REST
 
-from foretouch.dataset.pairing import SensorHealth
+from foretouch.dataset.pairing.sensors import SensorHealth
 
 MIDDLE = np.r_[1, 26:50]
 
@@ -26,7 +26,7 @@ def test_working_sensors_are_alive_and_silence_is_noticed() -> None:
 
 
 def test_the_finger_at_fault_is_named() -> None:
-    health, rng = SensorHealth(constant=300, frozen=50), np.random.default_rng(0)
+    health, rng = SensorHealth(), np.random.default_rng(0)
     counts = noisy(rng)
     counts[26:] = 0
     health.update(counts)
@@ -39,15 +39,15 @@ def test_the_finger_at_fault_is_named() -> None:
 
 
 def test_a_frozen_stream_and_a_pdc_that_never_moves() -> None:
-    health, rng = SensorHealth(constant=300, frozen=50), np.random.default_rng(0)
-    for _ in range(51):
+    health, rng = SensorHealth(), np.random.default_rng(0)
+    for _ in range(201):
         counts = noisy(rng)
         counts[MIDDLE] = REST[MIDDLE]
         health.update(counts)
-    assert health.states == {"TH": "alive", "MF": "frozen: the same 51 times, or simulated without noise"}
-    for _ in range(301):
+    assert health.states == {"TH": "alive", "MF": "frozen: the same 201 times, or simulated without noise"}
+    for _ in range(3001):
         counts = noisy(rng)
         counts[0] = 2779
         health.update(counts)
-    assert health.states["TH"].startswith("dead: PDC constant at 2779 over 30")
+    assert health.states["TH"].startswith("dead: PDC constant at 2779 over 300")
     assert health.states["MF"] == "alive"

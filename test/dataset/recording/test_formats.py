@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 from recording_builders import MESSAGE, TACTILE, record, write_dataset
 from rosbags.highlevel import AnyReader
 
-from foretouch.dataset.bag import Recording, list_topics
+from foretouch.dataset.bag import Recording
 from foretouch.dataset.recording import SAMPLE_TOPIC, repair_dataset
 from foretouch.dataset.recording.sample_codec import SAMPLE_TYPE
 
@@ -60,7 +60,7 @@ def test_rosbags_reads_it_and_decodes_the_samples(file: Path) -> None:
 
 
 def test_the_topics_tell_their_types(file: Path) -> None:
-    topics = {topic.name: topic for topic in list_topics(file)}
+    topics = {topic.name: topic for topic in Recording(file).topics}
     assert topics[SAMPLE_TOPIC].type == SAMPLE_TYPE
     assert topics[SAMPLE_TOPIC].stamped
     assert topics[TACTILE].count == 10

@@ -243,7 +243,6 @@ def test_a_topic_must_be_declared_and_keeps_its_type(tmp_path: Path) -> None:
             writer.add_topic("/a", TACTILE_TYPE)
         with pytest.raises(DatasetError, match="log_time_ns: -1 is no time since 1970"):
             writer.write("/a", MESSAGE, -1)
-        writer.add_topic("/b", "my_msgs/msg/Odd", "float64 x\nstd_msgs/String text\n")
     assert_clean(tmp_path / "ds")
 
 

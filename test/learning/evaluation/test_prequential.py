@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay in order of time: nothing later enters a prediction, and the memory and the baselines are those of their definitions."""
+"""Replay in order of time: nothing later enters a prediction, and the baselines are those of their definitions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calibrated_models import REST, make_calibration
 from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import DatasetError
-from foretouch.learning.evaluation.prequential import Recording, baselines, other_objects_mean, replay, replay_memory
+from foretouch.learning.evaluation.prequential import Recording, baselines, other_objects_mean, replay
 from foretouch.models.tracker import SensorTracker
 
 S = 10**9
@@ -24,14 +24,14 @@ def recording(rng: np.random.Generator, names: str = "aabbba", tares: bool = Fal
     offsets = rng.normal(0.0, 10.0, (count, 50)) if tares else None
     stamps = 1_700_000_000 * S + np.arange(count) * 3600 * S
     order = rng.permutation(count)
-    made = Recording.ordered(stamps[order], np.array(list(names))[order], readings[order], expected[order], offsets)
+    made = Recording(stamps[order], np.array(list(names))[order], readings[order], expected[order], offsets).ordered()
     assert "".join(made.objects) == names
     assert_array_equal(made.readings, readings)
     return made
 
 
 def tracker() -> SensorTracker:
-    patient = replace(CALIBRATION.tracker_parameters(), alarm=np.full((2, 2), 1e6))  # never restarts a finger
+    patient = replace(CALIBRATION.tracker_parameters, alarm=np.full((2, 2), 1e6))  # never restarts a finger
     return SensorTracker(patient)
 
 
@@ -68,21 +68,16 @@ def test_an_unlabelled_grasp_is_predicted_and_not_remembered(rng) -> None:
     readings[1] = np.nan
     played = replay(tracker(), replace(made, readings=readings))
     assert np.isfinite(played.counts).all()
-    assert [level.readings_of_history for level in played.levels] == [0, 1, 1, 2, 3, 4]
+    assert [level.evidence.readings for level in played.levels] == [0, 1, 1, 2, 3, 4]
 
 
-def test_the_memory_is_that_of_the_calibration(rng) -> None:
-    made, group = recording(rng), CALIBRATION.groups["new"]
-    counts, half = replay_memory(group, made)
-    before = slice(2, 4)
-    wanted = group.counts_after(
-        made.expected[4:5], made.expected[before].mean(axis=0), made.readings[before].mean(axis=0), 2
-    )
-    assert_allclose(counts[4], wanted[0])
-    assert_allclose(half[4], group.half_width_after(2))
-    assert_array_equal(counts[5], made.expected[5])
-    # Without a state, the tracker is the same memory.
-    assert_allclose(replay(tracker(), made).counts, counts, atol=1e-8)
+def test_without_the_sensors_each_object_begins_as_the_first(rng) -> None:
+    made = recording(rng)
+    played = replay(tracker(), made, keep_sensors=False)
+    for run in range(3):
+        alone = replay(tracker(), made.take(made.runs() == run))
+        assert_array_equal(played.counts[made.runs() == run], alone.counts)
+        assert_array_equal(played.half[made.runs() == run], alone.half)
 
 
 def test_baselines_know_times_and_readings_only(rng) -> None:
@@ -106,6 +101,6 @@ def test_baselines_know_times_and_readings_only(rng) -> None:
 
 def test_recordings_without_stamps_or_with_one_object_are_refused(rng) -> None:
     with pytest.raises(DatasetError, match="has no stamp"):
-        Recording.ordered([0, 5], ["a", "b"], *np.zeros((2, 2, 50)))
+        Recording(np.array([0, 5]), np.array(["a", "b"]), *np.zeros((2, 2, 50))).ordered()
     with pytest.raises(DatasetError, match="all readings are of a"):
         other_objects_mean(recording(rng, "aaa"))

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from recording_builders import read_folder
 from safetensors.numpy import load_file
 
 from foretouch.cli.main import main
 from foretouch.cloud.io.files import write_cloud
-from foretouch.dataset.vision2tactile import folder_sha256, read_folder
+from foretouch.dataset.vision2tactile import folder_sha256
 from foretouch.models import load_model
 
 CONFIG = """

@@ -13,10 +13,11 @@ from experiment_samples import make_samples
 from numpy.testing import assert_array_equal
 
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.prequential import Recording, replay, replay_memory
+from foretouch.learning.evaluation.prequential import Recording, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.contact import ContactPredictor
 from foretouch.learning.training.tracker import fit_tracker
+from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.models.tracker import SensorTracker
 
@@ -38,7 +39,7 @@ def campaign(
     names = np.repeat([f"o{k:02}" for k in range(objects)], each)
     offsets = np.array(levels) + rng.normal(0.0, 4.0, lasting.shape) if tares else None
     stamps = (1_700_000_000 + seconds) * 1e9
-    return Recording.ordered(stamps.astype(np.int64), names, readings, np.tile(REST, (len(names), 1)), offsets)
+    return Recording(stamps.astype(np.int64), names, readings, np.tile(REST, (len(names), 1)), offsets).ordered()
 
 
 def fitted(recording: Recording) -> TrackerParameters:
@@ -74,10 +75,11 @@ def test_on_another_campaign_it_beats_the_memory_and_its_intervals_cover(rng) ->
     held_out = HeldOutPredictions(first.expected, first.readings, first.objects, first.objects)
     group = fit_group(held_out, new=True)
     played = replay(SensorTracker(fit_tracker(first, group, group)), second)
-    memory = replay_memory(group, second)[0]
-    errors = [np.mean((values - second.readings) ** 2) for values in (played.counts, memory)]
+    forgetful = Calibration(REST, {"known": group, "new": group}).tracker_parameters
+    memory = replay(SensorTracker(forgetful), second, keep_sensors=False)
+    errors = [np.mean((one.counts - second.readings) ** 2) for one in (played, memory)]
     untouched = second.touches() == 0
-    begun = [np.mean((values - second.readings)[untouched] ** 2) for values in (played.counts, memory)]
+    begun = [np.mean((one.counts - second.readings)[untouched] ** 2) for one in (played, memory)]
     assert begun[0] < 0.7 * begun[1]
     assert errors[0] < 0.9 * errors[1]
     assert abs(np.mean(np.abs(played.counts - second.readings) <= played.half) - 0.9) < 0.03

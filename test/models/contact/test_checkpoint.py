@@ -20,9 +20,10 @@ from foretouch.models.calibration import Calibration, add_calibration, load_cali
 from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.files import packed, read_tensors
+from foretouch.models.hand_history import HandHistory
 from foretouch.models.novelty import Fallback
 from foretouch.models.registry import load_model
-from foretouch.models.touch_model import ObjectResiduals, TouchModel
+from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import P2_RANGES
 from foretouch.types import Touch
 
@@ -64,11 +65,11 @@ def rewrite(card: Path, name: str, value: Any, *, calibration: bool = False) -> 
 
 def everything(model: TouchModel) -> np.ndarray:
     """Values and bounds without adaptation, with a tare, and with touches."""
-    residuals = ObjectResiduals(model, TARE)
+    history = HandHistory(model)
     for sample in SAMPLES[:3]:
-        residuals.add(sample.cloud, sample.grasp, sample.touch)
+        history.add_touch(sample.stamp_ns, sample.cloud, sample.grasp, sample.touch)
     found = []
-    for adapted in ({}, {"tare": TARE}, {"residuals": residuals}):
+    for adapted in ({}, {"tare": TARE}, {"history": history.at(SAMPLES[3].stamp_ns, same_object=True)}):
         for sample in SAMPLES[5::8]:
             (one,) = model.predict(sample.cloud, [sample.grasp], **adapted)
             found += [one.value.vector(), one.lower.vector(), one.upper.vector()]

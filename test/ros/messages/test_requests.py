@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What other nodes send is read, or refused with a status and a reason in one line."""
 
-import json
-
 import numpy as np
 import pytest
 from every_case import every_case
 from shape_msgs.msg import Plane
 
-from foretouch.cli.run import _print_answer
+from foretouch.cli.answers import answer_record
 from foretouch.errors import ModelError
 from foretouch.ros.messages.conversions import (
     grasp_to_msg,
@@ -43,7 +41,7 @@ def test_a_table_that_was_not_found_is_refused_with_a_reason():
     )
 
 
-def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(capsys):
+def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed():
     prediction = TouchPrediction(grasp=GRASP, value=Touch.from_vector(np.full(50, 2000.0)), lower=None, upper=None)
     good, strange = (prediction_to_msg(prediction, grasp_to_msg(GRASP), HEADER) for _ in range(2))
     strange.reference = 77
@@ -54,7 +52,6 @@ def test_a_prediction_with_an_unknown_reference_is_refused_and_still_printed(cap
     bad = grasp_to_msg(GRASP)
     bad.g1.x = float("nan")
     refused = refusal_to_msg(bad, HEADER, Status.BAD_GRASP, "g1: is not finite")
-    _print_answer(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))
-    lines = json.loads(capsys.readouterr().out)["predictions"]
+    lines = answer_record(TouchPredictionArray(header=HEADER, predictions=[good, strange, refused]))["predictions"]
     assert lines[0]["status"] == "ok"
     assert lines[1:] == [{"status": "failed", "reason": reason}, {"status": "bad_grasp", "reason": "g1: is not finite"}]

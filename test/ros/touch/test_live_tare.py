@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from pair_builders import PERIOD, REST, T0, interval, stream, true_counts
 
-from foretouch.ros.touch.tactile_state import LiveTare
+from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile.contact_detector import ContactConfig
 
 MS = 1_000_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The touch predictor beside a hand, over real DDS: what it has felt moves its predictions as the core's memory says."""
+"""The touch predictor beside a hand, over real DDS: readings move its predictions as they move those of the core."""
 
 from __future__ import annotations
 
@@ -25,25 +25,22 @@ from foretouch.dataset.messages import decode_grasp
 from foretouch.dataset.pairing import Interval, PairingConfig, TouchBuffer, TouchReading, cut_touch
 from foretouch.models import load_model
 from foretouch.models.hand_history import HandHistory
-from foretouch.models.touch_model import ObjectResiduals
 from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
 from foretouch.ros.touch.online_adapter import OnlineAdapter
-from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
-from foretouch.tactile import offsets, restore
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
 from foretouch.tactile.messages.table import stamp_ns
-from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch, TouchPrediction
+from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, Touch
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray, Status, TouchPredictionArray
 from foretouch_msgs.msg import TouchPrediction as TouchPredictionMsg
 from foretouch_msgs.srv import PredictTouch
 
 pytestmark = pytest.mark.ros
 
-NAMES = {TouchPredictionMsg.NONE: "none", TouchPredictionMsg.TARE: "tare", TouchPredictionMsg.TOUCHES: "touches"}
+NAMES = {getattr(TouchPredictionMsg, name.upper()): name for name in ("none", "tare", "touches", "history")}
 
 
 @pytest.fixture(scope="module")
@@ -142,48 +139,48 @@ def start_awake(graph: Any, card: str, **parameters: Any) -> Hand:
     return hand
 
 
-def assert_told(message: TouchPredictionMsg, wanted: TouchPrediction) -> None:
-    """All 150 numbers are those of the core, to the last bit of a float32."""
-    rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
-    for field in ("value", "lower", "upper"):
-        told = np.array([getattr(row, field) for row in rows], np.float32)
-        np.testing.assert_array_equal(told, getattr(wanted, field).vector().astype(np.float32))
-    assert NAMES[message.reference] == wanted.reference
-
-
-def assert_answer(answer: TouchPredictionArray, hand: Hand, **adapted: Any) -> None:
-    wanted = load_model(hand.node.config.model).predict(hand.cloud, hand.planned, **adapted)
+def assert_answer(
+    answer: TouchPredictionArray, hand: Hand, read: HandHistory | None = None, *, tare: bool = False
+) -> None:
+    """All 150 numbers are those of the core after the same readings, up to the drift within some seconds."""
+    history = None if read is None else read.at(time.time_ns(), same_object=True, tare=tare)
+    model = load_model(hand.node.config.model) if read is None else read.model
+    wanted = model.predict(hand.cloud, hand.planned, history=history)
     for message, one in zip(answer.predictions, wanted, strict=True):
-        assert_told(message, one)
+        rows = [message.pdc_th, message.pdc_mf, *message.e_th, *message.e_mf]
+        for field in ("value", "lower", "upper"):
+            found = np.array([getattr(row, field) for row in rows], np.float32)
+            exact = getattr(one, field).vector().astype(np.float32)
+            np.testing.assert_allclose(found, exact, rtol=0.0, atol=0.0 if read is None else 0.02)
+        assert NAMES[message.reference] == one.reference
 
 
-def test_predictions_shift_as_the_memory_says_to_the_bit_and_forgetting_undoes_it(graph: Any, card: str) -> None:
+def test_predictions_shift_as_those_of_the_core_and_forgetting_undoes_it(graph: Any, card: str) -> None:
     hand = start_awake(graph, card, use_tare=False)
-    first = hand.ask()
-    assert_answer(first, hand)
-    memory = ObjectResiduals(load_model(card))
+    assert_answer(hand.ask(), hand)
+    history = HandHistory(load_model(card))
     for number in range(3):
         times = hand.touch(f"g-{number}", number)
-        memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
-        assert_answer(hand.ask(), hand, residuals=memory)
+        history.add_touch(time.time_ns(), hand.cloud, hand.planned[0], hand.cut(times).touch)
+        assert_answer(hand.ask(), hand, history)
     assert (hand.notes()["touches"], hand.outcomes()) == ("3", {"taken_in": 3})
     assert hand.notes()["regime"].startswith("touches (")
 
     answer = graph.call(Trigger, "forget_touches", Trigger.Request())
     assert (answer.success, answer.message) == (True, "3 touches forgotten")
-    assert_answer(hand.ask(), hand)
+    assert NAMES[hand.ask().predictions[0].reference] == "history"
     assert hand.notes()["touches"] == "0"
+    graph.call(Trigger, "forget_history", Trigger.Request())
+    assert_answer(hand.ask(), hand)
 
 
-def test_with_a_tare_readings_count_by_their_change_from_it(graph: Any, card: str) -> None:
+def test_a_touch_brings_the_tare_before_it(graph: Any, card: str) -> None:
     hand = start_awake(graph, card)
-    memory = None
-    for number in range(2):
-        cut = hand.cut(hand.touch(f"g-{number}", number))
-        memory = memory or ObjectResiduals(load_model(card), cut.tare)
-        memory.add(hand.cloud, hand.planned[0], restore(offsets(cut.touch, cut.tare), memory.tare))
-    assert_answer(hand.ask(), hand, residuals=memory)
-    assert "_tare" in hand.notes()["regime"]
+    cut = hand.cut(hand.touch("g", 0))
+    history = HandHistory(load_model(card))
+    history.add_tare(time.time_ns(), cut.tare)
+    history.add_touch(time.time_ns(), hand.cloud, hand.planned[0], cut.touch)
+    assert_answer(hand.ask(), hand, history)
 
 
 def test_a_hand_at_rest_gives_a_tare_and_one_in_contact_none(graph: Any, card: str) -> None:
@@ -194,18 +191,19 @@ def test_a_hand_at_rest_gives_a_tare_and_one_in_contact_none(graph: Any, card: s
     graph.until(lambda: int(hand.notes()["tactile.received"]) == 250)
     rest = hand.ask().predictions[0]
     assert rest.reference == TouchPredictionMsg.TARE
-    counts = np.array([np.r_[m.tactiles[4].pdc, m.tactiles[4].electrodes] for m in hand.felt], float)
+    counts = np.array([m.tactiles[4].pdc for m in hand.felt], float)
     window = [k for k in range(250) if 250 - 1 - 9 - 30 - 50 <= k <= 250 - 1 - 30]
-    median = np.median(counts[window], axis=0)[0]
-    assert rest.pdc_th.value == pytest.approx(
-        load_model(card).predict(hand.cloud, hand.planned)[0].value.pdc_th + median - 2600.0, abs=0.6
-    )
+    tare = hand.node._adapter._recent_tare(hand.node.config)
+    assert tare.pdc_th == pytest.approx(np.median(counts[window]), abs=0.6)
+    history = HandHistory(load_model(card))
+    history.add_tare(time.time_ns(), tare)
+    assert_answer(hand.ask(), hand, history, tare=True)
     hand.feel(level(3), 60)
     graph.until(lambda: int(hand.notes()["tactile.received"]) == 310)
     held = hand.ask().predictions[0]
     assert held.pdc_th.value == pytest.approx(rest.pdc_th.value, abs=1.0)  # that from before the contact
     graph.until(lambda: float(hand.notes()["tare_age_s"]) > 3.0)
-    assert hand.ask().predictions[0].reference == TouchPredictionMsg.NONE
+    assert hand.ask().predictions[0].reference == TouchPredictionMsg.HISTORY
 
 
 def test_a_dead_sensor_is_refused_counted_and_named(graph: Any, card: str) -> None:
@@ -258,13 +256,13 @@ def test_another_object_is_told_by_its_place_and_an_old_touch_by_its_age(graph: 
     for shift in (0.0, 0.015, 0.05):
         hand.shift = np.array([shift, 0.0, 0.0], np.float32)
         references.append(NAMES[hand.ask().predictions[0].reference])
-    assert references == ["touches", "touches", "none"]
+    assert references == ["touches", "touches", "history"]
     hand.touch("elsewhere", 1)  # memory begins with the object that was touched last
     assert NAMES[hand.ask().predictions[0].reference] == "touches"
     assert hand.notes()["touches"] == "1"
     change = SetParameters.Request(parameters=[Parameter("forget_after_s", value=0.0).to_parameter_msg()])
     assert graph.call(SetParameters, "touch_predictor/set_parameters", change).results[0].successful
-    assert NAMES[hand.ask().predictions[0].reference] == "none"
+    assert NAMES[hand.ask().predictions[0].reference] == "history"
     assert hand.notes()["touches"] == "0"
 
 
@@ -272,14 +270,14 @@ def test_the_service_leans_on_touches_too(graph: Any, card: str) -> None:
     hand = start_awake(graph, card, use_tare=False)
     times = hand.touch("g", 0)
     graph.until(lambda: hand.heard)  # else the service may come before the cloud
-    memory = ObjectResiduals(load_model(card))
-    memory.add(hand.cloud, hand.planned[0], hand.cut(times).touch)
+    history = HandHistory(load_model(card))
+    history.add_touch(time.time_ns(), hand.cloud, hand.planned[0], hand.cut(times).touch)
     request = PredictTouch.Request(
         cloud=objects_to_msg([FoundObject("7", hand.cloud, ASSUMED_TABLE)], FRAME, hand.now),
         grasps=[grasp_to_msg(grasp) for grasp in hand.planned],
     )
     answer = graph.call(PredictTouch, "predict_touch", request).touch
-    assert_answer(answer, hand, residuals=memory)
+    assert_answer(answer, hand, history)
     assert decode_grasp(answer.predictions[0].grasp).id == "g/0"
 
 
@@ -295,9 +293,9 @@ def test_a_grasp_that_a_planner_asked_about_teaches_as_a_planned_one(graph: Any,
     asked, hand.see = hand.cloud, lambda _: None  # the planner has its own plan
     cut = hand.cut(hand.touch("mine", 2))
     del hand.see
-    memory = ObjectResiduals(load_model(card))
-    memory.add(asked, mine, cut.touch)
-    assert_answer(hand.ask(), hand, residuals=memory)
+    history = HandHistory(load_model(card))
+    history.add_touch(time.time_ns(), asked, mine, cut.touch)
+    assert_answer(hand.ask(), hand, history)
 
 
 def test_a_change_of_use_tare_forgets_and_use_touches_ignores(graph: Any, card: str) -> None:
@@ -387,7 +385,7 @@ def direct(card: str) -> DirectHand:
     adapter = OnlineAdapter(
         model,
         make_reader(TactileConfig()),
-        ObjectMemory(model),
+        HandHistory(model),
         lambda: settings,
         lambda: hand[0].now if hand else START,
         print,
@@ -455,7 +453,7 @@ def test_touches_of_another_object_stay_in_the_history(graph: Any, tracked: str)
     hand.shift = np.array([0.05, 0.0, 0.0], np.float32)  # another object
     other = first(hand.ask())
     assert (other.reference, other.touches, other.readings) == (TouchPredictionMsg.HISTORY, 0, 2)
-    assert width(touched) < width(other) < width(unread)
+    assert width(other) < width(unread)
     assert hand.notes()["history.readings"] == "2"
     answer = graph.call(Trigger, "forget_history", Trigger.Request())
     assert (answer.success, answer.message) == (True, "2 readings forgotten")
@@ -490,8 +488,7 @@ def test_a_clock_that_was_set_back_is_reported_once(tracked: str) -> None:
     tare, now = Touch.from_vector(TOUCH_REST), [START]
     history = HandHistory(model)
     history.add_tare(START, tare)
-    memory = HandMemory(history, lambda: now[0])
-    adapter = OnlineAdapter(model, make_reader(TactileConfig()), memory, lambda: settings, lambda: now[0], said.append)
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), history, lambda: settings, lambda: now[0], said.append)
     adapter._recent_tare = lambda _: tare
     cloud = Cloud(np.random.default_rng(0).uniform(-0.04, 0.04, (300, 3)).astype(np.float32) + np.float32([0, 0, 0.8]))
     grasp = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.eye(3))

@@ -8,7 +8,7 @@ given by the caller.
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from foretouch.dataset.messages import decode_grasp, decode_objects, read_header
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, SerializedCloud, TouchBuffer, TouchReading
@@ -38,37 +38,24 @@ _CLOUD_TIMEOUT_S: Final = 3.0  # a busy scene may give one object cloud a second
 
 @dataclass(frozen=True, kw_only=True)
 class AssemblerConfig:
-    """How samples are assembled.
-
-    Attributes:
-        pairing: Settings of the pairing.
-        contact: Settings of the contact detector.
-        object: Label of the object on the table; "" becomes `unknown`.
-        note: Note for every sample.
-        unlabelled_s: Minimum time between two samples without a touch, by stamps of their clouds [s]; None for none.
-        assume_grasps: See `GraspTouchMatcher`.
-        successes_only: See `GraspTouchMatcher`.
-        watch_sensors: Whether contacts are detected and the state of the sensors is followed, which takes time.
-        check_clock: Whether the time of reception is that of a live system, so that clocks can be compared.
-    """
+    """How samples are assembled."""
 
     pairing: PairingConfig = PairingConfig()
     contact: ContactConfig = ContactConfig()
-    object: str = ""
-    note: str = ""
-    unlabelled_s: float | None = None
-    assume_grasps: bool = False
-    successes_only: bool = False
-    watch_sensors: bool = False
-    check_clock: bool = True
+    object: str = ""  # label of the object on the table; "" becomes `unknown`
+    note: str = ""  # for every sample
+    unlabelled_s: float | None = None  # minimum time between two samples without a touch, by stamps of clouds [s]
+    assume_grasps: bool = False  # whether a contact without a report belongs to the best grasp of the last cloud before
+    successes_only: bool = False  # whether grasps that failed after contact are rejected too
+    watch_sensors: bool = False  # whether contacts are detected and the sensors' state is followed, which takes time
+    check_clock: bool = True  # whether the time of reception is that of a live system, so that clocks can be compared
 
 
-@dataclass(frozen=True, eq=False)
-class AssembledSample:
-    """A sample."""
+class AssembledSample(NamedTuple):
+    """A sample as it is recorded, without an id, and its readings; None for a sample without a touch."""
 
-    record: SampleRecord  # the sample as it is recorded, without an id
-    cut: TouchCut | None = None  # its readings; None for a sample without a touch
+    record: SampleRecord
+    cut: TouchCut | None = None
 
 
 class SampleAssembler:
@@ -146,11 +133,11 @@ class SampleAssembler:
     # Input.
 
     def add(self, role: Role, message: Any, *, received_ns: int, now_s: float) -> None:
-        """Add a message.
+        """Add a tactile message of the reader's type, a `SerializedCloud`, a `GraspArray` or an `ExecutedGrasp`.
 
         Args:
             role: What its topic holds.
-            message: A tactile message of the reader's type, a `SerializedCloud`, a `GraspArray` or an `ExecutedGrasp`.
+            message: The message.
             received_ns: When it was received, by the clock of the stamps [ns].
             now_s: Time of a clock that never goes back [s].
 
@@ -208,22 +195,20 @@ class SampleAssembler:
             self._health.silence()
         results: list[AssembledSample | RejectedGrasp] = [*self._unlabelled()]
         for one in self._matcher.poll(now_s, ending=ending):
-            result = one if isinstance(one, RejectedGrasp) else self._labelled(one)
+            result: AssembledSample | RejectedGrasp
+            if isinstance(one, RejectedGrasp):
+                result = one
+            else:
+                try:
+                    result = AssembledSample(self._labelled(one), one.cut)
+                except PairingError as err:
+                    result = RejectedGrasp(grasp_id=one.executed.grasp_id, reason=err.reason, message=str(err))
             self.results["recorded" if isinstance(result, AssembledSample) else result.reason] += 1
             results.append(result)
         if ending:
             self._remove(self._clouds.clear())
             results += self._unlabelled()
         return results
-
-    def _labelled(self, match: MatchedGrasp) -> AssembledSample | RejectedGrasp:
-        name = match.executed.grasp_id
-        try:
-            record = self._labelled_record(match)
-        except PairingError as err:
-            return RejectedGrasp(grasp_id=name, reason=err.reason, message=str(err))
-        self._labelled_clouds.add(match.cloud.stamp_ns)
-        return AssembledSample(record, match.cut)
 
     def _remove(self, clouds: list[BufferedCloud]) -> None:
         """Clouds that left the buffer may become samples without a touch."""
@@ -244,16 +229,15 @@ class SampleAssembler:
             if last is not None and abs(cloud.stamp_ns - last) < every_s * 1e9:
                 continue
             try:
-                samples.append(AssembledSample(self._unlabelled_record(cloud, plan)))
+                samples.append(AssembledSample(self._without_touch(cloud, plan)))
+                self._last_unlabelled_ns = cloud.stamp_ns
             except PairingError as err:
                 self.rejected_clouds[f"unlabelled {err.reason}"] += 1
-            else:
-                self._last_unlabelled_ns = cloud.stamp_ns
         return samples
 
     # Records.
 
-    def _labelled_record(self, match: MatchedGrasp) -> SampleRecord:
+    def _labelled(self, match: MatchedGrasp) -> SampleRecord:
         label, cut, window, executed = match.label, match.cut, match.cut.window, match.executed
         grasp, candidates = _grasps(match.plan, executed.grasp_id)
         sample = GraspSample(
@@ -266,6 +250,7 @@ class SampleAssembler:
             stamp_ns=executed.interval.contact if executed.interval else 0,
             extra={"clock_offset_s": cut.clock_ns * 1e-9},
         )
+        self._labelled_clouds.add(match.cloud.stamp_ns)
         others = {name: window.others[:, k].copy() for k, name in enumerate(self._reader.others)}
         discard = (DISCARDED,) if label and label.discard else ()
         return SampleRecord(
@@ -280,7 +265,7 @@ class SampleAssembler:
             flags=(*self._reader.flags, *executed.flags, *cut.flags, *discard),
         )
 
-    def _unlabelled_record(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
+    def _without_touch(self, cloud: BufferedCloud, plan: PlannedGrasps) -> SampleRecord:
         grasp, candidates = _grasps(plan, plan.grasps[0].id)
         sample = GraspSample(
             id="",

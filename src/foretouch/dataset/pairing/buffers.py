@@ -22,6 +22,7 @@ from foretouch.types import TOUCH_SIZE, Float32
 
 _SECOND_NS = 1_000_000_000
 _MB = 1_000_000
+_LEAP_NS = _SECOND_NS  # a stamp further than this from the newest is a leap; a smaller step back is jitter
 _TRIM_EVERY = 100  # readings; removing the front of a list takes time
 
 
@@ -59,7 +60,6 @@ class TouchBuffer:
 
     Args:
         kept_s: How long readings are kept, by their stamps [s].
-        leap_s: A stamp further than this from the newest is a leap; a smaller step back is jitter [s].
         max_readings: Maximum number of readings.
 
     Attributes:
@@ -68,11 +68,10 @@ class TouchBuffer:
         newest_ns: Latest stamp [ns], None before the first.
     """
 
-    def __init__(self, kept_s: float = 60.0, leap_s: float = 1.0, max_readings: int = 100_000) -> None:
+    def __init__(self, kept_s: float = 60.0, max_readings: int = 100_000) -> None:
         self.anomalies: Counter[str] = Counter()
         self.newest_ns: int | None = None
         self._kept_ns = round(kept_s * _SECOND_NS)
-        self._leap_ns = round(leap_s * _SECOND_NS)
         self._max_readings = max_readings
         self._suspect: TouchReading | None = None
         self._stamps: list[int] = []
@@ -82,13 +81,11 @@ class TouchBuffer:
         return len(self._stamps)
 
     def add(self, reading: TouchReading) -> tuple[TouchReading, ...]:
-        """Add a reading, in any order.
+        """Add a reading, in any order, and return the readings that are accepted now.
 
-        Returns:
-            The readings that are accepted now: this one; none while its stamp is in question; or also the one before
-            it, whose stamp it has confirmed. Tare and contact detectors use these alone.
+        That is this one; none while its stamp is in question; or also the one before it, whose stamp it has confirmed.
         """
-        if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > self._leap_ns:
+        if self.newest_ns is not None and abs(reading.stamp_ns - self.newest_ns) > _LEAP_NS:
             return self._add_leap(reading)
         if self._suspect is not None:
             self.anomalies["wrong_stamp"] += 1
@@ -126,7 +123,7 @@ class TouchBuffer:
         before, self._suspect = self._suspect, reading
         if before is None:
             return ()
-        if abs(reading.stamp_ns - before.stamp_ns) > self._leap_ns:
+        if abs(reading.stamp_ns - before.stamp_ns) > _LEAP_NS:
             self.anomalies["wrong_stamp"] += 1  # the reading before; this one is now the suspect
             return ()
         self._suspect = None
@@ -193,13 +190,7 @@ class CloudBuffer:
         return self._clouds.get(stamp_ns)
 
     def add(self, stamp_ns: int, message: SerializedCloud, now_s: float) -> list[BufferedCloud]:
-        """Add a cloud; gives the clouds that were removed for it.
-
-        Args:
-            stamp_ns: Stamp of its header [ns].
-            message: The cloud; not copied.
-            now_s: Time of a clock that never goes back [s].
-        """
+        """Add a cloud by the stamp of its header [ns], and return the clouds that were removed for it."""
         known = self._clouds.get(stamp_ns)
         if known is not None:
             ambiguous = known.ambiguous or known.message.data != message.data
@@ -208,17 +199,16 @@ class CloudBuffer:
         self._clouds[stamp_ns] = BufferedCloud(stamp_ns, message, now_s)
         self.bytes += len(message.data)
         removed = []
-        while self._clouds and (self.bytes > self._max_bytes or self._oldest.since_s < now_s - self._kept_s):
+        while self._clouds:
+            oldest = next(iter(self._clouds.values()))
+            if self.bytes <= self._max_bytes and oldest.since_s >= now_s - self._kept_s:
+                break
             removed.append(self._pop())
         return removed
 
     def clear(self) -> list[BufferedCloud]:
         """Remove all clouds; gives them, oldest first."""
         return [self._pop() for _ in range(len(self._clouds))]
-
-    @property
-    def _oldest(self) -> BufferedCloud:
-        return next(iter(self._clouds.values()))
 
     def _pop(self) -> BufferedCloud:
         _, cloud = self._clouds.popitem(last=False)

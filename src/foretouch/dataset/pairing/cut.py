@@ -23,6 +23,7 @@ from foretouch.types import Touch
 
 _SECOND_NS = 1_000_000_000
 _FROZEN_S = 0.5  # 24 noisy electrodes and PDC do not repeat together for so long
+_MIN_TARE_S = 0.1
 _MIN_TARE_READINGS = 5
 
 
@@ -41,7 +42,6 @@ class PairingConfig(Settings):
         0.25, "Difference of the clocks above which grasps are rejected", unit="s", minimum=0.001, maximum=60.0
     )
     tare_s: float = setting(0.5, "Longest time over which the tare is taken", unit="s", minimum=0.01, maximum=60.0)
-    tare_least_s: float = setting(0.1, "Shortest time for a tare", unit="s", minimum=0.01, maximum=60.0)
     hold_least_s: float = setting(
         0.05, "Shortest steady contact, without the margins", unit="s", minimum=0.0, maximum=60.0
     )
@@ -64,12 +64,7 @@ class PairingConfig(Settings):
 
 
 class PairingError(DatasetError):
-    """A grasp cannot become a sample.
-
-    Args:
-        reason: A short word by which such grasps are counted.
-        message: One line.
-    """
+    """A grasp cannot become a sample; `reason` is a short word by which such grasps are counted."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
@@ -138,12 +133,12 @@ def cut_touch(
     hold, rest = window.between(low, high), window.between(tare_start, tare_end)
     if not len(hold):
         raise PairingError("no_tactile", "no reading within the contact")
-    _require_tare(rest, tare_end - tare_start, config, contact)
+    _require_tare(rest, tare_end - tare_start, contact)
     error = max(_longest_gap_ns(hold, low, high), _longest_gap_ns(rest, tare_start, tare_end))
     if error > tolerance:
         raise PairingError("pairing_error", f"{_s(error)} without a reading, at most {_s(tolerance)} is tolerated")
     clock = _clock_offset_ns(window, config)
-    touch, tare = _median(hold), _median(rest)
+    touch, tare = (Touch.from_vector(np.median(part.counts, axis=0)) for part in (hold, rest))
     _require_working(window, touch, tare)
     onsets = find_contact(window.stamps_ns, window.counts, rest.counts, contact)
     phases = np.full(len(window), REST, np.uint8)
@@ -162,10 +157,7 @@ def cut_touch(
 
 
 def _clock_offset_ns(window: TouchWindow, config: PairingConfig) -> int:
-    """Smallest difference of reception time and stamp [ns].
-
-    The difference is steady where the clocks of two computers differ; where one has too much to do, it varies.
-    """
+    """Smallest difference of reception time and stamp [ns]: steady where clocks differ, varying where a computer is busy."""
     behind = window.received_ns - window.stamps_ns
     least, most = int(behind.min()), int(behind.max())
     if abs(least) <= _ns(config.clock_s):
@@ -182,8 +174,8 @@ def _longest_gap_ns(window: TouchWindow, low_ns: int, high_ns: int) -> int:
     return int(np.diff(np.concatenate([[low_ns], window.stamps_ns, [high_ns]])).max())
 
 
-def _require_tare(rest: TouchWindow, length_ns: int, config: PairingConfig, contact: ContactConfig | None) -> None:
-    if length_ns < _ns(config.tare_least_s) or len(rest) < _MIN_TARE_READINGS:
+def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | None) -> None:
+    if length_ns < _ns(_MIN_TARE_S) or len(rest) < _MIN_TARE_READINGS:
         raise PairingError("no_tare", f"{len(rest)} readings in {_s(max(0, length_ns))} of rest before the grasp")
     half = len(rest) // 2
     scores = contact_scores(rest.counts[half:], rest.counts[:half], contact)
@@ -217,10 +209,6 @@ def _longest_run_ns(same: npt.NDArray[np.bool_], stamps_ns: npt.NDArray[np.int64
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
     runs = [int(stamps_ns[last] - stamps_ns[first]) for first, last in edges.reshape(-1, 2)]
     return max(runs, default=0)
-
-
-def _median(window: TouchWindow) -> Touch:
-    return Touch.from_vector(np.median(window.counts, axis=0))
 
 
 def _ns(seconds: float) -> int:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from foretouch.dataset.pairing.buffers import BufferedCloud, CloudBuffer, TouchBuffer
 from foretouch.dataset.pairing.cut import Interval, PairingConfig, PairingError, TouchCut, cut_touch
@@ -27,20 +27,12 @@ _KEPT_GRASPS = 256  # finished ones, to reject intervals that overlap with their
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutedGrasp:
-    """A grasp that was executed.
+    """A grasp that was executed."""
 
-    Attributes:
-        grasp_id: Id of the planned grasp.
-        interval: When it was executed; None where it failed before contact.
-        success: Whether the grasp succeeded; None if unknown.
-        flags: Source of the interval: `labelled_interval`, `detected_interval`, `assumed_grasp`; none if the robot
-            reported it.
-    """
-
-    grasp_id: str
-    interval: Interval | None
-    success: bool | None = None
-    flags: tuple[str, ...] = ()
+    grasp_id: str  # of the planned grasp
+    interval: Interval | None  # when it was executed; None where it failed before contact
+    success: bool | None = None  # None if unknown
+    flags: tuple[str, ...] = ()  # source of an interval that the robot did not report: `labelled_interval`, ...
 
     @classmethod
     def from_message(cls, message: Any) -> ExecutedGrasp:
@@ -53,27 +45,17 @@ class ExecutedGrasp:
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """What the operator adds to a grasp.
+    """What the operator adds to a grasp."""
 
-    Attributes:
-        grasp_id: Id of the grasp; "" for the latest.
-        object: Label of the object, "" for that of the session.
-        discard: Whether the sample is not to be used.
-        note: Free text.
-        outcome: As the operator saw it.
-        interval: When the grasp was executed; None leaves it to the robot or to the contact detector.
-    """
-
-    grasp_id: str = ""
-    object: str = ""
-    discard: bool = False
-    note: str = ""
-    outcome: Outcome = "unknown"
-    interval: Interval | None = None
+    grasp_id: str = ""  # "" for the latest
+    object: str = ""  # label of the object, "" for that of the session
+    discard: bool = False  # whether the sample is not to be used
+    note: str = ""  # free text
+    outcome: Outcome = "unknown"  # as the operator saw it
+    interval: Interval | None = None  # when it was executed; None leaves it to the robot or to the contact detector
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedGrasps:
+class PlannedGrasps(NamedTuple):
     """The `foretouch_msgs/Grasp` messages planned on one cloud, not decoded yet; best first."""
 
     stamp_ns: int
@@ -81,8 +63,7 @@ class PlannedGrasps:
     grasps: tuple[Any, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class MatchedGrasp:
+class MatchedGrasp(NamedTuple):
     """An executed grasp with its plan, its cloud and its touch."""
 
     plan: PlannedGrasps
@@ -226,9 +207,10 @@ class GraspTouchMatcher:
         if ready:
             self._pending = [one for one in self._pending if one not in ready]
         results = [self._finish(one) for one in ready]
-        for name in list(self._labels) if ending else []:
-            del self._labels[name]
-            results.append(RejectedGrasp(grasp_id=name, reason="no_contact", message="labelled, but never executed"))
+        if ending:
+            message = "labelled, but never executed"
+            results += [RejectedGrasp(grasp_id=name, reason="no_contact", message=message) for name in self._labels]
+            self._labels.clear()
         return results
 
     def _latest(self) -> str:
@@ -265,11 +247,12 @@ class GraspTouchMatcher:
         interval = one.executed.interval
         if waited >= self.config.wait_s or interval is None:
             return True
-        stamp = self._stamp_of.get(one.executed.grasp_id)
         # The guard lets readings come whose stamps jitter, so that the window does not depend on when it is cut.
         complete_ns = interval.release + round(self.config.guard_s * _SECOND_NS)
-        complete = self._buffer.newest_ns is not None and self._buffer.newest_ns >= complete_ns
-        return complete and stamp is not None and self._clouds.get(stamp) is not None
+        if self._buffer.newest_ns is None or self._buffer.newest_ns < complete_ns:
+            return False
+        stamp = self._stamp_of.get(one.executed.grasp_id)
+        return stamp is not None and self._clouds.get(stamp) is not None
 
     def _finish(self, one: _Pending) -> MatchedGrasp | RejectedGrasp:
         executed = one.executed
@@ -289,8 +272,13 @@ class GraspTouchMatcher:
             raise PairingError("grasp_failed", "the hand touched nothing")
         if self._successes_only and executed.success is False:
             raise PairingError("grasp_failed", "the robot reports a failure")
-        plan = self._plan_of(executed.grasp_id)
-        cloud = self._clouds.get(plan.stamp_ns)
+        name = executed.grasp_id
+        if name not in self._stamp_of:
+            raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording, or long ago")
+        stamp = self._stamp_of[name]
+        if stamp is None:
+            raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on two clouds")
+        plan, cloud = self._plans[stamp], self._clouds.get(stamp)
         if cloud is None:
             raise PairingError("cloud_unknown", "its cloud was not received, or is no longer kept")
         if cloud.ambiguous:
@@ -298,21 +286,13 @@ class GraspTouchMatcher:
         if interval.start <= plan.stamp_ns:
             raise PairingError("bad_interval", "it began before the cloud that it was planned on was taken")
         intervals = [(before.grasp_id, before.interval) for before in self._finished if before.interval is not None]
-        for name, before in intervals:
+        for other, before in intervals:
             if before.overlaps(interval.start, interval.release):
-                reason = "told_twice" if name == executed.grasp_id else "overlap"
-                raise PairingError(reason, f"grasp {name} was reported for that time already")
+                reason = "told_twice" if other == name else "overlap"
+                raise PairingError(reason, f"grasp {other} was reported for that time already")
         ends = [before.release for _, before in intervals if before.release <= interval.start]
         cut = cut_touch(self._buffer, interval, self.config, self._contact, max(ends, default=None))
         return MatchedGrasp(plan, cloud, cut, executed, one.label)
-
-    def _plan_of(self, name: str) -> PlannedGrasps:
-        if name not in self._stamp_of:
-            raise PairingError("grasp_unknown", f"grasp {name}: was not planned while recording, or long ago")
-        stamp = self._stamp_of[name]
-        if stamp is None:
-            raise PairingError("grasp_ambiguous", f"grasp {name}: was planned on two clouds")
-        return self._plans[stamp]
 
 
 def _covers(interval: Interval | None, episode: Episode) -> bool:

@@ -3,12 +3,15 @@
 
 from dataclasses import dataclass
 
-from foretouch.tactile import CONSTANT_SAMPLES, FULL_SCALE, check_touch
+import numpy as np
+
+from foretouch.tactile import FULL_SCALE, check_touch
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
 
 ALIVE = "alive"
 NO_DATA = "no data"
+_CONSTANT_SAMPLES = 3000  # of PDC, 30 s at 100 Hz: that of a working sensor moves by 0.06 counts or more at rest (std)
 _FROZEN_SAMPLES = 200  # the same 25 noisy counts over and over: the driver repeats an old message
 
 
@@ -51,20 +54,10 @@ class ContactEpisodes:
 
 
 class SensorHealth:
-    """State of thumb and middle finger. Not thread-safe.
+    """State of thumb and middle finger: `states` by finger are `alive`, `no data`, or the fault. Not thread-safe."""
 
-    Args:
-        constant: Number of readings with the same PDC from which a sensor is dead (see `tactile.check_series`).
-        frozen: Number of identical readings from which the stream is frozen.
-
-    Attributes:
-        states: By finger: `alive`, `no data`, or the fault.
-    """
-
-    def __init__(self, constant: int = CONSTANT_SAMPLES, frozen: int = _FROZEN_SAMPLES) -> None:
+    def __init__(self) -> None:
         self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
-        self._constant = constant
-        self._frozen = frozen
         self._last: dict[str, Float32] = {}
         self._same = dict.fromkeys(FINGER_COLUMNS, 0)
         self._same_pdc = dict.fromkeys(FINGER_COLUMNS, 0)
@@ -74,25 +67,22 @@ class SensorHealth:
         plausible = float(counts.min()) > 0.0 and float(counts.max()) <= FULL_SCALE
         faults = () if plausible else check_touch(Touch.from_vector(counts)).faults
         for finger, columns in FINGER_COLUMNS.items():
-            self._count(finger, counts[columns])
-            own = [fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower())]
-            self.states[finger] = own[0] if own else self._state(finger)
+            own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
+            state = self._state(finger, counts[columns])
+            self.states[finger] = next(own, state)
 
     def silence(self) -> None:
         """No reading has come for a while."""
         self.states = dict.fromkeys(FINGER_COLUMNS, NO_DATA)
 
-    def _count(self, finger: str, counts: Float32) -> None:
-        last = self._last.get(finger)
-        same_pdc = last is not None and last[0] == counts[0]
-        self._same_pdc[finger] = self._same_pdc[finger] + 1 if same_pdc else 0
-        self._same[finger] = self._same[finger] + 1 if last is not None and (last == counts).all() else 0
+    def _state(self, finger: str, counts: Float32) -> str:
+        """Whether counts or PDC alone, (25,), are the same for too long."""
+        same = np.full(len(counts), False) if finger not in self._last else self._last[finger] == counts
+        self._same_pdc[finger] = self._same_pdc[finger] + 1 if same[0] else 0
+        self._same[finger] = self._same[finger] + 1 if same.all() else 0
         self._last[finger] = counts
-
-    def _state(self, finger: str) -> str:
-        if self._same[finger] >= self._frozen:
+        if self._same[finger] >= _FROZEN_SAMPLES:
             return f"frozen: the same {self._same[finger] + 1} times, or simulated without noise"
-        if self._same_pdc[finger] >= self._constant:
-            pdc = self._last[finger][0]
-            return f"dead: PDC constant at {pdc:g} over {self._same_pdc[finger] + 1} readings"
+        if self._same_pdc[finger] >= _CONSTANT_SAMPLES:
+            return f"dead: PDC constant at {counts[0]:g} over {self._same_pdc[finger] + 1} readings"
         return ALIVE

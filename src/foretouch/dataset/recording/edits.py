@@ -29,38 +29,20 @@ _VERSION: Final = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Edit:
-    """One change.
-
-    Attributes:
-        action: `relabel` assigns samples to another object, `drop` discards them, `undo` reverts an edit.
-        ids: Ids of the samples, as they were recorded.
-        object: For `relabel`, the new object.
-        edit: For `undo`, the number of the reverted edit; the first is 1.
-    """
+    """One change: assigns samples to another object, discards them, or reverts another edit."""
 
     action: Literal["relabel", "drop", "undo"]
-    ids: tuple[str, ...] = ()
-    object: str = ""
-    edit: int = 0
-
-    def description(self) -> str:
-        """The edit in words."""
-        if self.action == "undo":
-            return f"undo {self.edit}"
-        return " ".join(filter(None, [self.action, self.object, f"({len(self.ids)} samples)"]))
+    ids: tuple[str, ...] = ()  # of the samples, as they were recorded
+    object: str = ""  # for `relabel`, the new one
+    edit: int = 0  # for `undo`, the number of the reverted edit; the first is 1
 
 
 class EditLog:
-    """The edits of a dataset, in order, and their effect on its samples.
-
-    Attributes:
-        edits: All edits.
-        undone: Numbers of the edits that were undone.
-    """
+    """The edits of a dataset, in order, and their effect on its samples."""
 
     def __init__(self, edits: Sequence[Edit] = ()) -> None:
         self.edits = tuple(edits)
-        self.undone = {edit.edit for edit in edits if edit.action == "undo"}
+        self._undone = {edit.edit for edit in edits if edit.action == "undo"}
         self._labels: dict[str, str] = {}
         self._dropped: set[str] = set()
         for edit in self.in_force().values():
@@ -71,8 +53,7 @@ class EditLog:
 
     def in_force(self) -> dict[int, Edit]:
         """The edits that were not undone, by number."""
-        numbered = enumerate(self.edits, 1)
-        return {number: edit for number, edit in numbered if edit.action != "undo" and number not in self.undone}
+        return {n: edit for n, edit in enumerate(self.edits, 1) if edit.action != "undo" and n not in self._undone}
 
     def apply(self, record: SampleRecord) -> SampleRecord:
         """Apply the edits to a record; a new object also changes the id."""
@@ -87,30 +68,21 @@ class EditLog:
 
     def descriptions(self) -> list[str]:
         """Each edit in words, with its number."""
-        return [
-            f"{number}: {edit.description()}{' (undone)' if number in self.undone else ''}"
-            for number, edit in enumerate(self.edits, 1)
-        ]
+        lines = []
+        for number, edit in enumerate(self.edits, 1):
+            words = [edit.action, edit.object, f"({len(edit.ids)} samples)"]
+            text = f"undo {edit.edit}" if edit.action == "undo" else " ".join(filter(None, words))
+            lines.append(f"{number}: {text}{' (undone)' if number in self._undone else ''}")
+        return lines
 
 
 def read_edits(path: Path) -> EditLog:
-    """Read the log of a dataset.
-
-    Raises:
-        FileError: If the log is damaged or of a newer version; names the line.
-    """
+    """Read the log of a dataset; a `FileError` names the line that is damaged or of another version."""
     return EditLog(_read(path / EDITS)[0])
 
 
 def append_edit(path: Path, edit: Edit) -> int:
-    """Append an edit; it is on the disk when this returns. The caller must hold the dataset's lock.
-
-    Returns:
-        Its number.
-
-    Raises:
-        FileError: If the log is damaged or cannot be written.
-    """
+    """Append an edit, which is on the disk when this returns, and return its number; the caller holds the lock."""
     file = path / EDITS
     edits, digest, size = _read(file)
     body = {

@@ -34,7 +34,6 @@ class McapFile:
 
     Attributes:
         types: Type of the messages, by declared topic.
-        message_count: Messages written so far.
 
     Raises:
         FileError: If the path exists or cannot be written. So do all methods that write; what they were to write is then
@@ -44,7 +43,6 @@ class McapFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.types: dict[str, str] = {}
-        self.message_count = 0
         with disk_errors(self.path):
             self._output = _Output(os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644))
         self._schemas: dict[str, int] = {}
@@ -58,18 +56,11 @@ class McapFile:
         """Its size so far [bytes]."""
         return self._output.size
 
-    def declare(self, topic: str, type_name: str, definition: str, qos: str = "") -> None:
-        """Declare a topic in the next chunk.
-
-        Args:
-            topic: Its name.
-            type_name: Such as `std_msgs/msg/String`.
-            definition: The message definition in the format `ros2msg`.
-            qos: The offered QoS profiles as rosbag2 writes them, YAML.
-        """
+    def declare(self, topic: str, type_name: str, definition: str) -> None:
+        """Declare a topic of messages such as `std_msgs/msg/String`, with their definition as `ros2msg`."""
         if type_name not in self._schemas:
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", definition.encode())
-        metadata = {"offered_qos_profiles": qos}
+        metadata = {"offered_qos_profiles": ""}
         self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[type_name], metadata)
         self.types[topic] = type_name
 
@@ -87,7 +78,6 @@ class McapFile:
         for one in messages:
             self._add(one)
         self._commit()
-        self.message_count += len(messages)
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append named texts; of several with the same name the last is valid."""

@@ -7,7 +7,6 @@ chunks without samples are skipped. A recording that was cut off is read as far 
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Self, TypeVar
 
@@ -99,7 +98,7 @@ class RecordedDataset:
             FileError: If it is damaged or of another schema version; names file and position.
         """
         stored = self.as_recorded(index)
-        return replace(stored, record=self.edits.apply(stored.record)) if self.edits.edits else stored
+        return stored._replace(record=self.edits.apply(stored.record))
 
     def __iter__(self) -> Iterator[StoredSample]:
         for k in range(len(self)):

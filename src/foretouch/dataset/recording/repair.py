@@ -44,6 +44,7 @@ from foretouch.errors import DatasetError, FileError, VersionError
 
 _KEPT: Final = ".before-repair"
 _LOST: Final = "lost before repair"
+_CHUNK_BYTES: Final = 4_000_000
 _HEAD: Final = 31  # bytes of a message record before its CDR
 _MESSAGE_START: Final = re.compile(rb"\x05(?=.{4}\x00{4})", re.DOTALL)
 
@@ -117,17 +118,21 @@ class _Repair:
         self._file = file
         self._report = report
         self._declared = _declarations(data)
-        self._written: Counter[str] = Counter()
         self._topics: dict[int, str] = {}  # by the channel of the original
+        self._pending: list[Message] = []
+        self._written: Counter[str] = Counter()
 
     def run(self) -> None:
         try:
-            about = {**self._declared.about, "repaired_by": LIBRARY}
             self._declare()
-            self._file.write_metadata(ABOUT, about)
-            for item in walk_on(self._data):
-                self._add(item)
-            self._report.messages = self._file.message_count
+            self._file.write_metadata(ABOUT, {**self._declared.about, "repaired_by": LIBRARY})
+            for item in salvaged(self._data):
+                if isinstance(item, Damage):
+                    self._report.lost.append(item)
+                else:
+                    self._copy(item)
+            self._flush()
+            self._report.messages = self._written.total()
             self._report.samples = self._written[SAMPLE_TOPIC]
             self._file.write_metadata(COUNTS, self._counts().to_mapping())
             self._file.finish()
@@ -143,45 +148,26 @@ class _Repair:
                 continue
             self._topics[number] = channel.topic
             if channel.topic not in self._file.types:
-                qos = channel.metadata.get("offered_qos_profiles", "")
-                self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"), qos)
+                self._file.declare(channel.topic, schema.name, schema.data.decode("utf-8", "replace"))
 
-    def _add(self, item: Record | Damage) -> None:
-        if isinstance(item, Damage):
-            self._report.lost.append(item)
-            self._recover(item.offset, next_chunk(self._data, item.offset + 1))
-        elif isinstance(item.content, Chunk) and item.content.intact(self._data):
-            self._copy(item.content)
-        elif isinstance(item.content, Chunk):
-            self._report.lost.append(Damage(item.offset, "damaged: a chunk that does not match its checksum"))
-            self._recover(item.content.start, item.content.end)
+    def _copy(self, one: RecordedMessage) -> None:
+        """Write a message; a sample gets a chunk of its own."""
+        topic = self._topics.get(one.channel, SAMPLE_TOPIC)
+        is_sample = topic == SAMPLE_TOPIC
+        if is_sample and not is_readable(self._data, one):
+            self._report.lost.append(Damage(one.start, "a message whose declaration or content is damaged"))
+            return
+        if is_sample or sum(len(message.data) for message in self._pending) > _CHUNK_BYTES:
+            self._flush()
+        cdr = bytes(self._data[one.start : one.end])
+        self._pending.append(self._file.message(topic, cdr, one.log_time_ns, one.publish_time_ns, one.sequence))
+        self._written[topic] += 1
+        if is_sample:
+            self._flush()
 
-    def _copy(self, chunk: Chunk) -> None:
-        kept: list[tuple[str, Message]] = []
-        for item in walk(self._data, chunk.start, chunk.end, IN_CHUNK):
-            if isinstance(item, Damage):
-                self._report.lost.append(item)
-            elif isinstance(one := item.content, RecordedMessage):
-                cdr = self._data[one.start : one.end]
-                topic = self._topics.get(one.channel, SAMPLE_TOPIC)
-                if topic == SAMPLE_TOPIC and not _is_readable(cdr):
-                    rule = "a message whose declaration or content is damaged"
-                    self._report.lost.append(Damage(one.start, rule))
-                    continue
-                times = one.log_time_ns, one.publish_time_ns
-                kept.append((topic, self._file.message(topic, bytes(cdr), *times, one.sequence)))
-        self._write(kept)
-
-    def _recover(self, start: int, end: int) -> None:
-        """Copy the samples in a damaged range of bytes; each is verified by its own checksum."""
-        for cdr in _samples_in(self._data, start, end):
-            stamp_ns = decode_sample(bytes(cdr)).record.sample.stamp_ns
-            message = self._file.message(SAMPLE_TOPIC, bytes(cdr), stamp_ns, stamp_ns, self._written[SAMPLE_TOPIC])
-            self._write([(SAMPLE_TOPIC, message)])
-
-    def _write(self, messages: list[tuple[str, Message]]) -> None:
-        self._file.write_chunk([message for _, message in messages])
-        self._written.update(topic for topic, _ in messages)
+    def _flush(self) -> None:
+        self._file.write_chunk(self._pending)
+        self._pending = []
 
     def _counts(self) -> MessageCounts:
         """The last message counts of the file, corrected for the contents of the new one."""
@@ -214,30 +200,34 @@ def _declarations(data: memoryview) -> Declarations:
     return declared
 
 
-def samples_after_damage(data: memoryview, start: int) -> Iterator[memoryview]:
-    """The intact samples from an invalid record on."""
+def salvaged(data: memoryview, start: int = len(MAGIC)) -> Iterator[RecordedMessage | Damage]:
+    """From offset `start` on, the messages of intact chunks, the samples in damaged parts, and the damage itself."""
     for item in walk_on(data, start):
         if isinstance(item, Damage):
+            yield item
             yield from _samples_in(data, item.offset, next_chunk(data, item.offset + 1))
-        elif isinstance(item.content, Chunk) and not item.content.intact(data):
-            yield from _samples_in(data, item.content.start, item.content.end)
-        elif isinstance(item.content, Chunk):
-            inside = walk(data, item.content.start, item.content.end, IN_CHUNK)
-            messages = (one.content for one in inside if isinstance(one, Record))
-            found = (data[one.start : one.end] for one in messages if isinstance(one, RecordedMessage))
-            yield from filter(_is_readable, found)
+        elif isinstance(chunk := item.content, Chunk) and chunk.intact(data):
+            for inner in walk(data, chunk.start, chunk.end, IN_CHUNK):
+                if isinstance(inner, Damage):
+                    yield inner
+                elif isinstance(inner.content, RecordedMessage):
+                    yield inner.content
+        elif isinstance(chunk, Chunk):
+            yield Damage(item.offset, "damaged: a chunk that does not match its checksum")
+            yield from _samples_in(data, chunk.start, chunk.end)
 
 
-def _samples_in(data: memoryview, start: int, end: int) -> Iterator[memoryview]:
-    """The intact samples between two offsets, even if the records around them are damaged."""
+def _samples_in(data: memoryview, start: int, end: int) -> Iterator[RecordedMessage]:
+    """The intact samples between two offsets, verified by their own checksums, as messages of channel 0."""
     at = start
     for head, stop in _message_heads(data, start, end):
         if head < at:
             continue
         for last in sorted({stop, end}):
-            cdr = data[head + _HEAD : last]
-            if last <= end and _is_readable(cdr):
-                yield cdr
+            one = RecordedMessage(0, 0, 0, 0, head + _HEAD, last)
+            if last <= end and is_readable(data, one):
+                stamp_ns = decode_sample(bytes(data[one.start : last])).record.sample.stamp_ns
+                yield one._replace(log_time_ns=stamp_ns, publish_time_ns=stamp_ns)
                 at = last
                 break
 
@@ -249,13 +239,13 @@ def _message_heads(data: memoryview, start: int, end: int) -> list[tuple[int, in
         length = int.from_bytes(data[match.start() + 1 : match.start() + 9], "little")
         heads[match.start()] = match.start() + 9 + length
     for record in walk(data, start, end, IN_CHUNK):
-        offset = record.offset
-        heads[offset] = end if isinstance(record, Damage) else record.end
+        heads[record.offset] = end if isinstance(record, Damage) else record.end
     return sorted(heads.items())
 
 
-def _is_readable(cdr: memoryview) -> bool:
-    """Whether the bytes are a complete sample; a `VersionError` if it is one of another version."""
+def is_readable(data: memoryview, message: RecordedMessage) -> bool:
+    """Whether a message is a complete sample; a `VersionError` if it is one of another version."""
+    cdr = data[message.start : message.end]
     if not is_intact(cdr):
         return False
     try:

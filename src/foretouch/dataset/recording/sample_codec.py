@@ -8,9 +8,8 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -36,13 +35,11 @@ _TOUCH: Final = ("pdc_th", "pdc_mf", "e_th", "e_mf")
 _FINITE: Final = (*_TOUCH, *(f"tare_{name}" for name in _TOUCH), "series", "others", "extra_values")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredSample:
-    """A decoded sample."""
+class StoredSample(NamedTuple):
+    """A decoded sample, and hand and camera that it was recorded with."""
 
-    record: SampleRecord  # the sample
-    identity: Identity  # hand and camera that it was recorded with
-    foretouch: str  # the version that wrote it
+    record: SampleRecord
+    identity: Identity
 
 
 def encode_sample(record: SampleRecord, identity: Identity) -> bytes:
@@ -141,7 +138,7 @@ def _stored(message: Any) -> StoredSample:
         flags=tuple(message.flags),
     )
     identity = Identity(hand=_texts(message.hand), camera=_texts(message.camera))
-    return StoredSample(record=record, identity=identity, foretouch=message.foretouch)
+    return StoredSample(record, identity)
 
 
 def _texts(text: str) -> dict[str, str]:

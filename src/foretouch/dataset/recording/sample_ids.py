@@ -9,8 +9,7 @@ from foretouch.dataset.record import SampleRecord, check_name, id_number, number
 from foretouch.dataset.recording.folder import session_files
 from foretouch.dataset.recording.reader import sample_messages
 from foretouch.dataset.recording.records import Damage, RecordedMessage, mapped, walk
-from foretouch.dataset.recording.repair import samples_after_damage
-from foretouch.dataset.recording.sample_codec import decode_sample
+from foretouch.dataset.recording.repair import is_readable, salvaged
 from foretouch.errors import DatasetError, FileError
 
 
@@ -49,7 +48,8 @@ def _sample_ids(path: Path) -> list[str]:
     with mapped(path) as data:
         ids = [_id_of(path, data, message) for message in sample_messages(path, data)]
         cut = next((one.offset for one in walk(data) if isinstance(one, Damage)), len(data))
-        return ids + [decode_sample(bytes(cdr)).record.sample.id for cdr in samples_after_damage(data, cut)]
+        saved = (one for one in salvaged(data, cut) if not isinstance(one, Damage) and is_readable(data, one))
+        return ids + [_id_of(path, data, message) for message in saved]
 
 
 def _id_of(path: Path, data: memoryview, sample: RecordedMessage) -> str:

@@ -15,7 +15,7 @@ Guarantees:
 
 - `append` returns when the sample was passed to the system, as one chunk in one call: a kill -9 at any later
   instant loses nothing of it. By default it is also on the disk (`fsync_samples`), safe from a power cut.
-- Messages of `write` are collected for at most `chunk_s` or `chunk_bytes`; `flush` writes them immediately.
+- Messages of `write` are collected for at most `chunk_s` or 4 MB; `flush` writes them immediately.
 - received = written + dropped, by topic; the counts are stored in the file.
 - When the disk is almost full, or fails, the session ends with an error that says so, and the file holds everything
   that was acknowledged.
@@ -163,28 +163,20 @@ class RecordingWriter:
         """Whether the file was removed, moved or unmounted while it is open; nothing more should then be recorded."""
         return self._file.removed
 
-    def add_topic(self, topic: str, type_name: str, definition: str | None = None, *, qos: str = "") -> None:
-        """Declare a topic, before its first message.
-
-        Args:
-            topic: Its name.
-            type_name: Such as `sensor_msgs/msg/PointCloud2`.
-            definition: Text of its `.msg` file; by default it is looked up (see `Definitions`).
-            qos: The offered QoS profiles as rosbag2 writes them, YAML.
+    def add_topic(self, topic: str, type_name: str) -> None:
+        """Declare a topic of messages such as `sensor_msgs/msg/PointCloud2`, before its first message.
 
         Raises:
-            DatasetError: If the definition is not found, or the topic has another type.
+            DatasetError: If the definition of the type is not found, or the topic has another type.
             FileError: If the session has ended.
         """
         with self._guard:
             known = self._file.types.get(topic)
-            if known not in (None, type_name):
-                raise DatasetError(f"{topic}: holds {known}, not {type_name}")
             if known is None:
                 self._require_open()
-                if definition is not None:
-                    self._definitions.register(type_name, definition)
-                self._file.declare(topic, type_name, self._definitions.text(type_name), qos)
+                self._file.declare(topic, type_name, self._definitions.text(type_name))
+            elif known != type_name:
+                raise DatasetError(f"{topic}: holds {known}, not {type_name}")
 
     def receive(self, topic: str, count: int = 1) -> None:
         """Count messages on arrival; each must later be written or dropped."""
@@ -216,7 +208,7 @@ class RecordingWriter:
 
         Args:
             topic: Declared by `add_topic`.
-            data: CDR with its encapsulation header; not copied, so do not change it.
+            data: CDR with its encapsulation header.
             log_time_ns: When it was received [ns]; clocks may jump.
             publish_time_ns: When it was sent [ns]; by default the same.
             sequence: Sequence number of the middleware; by default a count.
@@ -276,12 +268,6 @@ class RecordingWriter:
             self._require_open()
             self._write_pending()
             self._after_write()
-
-    def sync(self) -> None:
-        """Write the collected messages, and wait until everything is on the disk (raises as `write`)."""
-        with self._guard:
-            self.flush()
-            self._guarded(self._sync)
 
     def close(self) -> None:
         """Write the collected messages, the counts and the index, and end the session; may be called more than once.
@@ -361,35 +347,25 @@ class RecordingWriter:
                 self._finish()
 
     def _finish(self) -> None:
-        try:
-            self._write_counts()
-            self._file.finish()
-        finally:
-            self._file.abandon()
+        self._write_counts()
+        self._file.finish()
 
     def _save(self, remains: BinaryIO) -> str:
-        """Copy a file that was removed into the fallback folder, or count its content as lost.
-
-        Says which, in one line.
-        """
+        """Copy a file that was removed into the fallback folder, or count its content as lost; says which in one line."""
         if os.fstat(remains.fileno()).st_nlink:
-            return (
-                f"was moved or unmounted during the recording, with its {self.samples} samples: the session has ended"
-            )
-        lost = "no fallback_folder is set"
+            with_samples = f"with its {self.samples} samples: the session has ended"
+            return f"was moved or unmounted during the recording, {with_samples}"
+        removed, lost = "was removed during the recording:", "no fallback_folder is set"
         if self._fallback_folder is not None:
             try:
                 self.path = copy_session(remains, self.file, self._fallback_folder, self.identity)
+                return f"{removed} the session was written to {self.path}, {self.samples} samples"
             except FileError as err:
                 lost = str(err)
-            else:
-                return (
-                    f"was removed during the recording: the session was written to {self.path}, {self.samples} samples"
-                )
         samples, self.samples, self.labelled = self.samples, 0, 0
         messages = sum(counts.written for counts in self.counts.topics.values()) - samples
         self.counts.drop_written("file removed")
-        return f"was removed during the recording: {samples} samples and {messages} messages are lost: {lost}"
+        return f"{removed} {samples} samples and {messages} messages are lost: {lost}"
 
 
 def _about(session: str, identity: Identity) -> dict[str, str]:

@@ -20,101 +20,89 @@ import numpy as np
 
 from foretouch.config import setting
 from foretouch.experiments.ablation import results as tables
-from foretouch.experiments.ablation.variants import FULL, GROUP_EDITS, ModelVariant, fit_variants
+from foretouch.experiments.ablation.variants import FULL, TRACKER_EDITS, ModelVariant, fit_variants
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared.folds import split_by_fold, split_objects, touch_draws
+from foretouch.experiments.shared.conditions import ConditionSettings, split_condition
+from foretouch.experiments.shared.folds import touch_draws
 from foretouch.experiments.shared.scores import error_rows, labelled
-from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
+from foretouch.experiments.shared.simulated_data import RealAndSimulated, load_both, prepare_both
 from foretouch.learning.data import Indices, labels_of, make_folds
-from foretouch.learning.evaluation.metrics import BootstrapConfig
-from foretouch.learning.training.contact import ContactConfig
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "AblationSettings"]
 
 _SIMULATED: Final = "simulated"
-_GROUNDS: Final = {
+_TITLES: Final = {
     _SIMULATED: "simulated new objects",
     "random": "real, random folds",
     "time": "real, blocks of time",
     "object": "real, new objects",
 }
+_COMPARED: Final = 3  # touches after which the variants are compared
 
 
 @dataclass(frozen=True, kw_only=True)
-class AblationSettings(BothSettings):
+class AblationSettings(ConditionSettings):
     """Settings of `ablation`."""
 
-    grounds: tuple[str, ...] = setting(tuple(_GROUNDS), "Data and splits to test on", choices=tuple(_GROUNDS))
+    test_conditions: tuple[str, ...] = setting(tuple(_TITLES), "Data and splits to test on", choices=tuple(_TITLES))
     seeds: tuple[int, ...] = setting(
         (0, 1, 2), "Seeds of the random folds, of the blocks of time and of their trees", minimum=0
     )
-    divisions: tuple[int, ...] = setting((0, 1), "Seeds of the splits of the simulated objects", minimum=0)
-    learned: int = setting(65, "Simulated training objects; the others are tested", minimum=2)
     touches: tuple[int, ...] = setting((1, 3, 5), "Numbers of touches of a test object", minimum=1, maximum=1000)
-    shown: int = setting(3, "Number of touches after which the variants are compared", minimum=1, maximum=1000)
-    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
-    contact: ContactConfig = ContactConfig()
-    bootstrap: BootstrapConfig = BootstrapConfig()
 
 
 def _cells(settings: AblationSettings, data: RealAndSimulated) -> list[Cell]:
     real = labelled(data.real)
     return [
-        Cell(f"{ground}+{part}+seed{seed}".replace(" ", "_"), {"ground": ground, "part": part, "seed": seed})
-        for ground in settings.grounds
-        for part, seed in _parts(ground, real, settings)
+        Cell(f"{one}+{part}+seed{seed}".replace(" ", "_"), {"condition": one, "part": part, "seed": seed})
+        for one in settings.test_conditions
+        for part, seed in _parts(one, real, settings)
     ]
 
 
-def _parts(ground: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
+def _parts(condition: str, real: Sequence[GraspSample], settings: AblationSettings) -> Iterator[tuple[str, int]]:
     """Names of splits or folds, and seeds. Since calibration is slow, objects are left out with one seed only."""
-    if ground == _SIMULATED:
-        yield from ((str(split), settings.seeds[0]) for split in settings.divisions)
+    if condition == _SIMULATED:
+        yield from ((str(split), settings.seeds[0]) for split in settings.split_seeds)
         return
-    for seed in settings.seeds if ground != "object" else settings.seeds[:1]:
-        yield from ((fold.name, seed) for fold in make_folds(real, ground, seed))
+    for seed in settings.seeds if condition != "object" else settings.seeds[:1]:
+        yield from ((fold.name, seed) for fold in make_folds(real, condition, seed))
 
 
 def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list[Row]:
-    ground, part, seed = (cell.values[key] for key in ("ground", "part", "seed"))
-    simulated = ground == _SIMULATED
-    calibrated = simulated or ground == "object"
-    if simulated:
-        train, test = split_objects(labelled(data.simulated), settings.learned, int(part))
-    else:
-        real = labelled(data.real)
-        train, test = split_by_fold(real, make_folds(real, ground, seed), part)
+    condition, part, seed = (cell.values[key] for key in ("condition", "part", "seed"))
+    simulated, title = condition == _SIMULATED, _TITLES[condition]
+    calibrated = simulated or condition == "object"
+    train, test = split_condition(settings, data, "" if simulated else condition, part, seed)
     models = fit_variants(train, test, settings.contact.replace(seed=seed), calibrated=calibrated)
     score = partial(_rows, test, labels_of(train).mean(axis=0))
     rows: list[Row] = []
     every = np.arange(len(test))
     for name, model in models.items():
-        if name not in GROUP_EDITS:  # these only matter after touches
-            rows += score(f"{_GROUNDS[ground]}, no touch", name, model, [(every[:0], every)])
+        if name not in TRACKER_EDITS:  # these only matter after touches
+            rows += score(f"{title}, no touch", name, model, [(every[:0], every)])
     draws = _touch_draws(test, settings) if calibrated else []
-    table = f"{_GROUNDS[ground]}, {'tare and ' if simulated else ''}{settings.shown} touches"
+    table = f"{title}, {'tare and ' if simulated else ''}{_COMPARED} touches"
     for name, model in models.items():
         if model.calibration is not None:
-            rows += score(table, name, model, draws, settings.shown, tare=simulated)
+            rows += score(table, name, model, draws, _COMPARED, tare=simulated)
     for tare, count in product((False, True), (0, *settings.touches)) if simulated else ():
         touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
         name = " + ".join(filter(None, (tables.TARE if tare else "", touches))) or tables.NOTHING
-        rows += score(f"{_GROUNDS[ground]}{tables.TARES_AND_TOUCHES}", name, models[FULL], draws, count, tare=tare)
+        rows += score(f"{title}, with tare and touches", name, models[FULL], draws, count, tare=tare)
     return rows
 
 
 def _touch_draws(test: Sequence[GraspSample], settings: AblationSettings) -> list[tuple[Indices, Indices]]:
     """For each object and draw, grasps in the order in which they are touched, and those that are scored."""
-    most = max(*settings.touches, settings.shown)
+    most = max(*settings.touches, _COMPARED)
     names = np.array([sample.object for sample in test])
     draws = []
     for name in np.unique(names):
-        subset = np.flatnonzero(names == name)
-        draws += [
-            (subset[order[:most]], subset[order[most:]])
-            for order in touch_draws(str(name), len(subset), most, settings.draws)
-        ]
+        own = np.flatnonzero(names == name)
+        orders = touch_draws(str(name), len(own), most, settings.draws)
+        draws += [(own[order[:most]], own[order[most:]]) for order in orders]
     return draws
 
 
@@ -136,10 +124,6 @@ def _rows(
     return [{"table": table, "predictor": name, **row} for row in errors]
 
 
-def _tabulate(settings: AblationSettings, rows: Sequence[Row]) -> list[Row]:
-    return tables.ablation_rows(rows, settings.bootstrap)
-
-
 EXPERIMENT = Experiment(
     name="ablation",
     question="How much do the components of the contact model contribute, and how much a tare and touches?",
@@ -147,12 +131,12 @@ EXPERIMENT = Experiment(
     order=90,
     settings=AblationSettings,
     presets={
-        "full": {},
-        "quick": {"contact.trees": 50},
+        "full": {"split_seeds": [0, 1]},
+        "quick": {"split_seeds": [0, 1], "contact.trees": 50},
         "smoke": {
             "samples": 100,
-            "learned": 50,
-            "grounds": ["time"],
+            "train_objects": 50,
+            "test_conditions": ["time"],
             "seeds": [0],
             "draws": 2,
             "contact.trees": 5,
@@ -162,10 +146,10 @@ EXPERIMENT = Experiment(
     load=load_both,
     cells=_cells,
     run=_run,
-    tabulate=_tabulate,
+    tabulate=lambda settings, rows: tables.ablation_rows(rows, settings.bootstrap),
     summarise=tables.ablation_tables,
     figure=tables.draw_ablation_figure,
     prepare=prepare_both,
-    resumable_settings=("grounds", "seeds", "divisions", "bootstrap"),
+    resumable_settings=("test_conditions", "seeds", "split_seeds", "bootstrap"),
     data_folder="vision2tactile",
 )

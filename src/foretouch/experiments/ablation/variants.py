@@ -16,12 +16,14 @@ import numpy.typing as npt
 
 from foretouch.learning.data import Fold, Indices, labels_of
 from foretouch.learning.evaluation.baselines import geometry_features
+from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
 from foretouch.learning.training.contact import ContactConfig, describe_samples, fit_contact, thinned_samples
-from foretouch.models.calibration import Calibration, CalibrationGroup
+from foretouch.models.calibration import Calibration
 from foretouch.models.contact.estimator import TOGETHER, ContactEstimator, by_modality
 from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
 from foretouch.models.novelty import IN_DISTRIBUTION
+from foretouch.models.state_space import NEW, TrackerParameters
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
@@ -74,11 +76,25 @@ COMBINATIONS: Final[dict[str, Combination]] = {
 }
 """By name of the variant, (S, 50) predictions before any touch [counts]."""
 
-GROUP_EDITS: Final[dict[str, Callable[[CalibrationGroup], CalibrationGroup]]] = {
-    "no worth": lambda group: replace(group, worth=np.ones(TOUCH_SIZE)),
-    "diagonal B": lambda group: replace(group, between=np.diag(np.diag(group.between))),
+
+def _diagonal(parameters: TrackerParameters) -> TrackerParameters:
+    """The same variance of each value, without covariances."""
+    squared = parameters.basis**2
+    scale = squared @ parameters.noise[NEW]
+    per_value = {
+        name: (getattr(parameters, name) @ squared.T) / scale
+        for name in ("slow", "fast", "object", "noise", "tare_noise")
+    }
+    share = squared / squared.sum(axis=1, keepdims=True)
+    times = {name: share @ getattr(parameters, name) for name in ("slow_time_s", "fast_time_s")}
+    return replace(parameters, basis=np.diag(np.sqrt(scale)), **per_value, **times)
+
+
+TRACKER_EDITS: Final[dict[str, Callable[[TrackerParameters], TrackerParameters]]] = {
+    "no shrinkage": lambda parameters: replace(parameters, worth=np.ones((2, TOUCH_SIZE))),
+    "diagonal B": _diagonal,
 }
-"""By name of the variant, changes of the full model's calibration groups that only matter after touches."""
+"""By name of the variant, changes of the full model's tracker, which only matter after touches."""
 
 
 def _without_slopes(samples: Sequence[GraspSample]) -> Float64:
@@ -103,27 +119,22 @@ FEATURE_SETS: Final[dict[str, Callable[[Sequence[GraspSample]], Float64]]] = {
 class ModelVariant:
     """A variant of the contact model with its predictions for the test samples."""
 
-    expected: Float64  # (S, 50) predictions before any touch, at the rest level of training [counts]
-    familiar: npt.NDArray[np.bool_]  # (S,) whether each object is in the training distribution
-    labels: Float64  # (S, 50) labels [counts]
-    shifts: Float64  # (S, 50) differences of the tares from the rest level; zeros without tares [counts]
+    recording: Recording  # of the test samples, with its predictions by sight
     calibration: Calibration | None  # its calibration, if one was made
 
     def predict(self, index: Indices, touched: Indices, *, tare: bool) -> Float64:
-        """(K, 50) predictions as those of `ContactPredictor.predict_after` [counts]; touches need a calibration."""
-        shifts = self.shifts if tare else np.zeros_like(self.shifts)
-        counts = self.expected[index]
-        if self.calibration is not None and len(touched):
-            means = self.expected[touched].mean(axis=0), (self.labels - shifts)[touched].mean(axis=0)
-            count = len(touched)
-            counts, _ = self.calibration.adapt(counts, self.familiar[index], tare=tare, touched=means, count=count)
-        return counts + shifts[index]
+        """(K, 50) predictions [counts], after touches or with tares only if it is calibrated."""
+        if self.calibration is None:
+            return self.recording.expected[index]
+        used = self.recording if tare else replace(self.recording, tares=None)
+        earlier = touched[np.argsort(used.stamps_ns[touched], kind="stable")]
+        return predict_after(self.calibration, used.take(earlier), used.take(index))[0]
 
 
 def fit_variants(
     train: Sequence[GraspSample], test: Sequence[GraspSample], config: ContactConfig, *, calibrated: bool
 ) -> dict[str, ModelVariant]:
-    """Fit all variants to labelled samples and predict others; those of `GROUP_EDITS` only if calibrated.
+    """Fit all variants to labelled samples and predict others; those of `TRACKER_EDITS` only if calibrated.
 
     Raises:
         DatasetError: If a label is missing, or there are too few training samples.
@@ -136,12 +147,13 @@ def fit_variants(
         for variant, combine in COMBINATIONS.items() if name == FULL else [(name, COMBINATIONS[FULL])]:
             calibration = model.calibrate(combine, held_out) if held_out else None
             counts, familiar = combine(components), components.in_distribution >= IN_DISTRIBUTION
-            result[variant] = ModelVariant(counts, familiar, labels_of(test), model.shifts(test), calibration)
+            recording = Recording.of_samples(test, labels_of(test), counts, model.rest, familiar)
+            result[variant] = ModelVariant(recording, calibration)
     full = result[FULL]
     if full.calibration is not None:
-        for variant, edit in GROUP_EDITS.items():
-            groups = {name: edit(group) for name, group in full.calibration.groups.items()}
-            result[variant] = replace(full, calibration=replace(full.calibration, groups=groups))
+        for variant, edit in TRACKER_EDITS.items():
+            tracker = edit(full.calibration.tracker_parameters)
+            result[variant] = replace(full, calibration=replace(full.calibration, tracker=tracker))
     return result
 
 
@@ -152,9 +164,9 @@ class _ComponentModel:
         self, train: Sequence[GraspSample], config: ContactConfig, describe: Callable[[Sequence[GraspSample]], Float64]
     ) -> None:
         self._train, self._config, self._describe = list(train), config, describe
-        self._rest, _ = rest_level(train)
+        self.rest, _ = rest_level(train)
         self._labels = labels_of(train)
-        self._resting = resting_labels(train, self._labels, self._rest)
+        self._resting = resting_labels(train, self._labels, self.rest)
         self._objects = np.array([sample.object for sample in train])
         self._rows = describe(train)
         copies = thinned_samples(train, config)
@@ -163,10 +175,6 @@ class _ComponentModel:
 
     def predict(self, samples: Sequence[GraspSample]) -> Components:
         return Components.predict(self._estimator, self._describe(samples))
-
-    def shifts(self, samples: Sequence[GraspSample]) -> Float64:
-        tares = [self._rest if sample.tare is None else sample.tare.vector() for sample in samples]
-        return np.array(tares) - self._rest
 
     def held_out(self) -> dict[str, tuple[Components, npt.NDArray[np.str_]]]:
         """Predictions for held-out training samples, and the sessions of these, by calibration group."""

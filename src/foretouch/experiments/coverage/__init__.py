@@ -21,58 +21,47 @@ import numpy as np
 from foretouch.config import setting
 from foretouch.experiments.coverage.results import SIMULATED, coverage_table, coverage_tables, draw_coverage_figure
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared.folds import by_object, split_by_fold, split_objects, touch_draws
+from foretouch.experiments.shared.conditions import ConditionSettings, split_condition
+from foretouch.experiments.shared.folds import by_object, touch_draws
 from foretouch.experiments.shared.scores import labelled
-from foretouch.experiments.shared.simulated_data import BothSettings, RealAndSimulated, load_both, prepare_both
+from foretouch.experiments.shared.simulated_data import RealAndSimulated, load_both, prepare_both
 from foretouch.learning.data import labels_of, make_folds, object_folds
-from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
-from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.learning.training.contact import ContactPredictor
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Float64, GraspSample
 
 __all__ = ["EXPERIMENT", "CoverageSettings", "coverage_rows"]
 
-_LEFT_OUT: Final = "left out"
 _TIME: Final = "time blocks"
-_SPLITS: Final = {_LEFT_OUT: "object", _TIME: "time"}
-_GROUNDS: Final = (SIMULATED, *_SPLITS)
+_SPLITS: Final = {SIMULATED: "", "left out": "object", _TIME: "time"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoverageSettings(BothSettings):
+class CoverageSettings(ConditionSettings):
     """Settings of `coverage`."""
 
-    grounds: tuple[str, ...] = setting(_GROUNDS, "Data and splits to test on", choices=_GROUNDS)
-    divisions: tuple[int, ...] = setting((0, 1, 2), "Seeds of the splits of the simulated objects", minimum=0)
-    learned: int = setting(65, "Simulated training objects; the others are tested", minimum=2)
+    test_conditions: tuple[str, ...] = setting(tuple(_SPLITS), "Data and splits to test on", choices=tuple(_SPLITS))
     touches: tuple[int, ...] = setting((0, 1, 3, 5), "Numbers of touches of a test object", minimum=0, maximum=1000)
-    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
-    contact: ContactConfig = ContactConfig()
-    bootstrap: BootstrapConfig = BootstrapConfig()
 
 
 def _cells(settings: CoverageSettings, data: RealAndSimulated) -> list[Cell]:
     cells = []
-    for ground in settings.grounds:
-        if ground == SIMULATED:
-            parts = [str(seed) for seed in settings.divisions]
+    for condition in settings.test_conditions:
+        if condition == SIMULATED:
+            parts = [str(seed) for seed in settings.split_seeds]
         else:
-            parts = [fold.name for fold in make_folds(labelled(data.real), _SPLITS[ground], 0)]
-        cells += [Cell(f"{ground}+{part}".replace(" ", "_"), {"ground": ground, "part": part}) for part in parts]
+            parts = [fold.name for fold in make_folds(labelled(data.real), _SPLITS[condition], 0)]
+        cells += [Cell(f"{condition}+{one}".replace(" ", "_"), {"condition": condition, "part": one}) for one in parts]
     return cells
 
 
 def _run(cell: Cell, settings: CoverageSettings, data: RealAndSimulated) -> list[Row]:
-    ground, part = cell.values["ground"], cell.values["part"]
-    if ground == SIMULATED:
-        train, test = split_objects(labelled(data.simulated), settings.learned, int(part))
-    else:
-        real = labelled(data.real)
-        train, test = split_by_fold(real, make_folds(real, _SPLITS[ground], 0), part)
+    condition = cell.values["condition"]
+    train, test = split_condition(settings, data, _SPLITS[condition], cell.values["part"])
     fitted = ContactPredictor(train, labels_of(train), settings.contact)
     reference = _reference_half_width(train)
-    touches = (0,) if ground == _TIME else settings.touches
+    touches = (0,) if condition == _TIME else settings.touches
     tares = (False, True) if all(sample.tare is not None for sample in test) else (False,)
     return [
         row
@@ -117,34 +106,21 @@ def coverage_rows(
     rows = []
     for count in touches:
         inside, widths = [], []
-        orders = (
-            touch_draws(samples[0].object, len(samples), max(touches), draws) if count else [np.arange(len(samples))]
-        )
-        for order in orders:
+        every = [np.arange(len(samples))]
+        for order in touch_draws(samples[0].object, len(samples), max(touches), draws) if count else every:
             touched, rest = ([samples[k] for k in side] for side in (order[:count], order[count:]))
             counts, half = fitted.intervals_after(touched, rest, tare=tare)
             inside.append((np.abs(labels_of(rest) - counts) <= half).mean(axis=0))
             widths.append((half / reference).mean(axis=0))
-        rows.append(
-            {
-                "object": samples[0].object,
-                "tare": tare,
-                "touches": count,
-                "grasps": len(samples) - count,
-                "coverage": _by_modality(np.mean(inside, axis=0)),
-                "width": _by_modality(np.mean(widths, axis=0)),
-                "unfamiliar": unfamiliar,
-            }
-        )
+        head = {"object": samples[0].object, "tare": tare, "touches": count, "grasps": len(samples) - count}
+        shares = {"coverage": _by_modality(inside), "width": _by_modality(widths), "unfamiliar": unfamiliar}
+        rows.append({**head, **shares})
     return rows
 
 
-def _by_modality(values: Float64) -> list[float]:
+def _by_modality(draws: Sequence[Float64]) -> list[float]:
+    values = np.mean(draws, axis=0)
     return [float(values[columns([name])].mean()) for name in MODALITIES]
-
-
-def _tabulate(settings: CoverageSettings, rows: Sequence[Row]) -> list[Row]:
-    return coverage_table(rows, settings.bootstrap)
 
 
 EXPERIMENT = Experiment(
@@ -158,9 +134,9 @@ EXPERIMENT = Experiment(
         "quick": {"contact.trees": 50},
         "smoke": {
             "samples": 100,
-            "learned": 50,
-            "grounds": [SIMULATED],
-            "divisions": [0],
+            "train_objects": 50,
+            "test_conditions": [SIMULATED],
+            "split_seeds": [0],
             "touches": [0],
             "contact.trees": 5,
             "bootstrap.draws": 200,
@@ -169,10 +145,10 @@ EXPERIMENT = Experiment(
     load=load_both,
     cells=_cells,
     run=_run,
-    tabulate=_tabulate,
+    tabulate=lambda settings, rows: coverage_table(rows, settings.bootstrap),
     summarise=coverage_tables,
     figure=draw_coverage_figure,
     prepare=prepare_both,
-    resumable_settings=("grounds", "divisions", "bootstrap"),
+    resumable_settings=("test_conditions", "split_seeds", "bootstrap"),
     data_folder="vision2tactile",
 )

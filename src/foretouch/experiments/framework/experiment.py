@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from foretouch.config import Settings
 from foretouch.errors import ConfigError
@@ -60,13 +60,6 @@ def require_data(settings: Settings, source: Path | None, out: Path) -> Path:
     if source is None:
         raise ConfigError("experiment: no data; give --data PATH or set FORETOUCH_DATA")
     return source
-
-
-class ReadData(NamedTuple):
-    """Data of an experiment that were read, so that its next step need not read them again."""
-
-    path: Path  # where other processes read them
-    values: Any  # as `Experiment.load` returns them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,11 +120,6 @@ class Experiment(Generic[S, D]):
         base = self.settings.from_mapping(self.presets[preset], f"{self.name}: {preset}")
         return base.updated(overrides, self.name)
 
-    def read(self, settings: S, source: Path | None, out: Path) -> ReadData:
-        """Prepare and load the data; arguments as those of `prepare`."""
-        path = self.prepare(settings, source, out)
-        return ReadData(path, self.load(settings, path))
-
     def finish(
         self, settings: S, data: D, rows: list[Row], out: Path, progress: Callable[[int, int], None]
     ) -> list[Row]:
@@ -146,6 +134,11 @@ class Experiment(Generic[S, D]):
         """
         del settings, data, out, progress
         return rows
+
+    def facts(self, rows: Sequence[Row]) -> dict[str, Any]:
+        """Further entries of the command's result in JSON."""
+        del rows
+        return {}
 
     def tables(self, rows: Sequence[Row]) -> list[Table]:
         """Tables of `results.csv` for the terminal and `summary.md`; none without rows."""

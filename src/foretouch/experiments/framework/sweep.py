@@ -10,7 +10,7 @@ from foretouch.config import Settings
 from foretouch.errors import ConfigError, FileError
 from foretouch.experiments.framework import manifest as manifests
 from foretouch.experiments.framework.executors import CellResult, Job, in_processes, on_ray
-from foretouch.experiments.framework.experiment import Cell, Experiment, ReadData, Row
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 
 Progress = Callable[[CellResult, int, int], None]
 
@@ -40,7 +40,6 @@ def run_sweep(
     address: str | None = None,
     progress: Progress | None = None,
     finishing: Callable[[int, int], None] = lambda *_: None,
-    read: ReadData | None = None,
 ) -> SweepResult:
     """Run the unfinished cells of an experiment and write its table.
 
@@ -56,7 +55,6 @@ def run_sweep(
         address: None for processes, else the address of a Ray cluster (see `executors.on_ray`).
         progress: Called with each result, the number of finished cells and the number of all cells.
         finishing: Called with the number of steps done and of all by `Experiment.finish`, which follows.
-        read: The data, if they were read with these settings already.
 
     Returns:
         The table and the failures. A failed cell is left out of the table and is run again by the next resume.
@@ -70,7 +68,8 @@ def run_sweep(
         resume = True
     if out.exists() and not resume and (not out.is_dir() or any(out.iterdir())):
         raise FileError(out, "already exists; --resume continues a sweep")
-    path, data = read or experiment.read(settings, source, out)
+    path = experiment.prepare(settings, source, out)
+    data = experiment.load(settings, path)
     cells = _cells(experiment, settings, data)
     plain = settings.to_mapping()
     fixed = {"experiment": experiment.name, "settings": plain, "data": {"sha256": data.sha256}}

@@ -17,7 +17,7 @@ touched: their material and day are unknown as well, and predictors are compared
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -39,7 +39,6 @@ from foretouch.types import Float64, GraspSample
 __all__ = ["EXPERIMENT", "NoiseCeilingSettings"]
 
 _BLOCK: Final = 10  # grasps per cell
-_ALL: Final = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +46,10 @@ class NoiseCeilingSettings(SimulatedSettings):
     """Settings of `noise_ceiling`."""
 
     grasps: int = setting(200, "Number of test grasps to repeat", minimum=2, maximum=100_000)
-    repeats: int = setting(20, "Repeats of each grasp", minimum=2, maximum=10_000)
-    alone: int = setting(60, "Number of these grasps that are also repeated with one cause at a time", minimum=0)
+    repeats: int = setting(20, "Number of repeats of each grasp", minimum=2, maximum=10_000)
+    single_cause_grasps: int = setting(
+        60, "Number of these grasps that are also repeated with one cause at a time", minimum=0
+    )
     split: str = setting(
         "labels",
         "labels: test on 200 grasps per object; object: test on a fifth of the objects",
@@ -59,16 +60,18 @@ class NoiseCeilingSettings(SimulatedSettings):
         "Predictors to compare with the ceiling",
         choices=tuple(PREDICTORS),
     )
-    seed: int = setting(0, "Seed of the predictors", minimum=0)
     training_fraction: float = setting(
-        1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
     )
-    draws: int = setting(2000, "Bootstrap samples of the grasps for the intervals", minimum=100, maximum=1_000_000)
+    draws: int = setting(
+        2000, "Number of bootstrap samples of the grasps for the intervals", minimum=100, maximum=1_000_000
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.alone > self.grasps:
-            raise ConfigError(f"NoiseCeilingSettings.alone: {self.alone} exceeds grasps, {self.grasps}")
+        if self.single_cause_grasps > self.grasps:
+            count = self.single_cause_grasps
+            raise ConfigError(f"NoiseCeilingSettings.single_cause_grasps: {count} exceeds grasps, {self.grasps}")
 
 
 def _split(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[GraspSample], list[GraspSample]]:
@@ -86,9 +89,9 @@ def _split(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> tuple[list[
 
 def _cells(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> list[Cell]:
     del data
-    whole = [_ALL, NEW_OBJECT] if settings.split == "object" else [_ALL]
+    whole = ["all", NEW_OBJECT] if settings.split == "object" else ["all"]
     blocks = [(cause, first) for cause in whole for first in range(0, settings.grasps, _BLOCK)]
-    blocks += [(cause, first) for cause in CAUSES for first in range(0, settings.alone, _BLOCK)]
+    blocks += [(cause, first) for cause in CAUSES for first in range(0, settings.single_cause_grasps, _BLOCK)]
     repeated = [
         Cell(f"repeats+{cause}+{first}", {"what": "repeats", "name": cause, "first": first}) for cause, first in blocks
     ]
@@ -100,13 +103,13 @@ def _run(cell: Cell, settings: NoiseCeilingSettings, data: SimulatedGrasps) -> l
     train, test = _split(settings, data)
     labels = labels_of(train)
     if cell.values["what"] == "predictor":
-        fitted = find_predictor(cell.values["name"], settings.training_fraction)(train, labels, settings.seed)
+        fitted = find_predictor(cell.values["name"], settings.training_fraction)(train, labels, 0)
         return [
             {"id": sample.id, "predicted": row.tolist()} for sample, row in zip(test, fitted.predict(test), strict=True)
         ]
     cause, first = cell.values["name"], cell.values["first"]
-    hidden = {_ALL: frozenset(CAUSES), NEW_OBJECT: frozenset({*CAUSES, NEW_OBJECT})}.get(cause, frozenset({cause}))
-    end = settings.alone if cause in CAUSES else settings.grasps
+    hidden = {"all": frozenset(CAUSES), NEW_OBJECT: frozenset({*CAUSES, NEW_OBJECT})}.get(cause, frozenset({cause}))
+    end = settings.single_cause_grasps if cause in CAUSES else settings.grasps
     grasps = test[first : min(first + _BLOCK, end)]
     return list(_repeated(Repeater(data.scene, hidden), grasps, settings.repeats, labels.mean(axis=0)))
 
@@ -128,10 +131,6 @@ def _repeated(repeater: Repeater, grasps: Sequence[GraspSample], count: int, mea
         }
 
 
-def _tabulate(settings: NoiseCeilingSettings, rows: Sequence[Row]) -> list[dict[str, Any]]:
-    return ceiling_rows(rows, settings.draws)
-
-
 EXPERIMENT = Experiment(
     name="noise_ceiling",
     question="How much of a touch can be predicted from cloud and grasp at all, and how much of that do predictors reach?",
@@ -140,12 +139,19 @@ EXPERIMENT = Experiment(
     settings=NoiseCeilingSettings,
     presets={
         "full": {},
-        "smoke": {"samples": 200, "grasps": 20, "repeats": 5, "alone": 10, "training_fraction": 0.1, "draws": 200},
+        "smoke": {
+            "samples": 200,
+            "grasps": 20,
+            "repeats": 5,
+            "single_cause_grasps": 10,
+            "training_fraction": 0.1,
+            "draws": 200,
+        },
     },
     load=load_simulated,
     cells=_cells,
     run=_run,
-    tabulate=_tabulate,
+    tabulate=lambda settings, rows: ceiling_rows(rows, settings.draws),
     summarise=ceiling_tables,
     figure=draw_ceiling_figure,
     prepare=prepare_simulated,

@@ -28,7 +28,7 @@ CAUSES: Final = {
 """Hidden causes and the simulated effects that draw them: how far the hand closes; which part of the pads
 makes contact; where the hand lands and how exactly it reaches its target; what the sensor adds over time."""
 
-NEW_OBJECT: Final = "stranger"
+NEW_OBJECT: Final = "new_object"
 """Also unknown of an object that was never touched: its day, and its material, that of any object of the scene."""
 
 _MATERIAL: Final = ("young_pa", "poisson", "thickness_m", "friction")

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predict each real grasp from sight and all that was read before it, of whatever object, in order of time.
+"""Predict each real grasp from vision and all that was read before it, of whatever object, in order of time.
 
-This is what a robot at work sees. The predictor by sight of an object is fitted to the other objects, earlier and later
+This is what a robot at work does. The predictor of an object by vision is fitted to the other objects, earlier and later
 ones; the parameters of the tracker are fitted without the object too, from predictions of the others by models that
-know neither them nor the object (a fit for each pair). `past_mean` predicts by sight the mean of all readings before
-the object was taken, so that nothing later enters but the parameters.
+know neither them nor the object (a fit for each pair). `past_mean` stands for a vision that predicts the mean of all
+readings before the object was taken, so that nothing later enters but the parameters.
 
 Where tares were recorded, the tracker reads each before the prediction of its grasp, as a difference from the mean of
-those of the other objects, and the memory shifts that grasp by it.
+those of the other objects.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from foretouch.config import Settings, setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.prequential.results import draw_prequential, prequential_rows, summarise_prequential
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
+from foretouch.experiments.shared.rows import grouped
 from foretouch.experiments.shared.scores import labelled, load
 from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
@@ -40,13 +41,11 @@ class PrequentialSettings(Settings):
     """Settings of `prequential`."""
 
     predictors: tuple[str, ...] = setting(
-        ("contact", _MEAN), "Predictors by sight whose errors are tracked", choices=tuple(PREDICTORS)
+        ("contact", _MEAN), "Predictors by vision whose errors are tracked", choices=tuple(PREDICTORS)
     )
     training_fraction: float = setting(
-        1.0, "Share of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
+        1.0, "Fraction of trees and epochs; below 1 only for quick trials", minimum=0.001, maximum=1.0
     )
-    jump: float = setting(100.0, "Size of the injected jump of all values", minimum=0.0, maximum=1000.0, unit="counts")
-    jump_after: int = setting(25, "Touches of the object before the jump", minimum=0)
     tares: bool = setting(True, "Whether tares that were recorded are read as well, at the time of their grasps")
     bootstrap: BootstrapConfig = BootstrapConfig()
 
@@ -82,10 +81,10 @@ def _run(cell: Cell, settings: PrequentialSettings, data: Dataset) -> list[Row]:
 
 def _tabulate(settings: PrequentialSettings, rows: Sequence[Row]) -> list[Row]:
     result: list[Row] = []
-    for predictor in dict.fromkeys(row["predictor"] for row in rows):
-        recordings = _recordings([row for row in rows if row["predictor"] == predictor], settings)
+    for predictor, own in grouped(rows, "predictor"):
+        recordings = _recordings(own, settings)
         if recordings is not None:
-            result += prequential_rows(predictor, recordings, settings, past=predictor == _MEAN)
+            result += prequential_rows(predictor, recordings, settings.bootstrap, past=predictor == _MEAN)
     return result
 
 
@@ -105,7 +104,7 @@ def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str,
             if whole is None or row is None:
                 return None
             parts.append({"name": name, **whole, "expected": row["expected"]})
-        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts])
+        names = np.concatenate([np.full(len(part["stamps_ns"]), part["name"]) for part in parts]).astype(np.str_)
         stamps, readings, expected = (
             np.concatenate([np.array(part[key]) for part in parts]) for key in ("stamps_ns", "readings", "expected")
         )
@@ -113,7 +112,7 @@ def _recordings(rows: Sequence[Row], settings: PrequentialSettings) -> dict[str,
         if settings.tares and any(tare is not None for part in parts for tare in part["tares"]):
             unknown = np.full(readings.shape[1], np.nan)
             tares = np.array([unknown if tare is None else tare for part in parts for tare in part["tares"]])
-        recordings[target] = Recording.ordered(stamps, names, readings, expected, tares)
+        recordings[target] = Recording(stamps, names, readings, expected, tares).ordered()
     return recordings
 
 
@@ -130,6 +129,6 @@ EXPERIMENT = Experiment(
     tabulate=_tabulate,
     summarise=summarise_prequential,
     figure=draw_prequential,
-    resumable_settings=("predictors", "jump", "jump_after", "tares", "bootstrap"),
+    resumable_settings=("predictors", "tares", "bootstrap"),
     data_folder="vision2tactile",
 )

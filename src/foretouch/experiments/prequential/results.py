@@ -6,208 +6,167 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.scores import ALL_OBJECTS
-from foretouch.learning.evaluation.metrics import ObjectErrors, compare, skills
-from foretouch.learning.evaluation.prequential import (
-    BINS,
-    Recording,
-    baselines,
-    other_objects_mean,
-    replay,
-    replay_memory,
-)
+from foretouch.experiments.shared.figures import draw_series, legend_of, modality_panels
+from foretouch.experiments.shared.rows import SIGNS, grouped, listed, select, short, unique
+from foretouch.experiments.shared.scores import ALL_OBJECTS, interval_columns
+from foretouch.experiments.shared.skill_tables import findings
+from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
+from foretouch.learning.evaluation.prequential import BINS, Recording, baselines, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
 from foretouch.learning.training.tracker import fit_tracker
-from foretouch.models.state_space import FINGERS
+from foretouch.models.calibration import Calibration
+from foretouch.models.state_space import FINGERS, TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.report.panels import Rows, save
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
-from foretouch.types import Float64
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from foretouch.types import TOUCH_SIZE, Float64
 
 TRACKER: Final = "tracker"
 MEMORY: Final = "memory"
-"""Of the calibration: ends with the object."""
+"""A tracker whose state ends with the object."""
 
-SIGHT: Final = "sight"
+VISION: Final = "vision"
+"""The predictions that know no reading."""
+
+PAST: Final = "past_mean"
 LATER: Final = "4th on"
 """All grasps of an object from the fourth on: the coverage of single objects."""
 
 AFTER_JUMP: Final = "after jump"
+_JUMP: Final = 100.0  # [counts]
+_JUMP_AFTER: Final = 25  # touches of the object
 _JUMP_GRASPS: Final = 50
-_PAST: Final = "past_mean"
 _RANGES: Final = {**BINS, LATER: (3, 10**9)}
 _OBJECT_BINS: Final = ("first 3", "3-9", "10+", "all", LATER)
 _FINGER_OF: Final = dict(zip(MODALITIES, (*FINGERS, *FINGERS), strict=True))
+_COLUMNS: Final = (
+    *(VISION, "method", "bin", "object", "modality", "grasps", "skill", "skill_low", "skill_high"),
+    *("vs_memory_verdict", "coverage", "half_width", "width_at_equal_coverage", "noticed_after"),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class _Scored:
-    """Predictions of all grasps, those of each object from a replay without it."""
+    """Predictions of grasps, those of each object from a replay without it."""
 
     recording: Recording
     counts: dict[str, Float64]  # by method, (S, 50); NaN where a method predicts nothing [counts]
     half: dict[str, Float64]  # by method, (S, 50) [counts]
 
+    def add(self, method: str, where: npt.NDArray[np.bool_], counts: Float64, half: Float64 | None = None) -> None:
+        """Set the predictions of some grasps, and the half widths of their intervals."""
+        for kept, values in ((self.counts, counts), (self.half, half)):
+            if values is not None:
+                kept.setdefault(method, np.full(self.recording.readings.shape, np.nan))[where] = values
+
 
 def prequential_rows(
-    predictor: str, recordings: Mapping[str, Recording], settings: Any, *, past: bool = False
+    predictor: str, recordings: Mapping[str, Recording], config: BootstrapConfig, *, past: bool = False
 ) -> list[Row]:
-    """Rows of `results.csv` for one predictor by sight.
+    """Rows of `results.csv` for one predictor that knows no reading.
 
     Args:
         predictor: Its name.
         recordings: By object: all readings, with predictions that are not of the object.
-        settings: Of the experiment.
-        past: Whether the predictor that knows the past only is scored as well.
+        config: Configuration of the bootstrap.
+        past: Whether the mean of all readings before the object was taken is scored as predictor as well.
     """
-    any_recording = next(iter(recordings.values()))
-    shape = any_recording.readings.shape
-    counts: dict[str, Float64] = {}
-    half = {name: np.full(shape, np.nan) for name in (TRACKER, MEMORY)}
-    strict = np.full(shape, np.nan), np.full(shape, np.nan)
+    first = next(iter(recordings.values()))
+    whole, strict = _Scored(first, {}, {}), _Scored(first, {}, {})
     jumps: list[Row] = []
     for name, recording in recordings.items():
-        own = recording.objects == name
+        own, runs = recording.objects == name, recording.runs()
         others = recording.take(~own)
         group = fit_group(
             HeldOutPredictions(others.expected, others.readings, others.objects, others.objects), new=True
         )
-        tracker = SensorTracker(fit_tracker(others, group, group))
-        parameters = tracker.parameters
-        played = replay(tracker, recording)
-        memory = replay_memory(group, recording)
-        found = {TRACKER: played.counts, MEMORY: memory[0], SIGHT: recording.expected}
-        for method, values in (found | baselines(recording, other_objects_mean(recording))).items():
-            counts.setdefault(method, np.full(shape, np.nan))[own] = values[own]
-        half[TRACKER][own], half[MEMORY][own] = played.half[own], memory[1][own]
-        jumps += _jump_rows(name, recording, SensorTracker(parameters), settings)
-        for run in np.unique(recording.runs()[own]) if past else ():
-            if run:
-                _replay_past(SensorTracker(parameters), recording, int(run), strict)
-    scored = _Scored(any_recording, counts, half)
-    head = {"sight": predictor}
-    rows = [{**head, **row} for row in [*_score_rows(scored, settings), *jumps]]
-    if past:
-        only = np.isfinite(strict[0]).all(axis=1)
-        kept = {TRACKER: strict[0][only], MEMORY: counts[MEMORY][only]}
-        halves = {TRACKER: strict[1][only], MEMORY: half[MEMORY][only]}
-        reference = other_objects_mean(any_recording)[only]
-        touches = any_recording.touches()[only]
-        chosen = _Scored(any_recording.take(only), kept, halves)
-        rows += [{"sight": _PAST, **row} for row in _score_rows(chosen, settings, reference, touches)]
-    return rows
+        calibration = Calibration(np.zeros(TOUCH_SIZE), {"new": group, "known": group})
+        fitted = {TRACKER: fit_tracker(others, group, group), MEMORY: calibration.tracker_parameters}
+        for method, parameters in fitted.items():
+            keep = method == TRACKER
+            played = replay(SensorTracker(parameters), recording, keep_sensors=keep)
+            whole.add(method, own, played.counts[own], played.half[own])
+            for run in np.unique(runs[own]) if past else ():
+                if run:
+                    played = replay(SensorTracker(parameters), _with_past_mean(recording, int(run)), keep_sensors=keep)
+                    last = runs[runs <= run] == run
+                    strict.add(method, runs == run, played.counts[last], played.half[last])
+        others_mean = other_objects_mean(recording)
+        for method, values in ({VISION: recording.expected} | baselines(recording, others_mean)).items():
+            whole.add(method, own, values[own])
+        jumps += _jump_rows(name, recording, fitted[TRACKER])
+    rows = [{VISION: predictor, **row} for row in [*_score_rows(whole, config), *jumps]]
+    rows += [{VISION: PAST, **row} for row in _score_rows(strict, config)] if past else []
+    return [{name: row.get(name) for name in _COLUMNS} for row in rows]
 
 
-def _replay_past(tracker: SensorTracker, recording: Recording, run: int, into: tuple[Float64, Float64]) -> None:
-    """Predict one run of grasps with the mean of all readings before it as prediction by sight."""
+def _with_past_mean(recording: Recording, run: int) -> Recording:
+    """A recording up to the end of a run of grasps, with the mean of all readings before that run as prediction."""
     runs = recording.runs()
-    past = runs < run
-    mean = recording.readings[past].mean(axis=0)
-    shown = recording.take(runs <= run)
+    past, shown = runs < run, recording.take(runs <= run)
     if shown.tares is not None and recording.tares is not None:
         known = np.isfinite(recording.tares[past]).all(axis=1)
         level = recording.tares[past][known].mean(axis=0) if known.any() else np.nan
         shown = replace(shown, tares=shown.tares - level)
-    played = replay(tracker, replace(shown, expected=np.tile(mean, (len(shown.readings), 1))))
-    into[0][runs == run] = played.counts[runs[runs <= run] == run]
-    into[1][runs == run] = played.half[runs[runs <= run] == run]
+    mean = recording.readings[past].mean(axis=0)
+    return replace(shown, expected=np.tile(mean, (len(shown.readings), 1)))
 
 
-def _jump_rows(name: str, recording: Recording, tracker: SensorTracker, settings: Any) -> list[Row]:
+def _jump_rows(name: str, recording: Recording, parameters: TrackerParameters) -> list[Row]:
     """Coverage of the grasps after all values jump while an object is touched."""
-    first = np.flatnonzero(recording.objects == name)[
-        min(settings.jump_after, int((recording.objects == name).sum()) - 1)
-    ]
+    own = np.flatnonzero(recording.objects == name)
+    first = own[min(_JUMP_AFTER, len(own) - 1)]
     readings = recording.readings.copy()
-    readings[first:] = np.clip(readings[first:] + settings.jump, 0.0, FULL_SCALE)
+    readings[first:] = np.clip(readings[first:] + _JUMP, 0.0, FULL_SCALE)
     tares = None if recording.tares is None else recording.tares.copy()
     if tares is not None:
-        tares[first + 1 :] += settings.jump
-    played = replay(tracker, replace(recording, readings=readings, tares=tares))
+        tares[first + 1 :] += _JUMP
+    played = replay(SensorTracker(parameters), replace(recording, readings=readings, tares=tares))
     after = slice(first, first + _JUMP_GRASPS)
     inside = (np.abs(readings - played.counts) <= played.half)[after]
-    rows = []
+    rows: list[Row] = []
     for modality in MODALITIES:
         noticed = [k for k, fingers in enumerate(played.restarted[after]) if _FINGER_OF[modality] in fingers]
-        rows.append(
-            {
-                "method": TRACKER,
-                "bin": AFTER_JUMP,
-                "object": name,
-                "modality": modality,
-                "grasps": len(inside),
-                "coverage": _rounded(inside[:, columns([modality])].mean()),
-                "noticed_after": noticed[0] + 1 if noticed else None,
-            }
-        )
-    return [{**_EMPTY, **row} for row in rows]
+        found = {
+            "coverage": inside[:, columns([modality])].mean(),
+            "noticed_after": noticed[0] + 1 if noticed else None,
+        }
+        place = {"method": TRACKER, "bin": AFTER_JUMP, "object": name, "modality": modality, "grasps": len(inside)}
+        rows.append(place | found)
+    return rows
 
 
-_EMPTY: Final[Row] = dict.fromkeys(
-    (
-        "method",
-        "bin",
-        "object",
-        "modality",
-        "grasps",
-        "skill",
-        "skill_low",
-        "skill_high",
-        "vs_memory",
-        "vs_memory_low",
-        "vs_memory_high",
-        "vs_memory_verdict",
-        "coverage",
-        "half_width",
-        "width_at_equal_coverage",
-        "noticed_after",
-    )
-)
-
-
-def _score_rows(
-    scored: _Scored, settings: Any, reference: Float64 | None = None, touches: npt.NDArray[np.int_] | None = None
-) -> list[Row]:
+def _score_rows(scored: _Scored, config: BootstrapConfig) -> list[Row]:
     """A row for each method, range of touches, object and modality."""
     recording = scored.recording
-    reference = other_objects_mean(recording) if reference is None else reference
-    touches = recording.touches() if touches is None else touches
+    reference, touches = other_objects_mean(recording), recording.touches()
+    predicted = np.isfinite(scored.counts[TRACKER]).all(axis=1)
     rows: list[Row] = []
     for label, (low, high) in _RANGES.items():
-        chosen = (touches >= low) & (touches <= high)
+        chosen = (touches >= low) & (touches <= high) & predicted
         if not chosen.any():
             continue
         errors = {method: _errors(recording, values, reference, chosen) for method, values in scored.counts.items()}
         for method, own in errors.items():
-            own_skills = skills(own, settings.bootstrap)
-            versus = compare(own, errors[MEMORY], settings.bootstrap) if method != MEMORY else None
+            estimates = skills(own, config)
+            versus = compare(own, errors[MEMORY], config) if method != MEMORY else {}
+            by_object = own.objects if method in scored.half and label in _OBJECT_BINS else ()
+            single = {name: skills(own.only(name), config) for name in by_object}
             for modality in MODALITIES:
-                one = own_skills[modality]
-                row = {**_EMPTY, "method": method, "bin": label, "object": ALL_OBJECTS, "modality": modality}
-                row |= {"skill": _rounded(one.value), "skill_low": _rounded(one.low), "skill_high": _rounded(one.high)}
-                if versus is not None:
-                    other = versus[modality]
-                    row |= {
-                        "vs_memory": _rounded(other.value),
-                        "vs_memory_low": _rounded(other.low),
-                        "vs_memory_high": _rounded(other.high),
-                        "vs_memory_verdict": other.verdict,
-                    }
-                rows.append(row | _interval_columns(scored, method, modality, chosen))
-                for name in own.objects if method in scored.half and label in _OBJECT_BINS else ():
-                    mine = chosen & (recording.objects == name)
-                    single = skills(own.only(name), settings.bootstrap)[modality].value
-                    row = {**_EMPTY, "method": method, "bin": label, "object": name, "modality": modality}
-                    rows.append(row | {"skill": _rounded(single)} | _interval_columns(scored, method, modality, mine))
+                place = {"method": method, "bin": label, "modality": modality}
+                verdict = versus[modality].verdict if versus else None
+                skill = {**interval_columns("skill", estimates[modality]), "vs_memory_verdict": verdict}
+                intervals = _interval_columns(scored, method, modality, chosen)
+                rows.append({**place, "object": ALL_OBJECTS, **skill, **intervals})
+                for name, found in single.items():
+                    mine = _interval_columns(scored, method, modality, chosen & (recording.objects == name))
+                    rows.append({**place, "object": name, "skill": found[modality].value, **mine})
     return rows
 
 
@@ -228,43 +187,48 @@ def _interval_columns(scored: _Scored, method: str, modality: str, chosen: npt.N
     rows = np.ix_(chosen, columns([modality]))
     readings, half = scored.recording.readings[rows], scored.half[method][rows]
     coverage = float((np.abs(readings - scored.counts[method][rows]) <= half).mean())
-    result |= {"coverage": _rounded(coverage), "half_width": round(float(half.mean()), 1)}
+    result |= {"coverage": coverage, "half_width": float(half.mean())}
     if method != MEMORY:
         memory = scored.half[MEMORY][rows]
         scale = float(np.quantile(np.abs(readings - scored.counts[MEMORY][rows]) / memory, coverage))
-        result["width_at_equal_coverage"] = _rounded(float(half.mean() / (scale * memory.mean())))
+        result["width_at_equal_coverage"] = float(half.mean() / (scale * memory.mean()))
     return result
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(float(value), 4)
-
-
 def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
-    """Tables of skill over touches, each object, intervals and jump, for each predictor by sight."""
-    tables = []
-    for sight in dict.fromkeys(row["sight"] for row in rows):
-        own = [row for row in rows if row["sight"] == sight]
-        tables.append(_skill_table(sight, own))
-        tables.append(_object_table(sight, own))
-        tables.append(_interval_table(sight, own))
+    """Tables of skill over touches, each object, intervals and jump, for each predictor that knows no reading."""
+    tables, sentences = [], []
+    for vision, own in grouped(rows, VISION):
+        sentences += _sentences(vision, own)
+        tables += [_skill_table(vision, own), _object_table(vision, own), _interval_table(vision, own)]
         if any(row["bin"] == AFTER_JUMP for row in own):
-            tables.append(_jump_table(sight, own))
+            tables.append(_jump_table(vision, own))
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; the four numbers are PDC_TH, PDC_MF, E_TH, E_MF",
         "touches: of the object, since it was taken; an object that returns begins with 0",
-        "▲ ▼: significantly better or worse than `memory` (95 % interval by bootstrap over objects)",
-        "sight is fitted to all other objects, later ones included; past_mean uses earlier readings only (the parameters of the tracker do not)",
-        "width: mean half width over that of `memory`, after the latter was scaled to the same coverage",
+        f"▲ ▼: significantly better or worse than `{MEMORY}`, a tracker that ends with the object (95 % interval by bootstrap over objects)",
+        f"vision is fitted to all other objects, later ones included; `{PAST}` uses earlier readings only (the parameters of tracker and memory do not)",
+        f"width: mean half width over that of `{MEMORY}`, after the latter was scaled to the same coverage",
     ]
-    return [*tables[:-1], replace(tables[-1], notes=notes)]
+    return [findings(sentences), *tables[:-1], replace(tables[-1], notes=notes)]
 
 
-_SIGNS: Final = {"better": "▲", "worse": "▼"}
-
-
-def _find(rows: Rows, **wanted: Any) -> list[Mapping[str, Any]]:
-    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+def _sentences(vision: str, rows: Rows) -> list[str]:
+    """Skills and coverage of the tracker."""
+    together = select(rows, method=TRACKER, object=ALL_OBJECTS)
+    before, first, every = (listed(select(together, bin=label), "skill") for label in ("none", "first 3", "all"))
+    coverage = listed(select(together, bin="all"), "coverage")
+    before = f"{before} before the first touch of an object, " if before else ""
+    found = [f"{vision}: the tracker has skills of {before}{first} on its first three grasps, {every} on all"]
+    later = [row["coverage"] for row in select(rows, method=TRACKER, bin=LATER) if row["object"] != ALL_OBJECTS]
+    jumps = [row["coverage"] for row in select(rows, bin=AFTER_JUMP)]
+    text = f"{vision}: its 90 % intervals cover {coverage}"
+    text += f", of each object from its fourth grasp at least {short(min(later))}" if later else ""
+    if jumps:
+        text += (
+            f", and after a jump of all values {short(float(np.mean(jumps)))} on average, at least {short(min(jumps))}"
+        )
+    return [*found, text]
 
 
 def _present(rows: Rows, labels: Sequence[str]) -> list[str]:
@@ -272,119 +236,93 @@ def _present(rows: Rows, labels: Sequence[str]) -> list[str]:
     return [label for label in labels if any(row["bin"] == label for row in rows)]
 
 
+def _skill_table(vision: str, rows: Rows) -> Table:
+    together = [row for row in select(rows, object=ALL_OBJECTS) if row["bin"] in BINS]
+    labels = _present(rows, tuple(BINS))
+    signs = {name: sign for name, sign in SIGNS.items() if name != "tie"}
+    body = []
+    for method, own in grouped(together, "method"):
+        found = {
+            label: " ".join(f"{row['skill']:.2f}{signs.get(row['vs_memory_verdict'], '')}" for row in cells)
+            for label, cells in grouped(own, "bin")
+        }
+        body.append([method, *(found[label] for label in labels)])
+    count = {label: select(together, bin=label)[0]["grasps"] for label in labels}
+    return Table(f"{vision}: skill over touches", ["method", *(f"{label} ({count[label]})" for label in labels)], body)
+
+
+def _object_table(vision: str, rows: Rows) -> Table:
+    names = sorted(set(unique(rows, "object")) - {ALL_OBJECTS})
+    body = []
+    for method in (TRACKER, MEMORY):
+        for label in _present(rows, ("first 3", "3-9", "all")):  # a single grasp has no skill of its own
+            own = select(rows, method=method, bin=label)
+            parts = [select(own, object=name) for name in names]
+            cells = [_four(part, "skill") for part in parts]
+            worst = (min(part[k]["skill"] for part in parts if part) for k in range(len(MODALITIES)))
+            body.append([f"{method}, {label}", *cells, " ".join(f"{one:.2f}" for one in worst)])
+    return Table(f"{vision}: skill of each object", ["touches", *names, "worst"], body)
+
+
+def _interval_table(vision: str, rows: Rows) -> Table:
+    body = []
+    for method in (TRACKER, MEMORY):
+        own = select(rows, method=method)
+        for label in _present(rows, ("none", "first 3", "3-9", "10+", "all")):
+            cells = select(own, bin=label, object=ALL_OBJECTS)
+            width = _four(cells, "width_at_equal_coverage")
+            body.append([f"{method}, {label}", _four(cells, "coverage"), _four(cells, "half_width", 0), width])
+        for name, later in grouped(select(own, bin=LATER), "object"):
+            line = [f"{method}, {name} from the 4th grasp", _four(later, "coverage"), _four(later, "half_width", 0), ""]
+            body += [line] * (name != ALL_OBJECTS)
+    return Table(f"{vision}: 90 % intervals", ["touches", "coverage", "half width [counts]", "width"], body)
+
+
+def _jump_table(vision: str, rows: Rows) -> Table:
+    jumps = select(rows, bin=AFTER_JUMP)
+    found = sorted(grouped(jumps, "object"))
+    body = [[name, _four(own, "coverage"), _four(own, "noticed_after", 0)] for name, own in found]
+    means = [f"{np.mean([row['coverage'] for row in select(jumps, modality=name)]):.2f}" for name in MODALITIES]
+    title = f"{vision}: {_JUMP_GRASPS} grasps after a jump of all values"
+    columns_ = ["while touching", "coverage", "finger restarted after touches"]
+    return Table(title, columns_, [*body, ["mean", " ".join(means), ""]])
+
+
 def _four(rows: Rows, key: str, decimals: int = 2) -> str:
     return " ".join("–" if row[key] is None else f"{row[key]:.{decimals}f}" for row in rows)
 
 
-def _skill_table(sight: str, rows: Rows) -> Table:
-    body, labels = [], _present(rows, tuple(BINS))
-    for method in dict.fromkeys(row["method"] for row in rows if row["bin"] in BINS):
-        line = [method]
-        for label in labels:
-            cells = _find(rows, method=method, bin=label, object=ALL_OBJECTS)
-            line.append(
-                " ".join(f"{row['skill']:.2f}{_SIGNS.get(row['vs_memory_verdict'] or '', '')}" for row in cells)
-            )
-        body.append(line)
-    count = {label: _find(rows, bin=label, object=ALL_OBJECTS)[0]["grasps"] for label in labels}
-    return Table(f"{sight}: skill over touches", ["method", *(f"{label} ({count[label]})" for label in labels)], body)
-
-
-def _object_table(sight: str, rows: Rows) -> Table:
-    names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
-    body = []
-    for method in (TRACKER, MEMORY):
-        for label in _present(rows, ("first 3", "3-9", "all")):  # a single grasp has no skill of its own
-            parts = {name: _find(rows, method=method, bin=label, object=name) for name in names}
-            cells = [_four(part, "skill") for part in parts.values()]
-            worst = " ".join(
-                f"{min(part[k]['skill'] for part in parts.values() if part):.2f}" for k in range(len(MODALITIES))
-            )
-            body.append([f"{method}, {label}", *cells, worst])
-    return Table(f"{sight}: skill of each object", ["touches", *names, "worst"], body)
-
-
-def _interval_table(sight: str, rows: Rows) -> Table:
-    names = sorted({row["object"] for row in rows} - {ALL_OBJECTS})
-    body = []
-    for method in (TRACKER, MEMORY):
-        for label in _present(rows, ("none", "first 3", "3-9", "10+", "all")):
-            cells = _find(rows, method=method, bin=label, object=ALL_OBJECTS)
-            body.append(
-                [
-                    f"{method}, {label}",
-                    _four(cells, "coverage"),
-                    _four(cells, "half_width", 0),
-                    _four(cells, "width_at_equal_coverage"),
-                ]
-            )
-        for name in names:
-            later = _find(rows, method=method, bin=LATER, object=name)
-            line = [f"{method}, {name} from the 4th grasp", _four(later, "coverage"), _four(later, "half_width", 0), ""]
-            body += [line]
-    return Table(f"{sight}: 90 % intervals", ["touches", "coverage", "half width [counts]", "width"], body)
-
-
-def _jump_table(sight: str, rows: Rows) -> Table:
-    jumps = _find(rows, bin=AFTER_JUMP)
-    names = sorted({row["object"] for row in jumps})
-    body = [
-        [name, _four(_find(jumps, object=name), "coverage"), _four(_find(jumps, object=name), "noticed_after", 0)]
-        for name in names
-    ]
-    means = [f"{np.mean([row['coverage'] for row in _find(jumps, modality=modality)]):.2f}" for modality in MODALITIES]
-    body.append(["mean", " ".join(means), ""])
-    title = f"{sight}: {_JUMP_GRASPS} grasps after a jump of all values"
-    return Table(title, ["while touching", "coverage", "finger restarted after touches"], body)
-
-
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `touches.png`: skill over touches, with 95 % intervals of the first two; below it width and coverage."""
-    sight = rows[0]["sight"]
-    own = _find(rows, sight=sight)
-    labels = _present(own, ("none", "1 touch", "2 touches", "3-9", "10+"))
-    figure = new_figure(9.0, 4.8)
-    above, below = figure.subplots(2, len(MODALITIES), sharex=True)
-    shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", SIGHT)
-    for axes, modality in zip(above, MODALITIES, strict=True):
-        for number, method in enumerate(shown):
-            _draw_line(axes, _find(own, method=method, object=ALL_OBJECTS, modality=modality), labels, number, method)
-        axes.set_title(modality)
-        axes.axhline(0.0, color="grey", linewidth=0.8)
+    """Draw `touches.png`: skill over touches, with 95 % intervals; below it width and coverage."""
+    vision = rows[0][VISION]
+    together = select(rows, vision=vision, object=ALL_OBJECTS)
+    labels = _present(together, ("none", "1 touch", "2 touches", "3-9", "10+"))
+    shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", VISION)
+    figure, (above, below) = modality_panels(9.0, (2.4, 2.4), sharex=True)
+    for axes, modality in above:
+        own = [row for row in select(together, modality=modality) if row["bin"] in labels]
+        # Intervals of the first two alone: six would hide each other.
+        own = [row if row["method"] in (TRACKER, MEMORY) else {**row, "skill_low": None} for row in own]
+        draw_series(axes, own, "bin", "method", shown, places=labels, spread=0.08)
         axes.set_ylim(-0.6, 1.0)
-    for axes, modality in zip(below, MODALITIES, strict=True):
-        for number, method in enumerate((TRACKER, MEMORY)):
-            cells = {row["bin"]: row for row in _find(own, method=method, object=ALL_OBJECTS, modality=modality)}
-            axes.plot(
-                range(len(labels)), [cells[k]["half_width"] for k in labels], "o-", color=f"C{number}", label=method
+    for axes, modality in below:
+        own = [
+            row for row in select(together, modality=modality) if row["bin"] in labels and row["coverage"] is not None
+        ]
+        draw_series(axes, own, "bin", "method", (TRACKER, MEMORY), values="half_width", places=labels)
+        for row in own:
+            number = (TRACKER, MEMORY).index(row["method"])
+            how: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": f"C{number}", "textcoords": "offset points"}
+            axes.annotate(
+                f"{row['coverage']:.2f}",
+                (labels.index(row["bin"]), row["half_width"]),
+                (0, 6 if number else -13),
+                **how,
             )
-            for x, k in enumerate(labels):
-                axes.annotate(
-                    f"{cells[k]['coverage']:.2f}",
-                    (x, cells[k]["half_width"]),
-                    (0, 6 if number else -13),
-                    textcoords="offset points",
-                    ha="center",
-                    fontsize=8,
-                    color=f"C{number}",
-                )
+        axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel("touches of the object")
-        axes.grid(visible=True, alpha=0.3)
-    above[0].set_ylabel(f"skill (sight: {sight})")
-    below[0].set_ylabel("half width [counts], coverage")
-    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(shown), fontsize=9)
+    above[0][0].set_ylabel(f"skill (vision: {vision})")
+    below[0][0].set_ylabel("half width [counts], coverage")
+    legend_of(figure, above[0][0], "lower center", ncols=len(shown))
     return [save(figure, folder / "touches.png")]
-
-
-def _draw_line(axes: Axes, rows: Rows, labels: Sequence[str], number: int, name: str) -> None:
-    cells = {row["bin"]: row for row in rows}
-    offset = 0.08 * (number - 2.5)
-    x = np.arange(len(labels)) + offset
-    axes.plot(x, [cells[label]["skill"] for label in labels], "o-", color=f"C{number}", markersize=4, label=name)
-    for centre, label in zip(x, labels, strict=True):
-        if name in (TRACKER, MEMORY) and cells[label]["skill_low"] is not None:
-            ends = [cells[label]["skill_low"], cells[label]["skill_high"]]
-            axes.plot([centre, centre], ends, color=f"C{number}", linewidth=0.8)
-    axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
-    axes.grid(visible=True, alpha=0.3)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from foretouch.errors import DatasetError, ModelError, TactileError
 from foretouch.learning.evaluation.metrics import score
-from foretouch.models.calibration import CalibrationGroup
+from foretouch.models.calibration import Calibration
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
 from foretouch.tactile import MODALITIES, check_touch, columns
@@ -45,53 +45,46 @@ class Recording:
     objects: npt.NDArray[np.str_]  # (S,) names; another object begins wherever the name changes
     readings: Float64  # (S, 50) [counts]
     expected: Float64  # (S, 50) predictions by sight, at the rest level of training [counts]
-    tares: Float64 | None = (
-        None  # (S, 50) tare of each grasp minus the rest level, NaN without; None if there are none [counts]
-    )
+    tares: Float64 | None = None  # (S, 50) tare of each grasp minus the rest level, NaN where there is none [counts]
+    known: npt.NDArray[np.bool_] | None = None  # (S,) whether the object is like those of training; None if none is
 
     @classmethod
-    def ordered(
+    def of_samples(
         cls,
-        stamps_ns: Sequence[int] | npt.NDArray[np.int64],
-        objects: Sequence[str] | npt.NDArray[np.str_],
-        readings: Float64,
+        samples: Sequence[GraspSample],
+        labels: Float64,
         expected: Float64,
-        tares: Float64 | None = None,
+        rest: Float64,
+        known: npt.NDArray[np.bool_] | None = None,
     ) -> Self:
-        """From samples in any order; those of equal stamps keep theirs.
+        """From samples with their (S, 50) labels, and (S, 50) predictions by sight at a (50,) rest level [counts]."""
+        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
+        objects = np.array([sample.object for sample in samples], np.str_)
+        stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
+        return cls(stamps, objects, labels, expected, None if np.isnan(tares).all() else tares, known)
+
+    def ordered(self) -> Self:
+        """In order of time; grasps of equal stamps keep theirs.
 
         Raises:
-            DatasetError: If there is no sample, or one has no stamp.
+            DatasetError: If there is no grasp, or one has no stamp.
         """
-        stamps = np.asarray(stamps_ns, np.int64)
-        if not len(stamps) or stamps.min() <= 0:
+        if not len(self.stamps_ns) or self.stamps_ns.min() <= 0:
             raise DatasetError("prequential: there is no sample, or one has no stamp, so their order is not known")
-        recording = cls(stamps, np.asarray(objects, np.str_), readings, expected, tares)
-        return recording.take(np.argsort(stamps, kind="stable"))
-
-    @classmethod
-    def of_samples(cls, samples: Sequence[GraspSample], labels: Float64, expected: Float64, rest: Float64) -> Self:
-        """From samples with their (S, 50) labels, and (S, 50) predictions by sight at a (50,) rest level [counts].
-
-        Raises as `ordered`.
-        """
-        tares = np.array([np.full(TOUCH_SIZE, np.nan) if s.tare is None else s.tare.vector() - rest for s in samples])
-        objects = [sample.object for sample in samples]
-        stamps = [sample.stamp_ns for sample in samples]
-        return cls.ordered(stamps, objects, labels, expected, None if np.isnan(tares).all() else tares)
+        return self.take(np.argsort(self.stamps_ns, kind="stable"))
 
     def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Self:
         """Some of the grasps, by indices or a mask."""
-        tares = None if self.tares is None else self.tares[index]
-        stamps, objects = self.stamps_ns[index], self.objects[index]
-        return replace(
-            self,
-            stamps_ns=stamps,
-            objects=objects,
-            readings=self.readings[index],
-            expected=self.expected[index],
-            tares=tares,
-        )
+        arrays = {name: array[index] for name, array in vars(self).items() if array is not None}
+        return replace(self, **arrays)
+
+    def tare(self, k: int) -> Float64 | None:
+        """(50,) tare of a grasp minus the rest level [counts]; None without."""
+        return None if self.tares is None or np.isnan(self.tares[k]).any() else self.tares[k]
+
+    def is_known(self, k: int) -> bool:
+        """Whether the object of a grasp is in the distribution of the training data."""
+        return self.known is not None and bool(self.known[k])
 
     def begins(self) -> npt.NDArray[np.bool_]:
         """(S,) whether another object than before is touched."""
@@ -123,28 +116,29 @@ class Replayed:
         return Replayed(self.counts[index], self.half[index], levels, restarted)
 
 
-def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.bool_] | None = None) -> Replayed:
+def replay(tracker: SensorTracker, recording: Recording, *, keep_sensors: bool = True) -> Replayed:
     """Predict each grasp, then add its reading to the tracker; one that is NaN is only predicted.
 
     Args:
         tracker: With its history so far, which is continued.
         recording: In order of time, and after that history.
-        known: (S,) whether each object is in the distribution of the training data; none by default.
+        keep_sensors: Whether the state of the sensors is kept at another object; else everything ends with the object.
 
     Raises:
         TactileError: If a reading or a stamp cannot be used.
     """
-    counts, half = np.empty((2, len(recording.readings), TOUCH_SIZE))
+    counts, half = np.empty((2, *recording.readings.shape))
     levels, restarted = [], []
     begins = recording.begins()
     for k, (stamp, reading, expected) in enumerate(
         zip(recording.stamps_ns.tolist(), recording.readings, recording.expected, strict=True)
     ):
         if begins[k]:
-            tracker.start_object(known=bool(known is not None and known[k]))
+            tracker = tracker if keep_sensors else SensorTracker(tracker.parameters)
+            tracker.start_object(known=recording.is_known(k))
         names: tuple[str, ...] = ()
-        if recording.tares is not None and np.isfinite(recording.tares[k]).all():
-            names = tracker.add_tare(stamp, recording.tares[k])
+        if (tare := recording.tare(k)) is not None:
+            names = tracker.add_tare(stamp, tare)
         levels.append(tracker.level(stamp))
         (counts[k],), (half[k],) = tracker.adapt(levels[k], expected[None])
         if np.isfinite(reading).all():
@@ -153,20 +147,36 @@ def replay(tracker: SensorTracker, recording: Recording, known: npt.NDArray[np.b
     return Replayed(counts, half, levels, restarted)
 
 
-def replay_memory(group: CalibrationGroup, recording: Recording) -> tuple[Float64, Float64]:
-    """(S, 50) predictions and half widths by the memory of the calibration, which ends with the object [counts].
+def predict_after(calibration: Calibration, touched: Recording, asked: Recording) -> tuple[Float64, Float64]:
+    """Predictions of grasps on one object after touches of it, as `TouchModel.predict` makes them.
 
-    Tares shift readings and predictions, as `TouchModel.predict` does.
+    Args:
+        calibration: Of the model that predicts by sight.
+        touched: Touches in order of time, none or more, with their tares.
+        asked: The grasps, each with its own tare; their readings are not used.
+
+    Returns:
+        (S, 50) predictions and half widths [counts].
     """
-    shift = np.zeros_like(recording.readings) if recording.tares is None else np.nan_to_num(recording.tares)
-    counts, half = np.empty((2, len(recording.readings), TOUCH_SIZE))
-    for k, touches in enumerate(recording.touches()):
-        expected = recording.expected[k : k + 1]
-        before = slice(k - touches, k)
-        read = (recording.readings - shift)[before].mean(axis=0) if touches else expected[0]
-        mean = recording.expected[before].mean(axis=0) if touches else expected[0]
-        counts[k] = group.counts_after(expected, mean, read, int(touches))[0] + shift[k]
-        half[k] = group.half_width_after(int(touches))
+    tracker, newest_ns = SensorTracker(calibration.tracker_parameters), 0
+    for k, stamp in enumerate(touched.stamps_ns.tolist()):
+        if k == 0:
+            tracker.start_object(known=touched.is_known(k))
+        newest_ns = max(newest_ns, stamp)
+        if (tare := touched.tare(k)) is not None:
+            tracker.add_tare(newest_ns, tare)
+        tracker.add_touch(newest_ns, touched.readings[k], touched.expected[k])
+    counts, half = asked.expected.copy(), np.empty_like(asked.expected)
+    for k, stamp in enumerate(asked.stamps_ns.tolist()):
+        own, tare = tracker, asked.tare(k)
+        if tare is not None:
+            own = tracker.copy()
+            own.add_tare(max(newest_ns, stamp), tare)
+        if own.evidence(0).readings:
+            level = own.level(max(newest_ns, stamp), same_object=own.touches > 0, known=asked.is_known(k))
+            (counts[k],), (half[k],) = own.adapt(level, asked.expected[k : k + 1])
+        else:
+            half[k] = calibration.unread_half_widths["known" if asked.is_known(k) else "new"]
     return counts, half
 
 
@@ -222,7 +232,6 @@ class ModelReplay:
 
     samples: list[GraspSample]  # S of them
     recording: Recording  # readings of unlabelled samples are NaN
-    known: npt.NDArray[np.bool_]  # (S,) whether each is in the distribution of the training data
     played: Replayed
     scored: npt.NDArray[np.bool_]  # (S,) False for those of the history
 
@@ -258,15 +267,15 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
         if one.value is None:
             raise ModelError(f"{sample.id}: {one.reason}")
         expected[k], known[k] = one.value.vector(), "unfamiliar" not in one.flags
-    recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest)
-    played = replay(SensorTracker(model.calibration.tracker_parameters()), recording, known)
-    return ModelReplay(ordered, recording, known, played, np.array([mine for _, mine in flagged], np.bool_))
+    recording = Recording.of_samples(ordered, readings, expected, model.calibration.rest, known).ordered()
+    played = replay(SensorTracker(model.calibration.tracker_parameters), recording)
+    return ModelReplay(ordered, recording, played, np.array([mine for _, mine in flagged], np.bool_))
 
 
 def evaluate_prequential(
     model: TouchModel, samples: Sequence[GraspSample], history: Sequence[GraspSample] = ()
 ) -> dict[str, Any]:
-    """Scores over touches of the object: tracker, memory of the calibration, sight alone, baselines without a cloud.
+    """Scores over touches of the object: tracker, memory that ends with the object, sight alone, baselines without a cloud.
 
     Args:
         model: With a calibration.
@@ -282,10 +291,13 @@ def evaluate_prequential(
         DatasetError: As `replay_model`, or if all samples are of one object.
     """
     done = replay_model(model, samples, history)
+    assert model.calibration is not None  # noqa: S101  checked by replay_model
     reference = other_objects_mean(done.recording)
-    counts, half = {"tracker": done.played.counts}, {"tracker": done.played.half}
-    counts["memory"], half["memory"] = _memory_of(model, done)
-    counts |= {"sight": done.recording.expected, **baselines(done.recording, reference)}
+    forgetful = SensorTracker(replace(model.calibration, tracker=None).tracker_parameters)
+    memory = replay(forgetful, done.recording, keep_sensors=False)
+    counts = {"tracker": done.played.counts, "memory": memory.counts, "sight": done.recording.expected}
+    counts |= baselines(done.recording, reference)
+    half = {"tracker": done.played.half, "memory": memory.half}
     touches, readings = done.recording.touches(), done.recording.readings
     found: dict[str, Any] = {}
     for name, (low, high) in BINS.items():
@@ -312,16 +324,3 @@ def evaluate_prequential(
     }
     count = int(done.scored.sum())
     return {"touches": found, "samples": count, "history": len(done.samples) - count, "restarted": restarted}
-
-
-def _memory_of(model: TouchModel, done: ModelReplay) -> tuple[Float64, Float64]:
-    """`replay_memory` with the group of the calibration that each grasp belongs to."""
-    assert model.calibration is not None  # noqa: S101  checked by replay_model
-    tare = done.recording.tares is not None
-    counts, half = np.empty((2, len(done.known), TOUCH_SIZE))
-    for inside in np.unique(done.known):
-        rows = done.known == inside
-        group = model.calibration.group(in_distribution=bool(inside), tare=tare)
-        own_counts, own_half = replay_memory(group, done.recording)
-        counts[rows], half[rows] = own_counts[rows], own_half[rows]
-    return counts, half

@@ -110,13 +110,12 @@ def resting_labels(samples: Sequence[GraspSample], labels: Float64, rest: Float6
 def calibrate(
     samples: Sequence[GraspSample], labels: Float64, held_out: Mapping[str, tuple[Float64, Names]]
 ) -> tuple[Calibration, dict[str, Any]]:
-    """A calibration from held-out predictions, without a tare and, where tares were recorded, with one.
+    """A calibration from held-out predictions.
 
-    Where all samples have a stamp and are of several objects, the parameters of the tracker of the sensors' state are
-    fitted as well.
+    Where all samples have a stamp, the parameters of the tracker of the sensors' state are fitted as well.
 
     Args:
-        samples: Training samples.
+        samples: Training samples, of several objects.
         labels: (S, 50) [counts].
         held_out: By condition (see `calibration_folds`), (S, 50) predictions at rest level [counts] and (S,) sessions.
 
@@ -124,16 +123,11 @@ def calibrate(
         As `make_calibration`; the facts also hold `rest`, the origin of the rest level.
     """
     rest, recorded = rest_level(samples)
-    resting = resting_labels(samples, labels, rest)
     objects = np.array([sample.object for sample in samples])
-    found = {}
-    for name, (predicted, sessions) in held_out.items():
-        found[name] = HeldOutPredictions(predicted, labels, objects, sessions)
-        if recorded:
-            found[f"{name}_tare"] = HeldOutPredictions(predicted, resting, objects, sessions)
+    found = {name: HeldOutPredictions(predicted, labels, objects, own) for name, (predicted, own) in held_out.items()}
     calibration, facts = make_calibration(rest, found)
-    if all(sample.stamp_ns > 0 for sample in samples) and "new" in held_out and len(np.unique(objects)) > 1:
-        recording = Recording.of_samples(samples, labels, held_out["new"][0], rest)
+    if all(sample.stamp_ns > 0 for sample in samples):
+        recording = Recording.of_samples(samples, labels, held_out["new"][0], rest).ordered()
         tracker = fit_tracker(recording, calibration.groups["new"], calibration.groups["known"])
         calibration = replace(calibration, tracker=tracker)
     return calibration, {**facts, "rest": "recorded tares" if recorded else "guessed from the labels"}
@@ -257,13 +251,13 @@ def make_calibration(rest: Float64, held_out: Mapping[str, HeldOutPredictions]) 
 
     Args:
         rest: (50,) rest level [counts].
-        held_out: By name of the group: `known` or `new`, with `_tare` behind it where a tare is used.
+        held_out: By name of the group, `known` and `new`.
 
     Returns:
         The calibration, and facts: `level`, and by group `objects`, `samples`, `cut` and `coverage` of objects left out
         of the calibration, by modality and by object.
     """
-    regimes = {name: fit_group(one, new=name.startswith("new")) for name, one in held_out.items()}
+    regimes = {name: fit_group(one, new=name == "new") for name, one in held_out.items()}
     facts: dict[str, Any] = {"level": COVERAGE, "regimes": {}}
     for name, one in held_out.items():
         objects = len(np.unique(one.objects))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from foretouch.config import Settings, setting
 from foretouch.errors import CloudError, ConfigError, DatasetError
 from foretouch.learning.data import Fold, Indices, labels_of, object_folds, predict_folds
+from foretouch.learning.evaluation.prequential import Recording, predict_after
 from foretouch.learning.training.calibration import calibrate, calibration_folds, rest_level, resting_labels
 from foretouch.learning.training.claims import choose_claims, same_object
 from foretouch.models.calibration import Calibration
@@ -265,8 +266,8 @@ class ContactPredictor:
         Raises:
             DatasetError: If `tare` is set and a sample has no tare.
         """
-        if not touched:  # requires no calibration
-            return self._estimate(samples)[0] + self._shifts(samples, tare=tare)
+        if not touched and not tare:  # requires no calibration
+            return self._estimate(samples)[0]
         return self.intervals_after(touched, samples, tare=tare)[0]
 
     def intervals_after(
@@ -277,13 +278,18 @@ class ContactPredictor:
         Raises:
             DatasetError: If `tare` is set and a sample has no tare, or the training samples are all of one object.
         """
+        earlier = sorted(touched, key=lambda sample: sample.stamp_ns)
+        recordings = (self._recording(part, tare=tare) for part in (earlier, samples))
+        return predict_after(self.calibration[0], *recordings)
+
+    def _recording(self, samples: Sequence[GraspSample], *, tare: bool) -> Recording:
+        """Samples with their predictions by sight, and with their tares if these are to be used."""
+        if tare and (missing := [sample.id for sample in samples if sample.tare is None]):
+            raise DatasetError(f"{missing[0]}: tare: is missing")
         expected, familiar = self._estimate(samples)
-        means = None
-        if touched:  # at the rest level of training, since each sample has its own tare
-            readings = labels_of(touched) - self._shifts(touched, tare=tare)
-            means = self._estimate(touched)[0].mean(axis=0), readings.mean(axis=0)
-        counts, half = self.calibration[0].adapt(expected, familiar, tare=tare, touched=means, count=len(touched))
-        return counts + self._shifts(samples, tare=tare), half
+        labels = labels_of(samples) if samples else expected
+        recording = Recording.of_samples(samples, labels, expected, self.rest, familiar)
+        return recording if tare else replace(recording, tares=None)
 
     @cached_property
     def calibration(self) -> tuple[Calibration, dict[str, Any]]:
@@ -308,13 +314,5 @@ class ContactPredictor:
             pairs = zip(*self.estimator.predict_rows(describe_samples(new, self._config.features)), strict=True)
             self._predicted |= {sample.id: pair for sample, pair in zip(new, pairs, strict=True)}
         found = [self._predicted[sample.id] for sample in samples]
-        return np.array([counts for counts, _ in found]), np.array([familiar for _, familiar in found], np.bool_)
-
-    def _shifts(self, samples: Sequence[GraspSample], *, tare: bool) -> Float64:
-        """(S, 50) differences of the tares from the rest level, zeros where tares are not used."""
-        shifts = np.zeros((len(samples), TOUCH_SIZE))
-        for k, sample in enumerate(samples if tare else ()):
-            if sample.tare is None:
-                raise DatasetError(f"{sample.id}: tare: is missing")
-            shifts[k] = sample.tare.vector() - self.rest
-        return shifts
+        counts = np.array([counts for counts, _ in found]).reshape(len(found), TOUCH_SIZE)
+        return counts, np.array([familiar for _, familiar in found], np.bool_)

@@ -61,7 +61,7 @@ def fit_tracker(recording: Recording, new: CalibrationGroup, known: CalibrationG
     """
     modality = np.concatenate([np.full(len(columns([name])), k) for k, name in enumerate(MODALITIES)])
     own = modality[:, None] == modality
-    parameters = TrackerParameters.from_memory(
+    parameters = TrackerParameters.from_calibration(
         (np.where(own, new.between, 0.0), np.where(own, known.between, 0.0)),
         (new.within, known.within),
         (new.worth, known.worth),

@@ -56,7 +56,6 @@ from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.planner_action import PLANNER_ACTION, planner_action_class, planner_feedback, planner_result
 from foretouch.ros.touch.predictor import Predictor
-from foretouch.ros.touch.tactile_state import HandMemory, ObjectMemory
 from foretouch.tactile.messages import make_reader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
@@ -281,23 +280,19 @@ class TouchPredictorNode(ProcessingNode[TouchPredictorConfig]):
         message = tactile_class(self.config.tactile.type)
         if predictor.model is None or predictor.model.calibration is None:
             return
-        memory: ObjectMemory | HandMemory = ObjectMemory(predictor.model)
-        if predictor.model.tracks:
-            self._keeper = HistoryKeeper(
-                predictor.model, self.config.hand, self.config.history_folder, say=self._say, warn=self._warn
-            )
-            memory = HandMemory(self._keeper.history, self._now_ns)
+        self._keeper = HistoryKeeper(
+            predictor.model, self.config.hand, self.config.history_folder, say=self._say, warn=self._warn
+        )
         self._adapter = predictor.adapter = OnlineAdapter(
             predictor.model,
             reader,
-            memory,
+            self._keeper.history,
             config=lambda: self.config,
             now_ns=self._now_ns,
             warn=self._warn,
-            on_reading=lambda: self._keeper.changed() if self._keeper else None,
+            on_reading=self._keeper.changed,
         )
-        if self._keeper is not None:
-            self._keeper.start(self._adapter.locked)
+        self._keeper.start(self._adapter.locked)
         self.subscribe(message, self.config.tactile_topic, self._adapter.add_tactile, depth=_TACTILE_DEPTH)
         self.subscribe(ExecutedGrasp, EXECUTED_TOPIC, self._adapter.add_executed, depth=_EXECUTED_DEPTH)
 

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Online adaptation: predictions that use the tare and the tactile readings of executed grasps. No node.
 
-Tactile messages give a tare. The touch of an executed grasp is assembled exactly as the recorder assembles it, and
-added to the memory of the current object.
+Tactile messages give a tare. The touch of an executed grasp is assembled exactly as the recorder assembles it. Both are
+added to the history of the hand.
+
+Ids of objects are valid within one cloud only. Therefore the current object is identified by its position and size (see
+`HandHistory.is_current`). A different object that looks the same at the same position cannot be distinguished: after
+changing the object, call `forget_touches` or wait for `forget_after_s`.
 
 Threads: callbacks store, under one lock; the thread that predicts first adds the touches that are complete, under
 another lock, so that a touch is used in the next prediction and never processed within a callback.
@@ -23,10 +27,11 @@ from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.dataset.pairing import AssembledSample, AssemblerConfig, RejectedGrasp, SampleAssembler, SerializedCloud
 from foretouch.errors import CloudError, ForetouchError, TactileError
 from foretouch.grasp.reach import ReachConfig
-from foretouch.models.touch_model import TouchModel
+from foretouch.models.hand_history import HandHistory
+from foretouch.models.touch_model import History, TouchModel
 from foretouch.ros.messages.clouds import TargetCloud
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.tactile_state import HandMemory, LiveTare, ObjectMemory
+from foretouch.ros.touch.live_tare import LiveTare
 from foretouch.tactile.messages import TactileReader
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.types import Cloud, Grasp, Touch, TouchPrediction
@@ -40,18 +45,18 @@ class OnlineAdapter:
     Args:
         model: The model.
         reader: Decodes tactile messages.
-        memory: Of the touches.
+        history: What the hand has read so far.
         config: Gives the current settings.
         now_ns: Gives the time of the node's clock [ns].
         warn: Called with a line for each touch that is refused.
-        on_reading: Called after tares or touches may have been added to the memory.
+        on_reading: Called after tares or touches may have been added to the history.
     """
 
     def __init__(
         self,
         model: TouchModel,
         reader: TactileReader,
-        memory: ObjectMemory | HandMemory,
+        history: HandHistory,
         config: Callable[[], TouchPredictorConfig],
         now_ns: Callable[[], int],
         warn: Callable[[str], None],
@@ -70,8 +75,8 @@ class OnlineAdapter:
         self._received = 0
         self._unreadable = 0
         self._last_unreadable = ""
-        self._memory_lock = threading.Lock()  # of the memory; taken before the other one
-        self._memory = memory
+        self._history_lock = threading.Lock()  # taken before the other one
+        self._history = history
         self._on_reading = on_reading
         self._touch_counts: Counter[str] = Counter()
         self._last_refusal = ""
@@ -137,7 +142,7 @@ class OnlineAdapter:
         reach: ReachConfig,
         model: TouchModel | None = None,
     ) -> Sequence[TouchPrediction]:
-        """Predict as `TouchModel.predict`, with the touches of the object in this cloud, else with a recent tare.
+        """Predict as `TouchModel.predict`, adapted to the readings so far.
 
         Args:
             cloud: The object's points [m].
@@ -153,32 +158,39 @@ class OnlineAdapter:
         config, model = self._config(), model or self._model
         self.process_touches()
         tare = self._recent_tare(config)
-        basis: dict[str, Any] = {"tare": tare}
-        if config.use_touches:
-            with self._memory_lock:
-                try:
-                    basis = self._memory.basis(cloud, tare, config.same_object_m)
-                    self._tare_refused = False
-                except TactileError as err:  # such as after the clock was set back
-                    if not self._tare_refused:  # not for every cloud
-                        self._warn(f"tare: refused: {err}")
-                    self._tare_refused = True
-                if "residuals" in basis:  # which the next touch changes
-                    residuals = basis["residuals"]
-                    predictions = model.predict(cloud, grasps, residuals=residuals, limits=limits, reach=reach)
-                    return self._noted(predictions, residuals.tare)
-            self._on_reading()
-        return self._noted(model.predict(cloud, grasps, **basis, limits=limits, reach=reach), tare)
+        history = self._history_for(cloud, tare, config) if config.use_touches else None
+        alone = tare if history is None else None
+        return self._noted(model.predict(cloud, grasps, tare=alone, history=history, limits=limits, reach=reach))
+
+    def _history_for(self, cloud: Cloud, tare: Touch | None, config: TouchPredictorConfig) -> History | None:
+        """The readings so far, with a tare of now; None if it is refused, such as after the clock was set back."""
+        now_ns = self._now_ns()
+        with self._history_lock:
+            try:
+                if tare is not None:
+                    self._history.add_tare(now_ns, tare)
+            except TactileError as err:
+                if not self._tare_refused:  # not for every cloud
+                    self._warn(f"tare: refused: {err}")
+                self._tare_refused = True
+                return None
+            self._tare_refused = False
+            same = self._history.is_current(cloud, config.same_object_m)
+            found = self._history.at(now_ns, same_object=same, tare=tare is not None)
+        self._on_reading()
+        return found
 
     def locked(self) -> AbstractContextManager[Any]:
-        """Within, no reading is added to the memory."""
-        return self._memory_lock
+        """Within, no reading is added to the history."""
+        return self._history_lock
 
     def process_touches(self) -> None:
-        """Add the touches that are complete by now to the memory, and forget touches that are too old."""
+        """Add the touches that are complete by now to the history, and forget an object that was touched too long ago."""
         config, now_s = self._config(), time.monotonic()
-        with self._memory_lock:
-            self._memory.expire(config.forget_after_s)
+        with self._history_lock:
+            age_s = self._history.tracker.evidence(self._now_ns()).touch_age_s
+            if age_s is not None and age_s > config.forget_after_s:
+                self._history.start_object()
             with self._input_lock:
                 results = self._assembler.poll(now_s) if self._assembler.pending else []
             for result in results:
@@ -190,24 +202,24 @@ class OnlineAdapter:
             self._on_reading()
 
     def forget(self) -> int:
-        """Forget all touches and all grasps so far, since the object was changed; gives the number of touches."""
-        with self._memory_lock, self._input_lock:
-            count = self._memory.count
-            self._memory.forget()
+        """Forget the object and all grasps so far, since the object was changed; gives the number of its touches."""
+        with self._history_lock, self._input_lock:
+            count = self._history.touches
+            self._history.start_object()
             self._assembler.reset_grasps()
             return count
 
     def forget_history(self) -> int:
         """Forget all readings of the hand, such as after a sensor was exchanged; gives their number."""
-        with self._memory_lock, self._input_lock:
-            count = self._memory.forget_history()
+        with self._history_lock, self._input_lock:
+            count = self._history.forget()
             self._assembler.reset_grasps()
         self._on_reading()
         return count
 
     def touches(self) -> int:
-        """Number of touches in memory."""
-        return self._memory.count
+        """Number of touches of the current object."""
+        return self._history.touches
 
     def notes(self) -> dict[str, str]:
         """Entries for /diagnostics."""
@@ -240,9 +252,11 @@ class OnlineAdapter:
         assert cut is not None  # noqa: S101  samples without a touch are not asked for
         tare = cut.tare if config.use_tare else None
         try:
-            self._memory.add(
-                sample.cloud, sample.grasp, cut.touch, tare, same_object_m=config.same_object_m, limits=config.limits
-            )
+            now_ns = self._now_ns()
+            if tare is not None:
+                self._history.add_tare(now_ns, tare)
+            new = not self._history.is_current(sample.cloud, config.same_object_m)
+            self._history.add_touch(now_ns, sample.cloud, sample.grasp, cut.touch, new_object=new, limits=config.limits)
         except ForetouchError as err:
             reasons = {TactileError: "sensor_fault", CloudError: "bad_cloud"}
             self._refuse(sample.grasp.id, reasons.get(type(err), "refused"), str(err))
@@ -258,11 +272,9 @@ class OnlineAdapter:
         with self._input_lock:
             self._touch_counts[name] += 1
 
-    def _noted(self, predictions: Sequence[TouchPrediction], tare: Touch | None) -> Sequence[TouchPrediction]:
+    def _noted(self, predictions: Sequence[TouchPrediction]) -> Sequence[TouchPrediction]:
         """Keep the reference and the calibration group of the first prediction for /diagnostics."""
         if predictions:
             first = predictions[0]
-            group = ("new" if "unfamiliar" in first.flags else "known") + ("_tare" if tare is not None else "")
-            known = self._model.calibration is not None and group in self._model.calibration.groups
-            self._calibration_group = f"{first.reference} ({group}{'' if known else ', which its calibration lacks'})"
+            self._calibration_group = f"{first.reference} ({'new' if 'unfamiliar' in first.flags else 'known'})"
         return predictions

@@ -24,12 +24,15 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.p1 import ACROSS, PUBLISHED, ObjectTypes
+from foretouch.experiments.shared.figures import legend_of, modality_panels
+from foretouch.experiments.shared.p1 import ACROSS, P1, PUBLISHED, ObjectTypes, draw_errors
+from foretouch.experiments.shared.rows import grouped, select, span, unique
 from foretouch.experiments.shared.scores import labelled, load
+from foretouch.experiments.shared.skill_tables import findings
 from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.report.panels import Rows, save
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
-from foretouch.types import GraspSample
+from foretouch.types import Float64, GraspSample
 
 if TYPE_CHECKING:
     from foretouch.models.network.networks import TouchNet
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
 _RECIPE: Final = "p1_as_published"
 _SPLITS: Final = 5
 _SAMPLES_PER_SHARE: Final = 500  # test_size = samples / (folds * 100) in the public code
-_PUBLISHED: Final = "P1, published"
 _WAYS: Final = {
     "batch": "network, no eval(), as in the public code",
     "running": "network, eval()",
@@ -51,7 +53,9 @@ class P1Settings(Settings):
     """Settings of `p1_as_published`."""
 
     modalities: tuple[str, ...] = setting(MODALITIES, "Modalities; one network each", choices=MODALITIES)
-    epochs: int | None = setting(None, "Epochs; by default those of the recipe, 50", minimum=1, maximum=100_000)
+    epochs: int | None = setting(
+        None, "Number of epochs; by default those of the recipe, 50", minimum=1, maximum=100_000
+    )
     types: ObjectTypes = ObjectTypes()
 
 
@@ -59,18 +63,16 @@ def _tables(settings: P1Settings, samples: Sequence[GraspSample]) -> dict[str, l
     """Train and test samples by table: five random splits within each type, and one type against the other."""
     from sklearn.model_selection import ShuffleSplit
 
-    cylinders, boxes = (
-        np.array([k for k, one in enumerate(samples) if one.object in names], np.intp)
-        for names in (settings.types.p1_cylinders, settings.types.boxes)
-    )
-    for name, index in (("p1_cylinders", cylinders), ("boxes", boxes)):
+    types = settings.types.indices(samples)
+    tables = {}
+    for name in ("p1_cylinders", "boxes"):
+        index = types[name]
         if len(index) < _SPLITS:
             raise DatasetError(f"p1_as_published: types.{name}: {len(index)} samples are fewer than {_SPLITS}")
-    tables = {}
-    for name, index in (("within p1_cylinders", cylinders), ("within boxes", boxes)):
         splitter = ShuffleSplit(_SPLITS, test_size=min(len(index) / _SAMPLES_PER_SHARE, 0.8), random_state=0)
         splits = enumerate(splitter.split(index))
-        tables[name] = [Fold(index[train], index[test], f"split {k}") for k, (train, test) in splits]
+        tables[f"within {name}"] = [Fold(index[train], index[test], f"split {k}") for k, (train, test) in splits]
+    cylinders, boxes = types["p1_cylinders"], types["boxes"]
     both = [Fold(cylinders, boxes, "cylinders to boxes"), Fold(boxes, cylinders, "boxes to cylinders")]
     return {**tables, ACROSS: both}
 
@@ -122,7 +124,7 @@ def _run(cell: Cell, settings: P1Settings, data: Dataset) -> list[Row]:
 
 
 def _tested(
-    net: TouchNet, inputs: TrainingSet, test: Indices, size: int, way: str, mean: np.ndarray[Any, np.dtype[np.float64]]
+    net: TouchNet, inputs: TrainingSet, test: Indices, size: int, way: str, mean: Float64
 ) -> Iterator[tuple[Indices, Any]]:
     """Shuffled batches of test samples and their predictions [counts]; all ways see the same batches and points."""
     import torch
@@ -151,80 +153,70 @@ def _rmse(error: Any, modality: str, epsilon: float) -> float:
 def _tabulate(settings: P1Settings, rows: Sequence[Row]) -> list[Row]:
     """By table, predictor and modality: both scores, over all parts of the table that are finished."""
     found: list[Row] = []
-    for table in dict.fromkeys(row["table"] for row in rows):
-        for modality in settings.modalities:
-            own = [row for row in rows if (row["table"], row["modality"]) == (table, modality)]
-            if not own:
-                continue
-            scale = P1_RANGES.of(modality)[1]
-            published = PUBLISHED[table][modality]
-            head: Row = {"table": table, "modality": modality, "parts": len({row["part"] for row in own})}
-            for way in _WAYS:
-                mine = [row for row in own if row["predictor"] == way]
-                batch = [row["batch_rmse"] for row in mine]
-                pooled = np.sqrt(sum(row["squared"] for row in mine) / sum(row["values"] for row in mine))
-                scores = {
-                    "as_published": round(float(np.mean(batch)), 4),
-                    "as_published_sd": round(float(np.std(batch)), 4),
-                    "as_published_counts": round(float(np.mean(batch)) * scale, 1),
-                    "rmse_counts": round(float(pooled), 1),
+    for (table, modality), own in grouped(rows, "table", "modality"):
+        scale = P1_RANGES.of(modality)[1]
+        head: Row = {"table": table, "modality": modality, "parts": len(unique(own, "part"))}
+        for way, mine in grouped(own, "predictor"):
+            batch = [row["batch_rmse"] for row in mine]
+            pooled = np.sqrt(sum(row["squared"] for row in mine) / sum(row["values"] for row in mine))
+            found.append(
+                {
+                    **head,
+                    "predictor": _WAYS[way],
+                    "as_published": float(np.mean(batch)),
+                    "as_published_sd": float(np.std(batch)),
+                    "as_published_counts": float(np.mean(batch)) * scale,
+                    "rmse_counts": float(pooled),
                 }
-                found.append({**head, "predictor": _WAYS[way], **scores})
-            empty = {"as_published": published[1], "as_published_sd": None, "as_published_counts": published[0]}
-            found.append({**head, "predictor": _PUBLISHED, **empty, "rmse_counts": None})
-    return found
+            )
+        counts, scaled = PUBLISHED[table][modality]
+        published = {"as_published": scaled, "as_published_sd": None, "as_published_counts": counts}
+        found.append({**head, "predictor": P1, **published, "rmse_counts": None})
+    order = [name for name in MODALITIES if name in settings.modalities]
+    return [row for _, own in grouped(found, "table") for name in order for row in select(own, modality=name)]
 
 
 def _summarise(rows: Sequence[Row]) -> list[Table]:
     scored = "P1's scoring: mean of the batches' RMSE over its divisor; (in counts)"
-    tables = []
-    for table in dict.fromkeys(row["table"] for row in rows):
+    counts = {(r["table"], r["modality"], r["predictor"]): r["as_published_counts"] for r in rows}
+    sentences = []
+    for kind, named in (("electrodes", "E"), ("pressures", "PDC")):
+        for way in (_WAYS["batch"], _WAYS["running"]):
+            mine = [key for key in counts if key[1].startswith(named) and key[2] == way]
+            ratios = [counts[key] / counts[(*key[:2], P1)] for key in mine]
+            if ratios:
+                sentences.append(f"{kind}, {way}: {span(ratios)} times the published errors")
+    below = [key for key in counts if key[2] != _WAYS["mean"] and counts[key] < counts[(*key[:2], _WAYS["mean"])]]
+    sentences.append(f"errors of networks, ours or published, below that of the mean of the labels: {len(below)}")
+    tables = [findings(sentences)]
+    for table, own in grouped(rows, "table"):
         for title, text in ((scored, _published_text), ("our scoring: RMSE of all test samples in counts", _own_text)):
             body = []
-            for name in dict.fromkeys(row["predictor"] for row in rows):
-                cells = [text(rows, table, name, modality) for modality in MODALITIES]
-                if any(cells):
-                    body.append([name, *cells])
+            for name, shown in grouped(own, "predictor"):
+                cells = {row["modality"]: text(row) for row in shown}
+                body += [[name, *(cells.get(one, "") for one in MODALITIES)]] * any(cells.values())
             tables.append(Table(f"{table}: {title}", ["rmse", *MODALITIES], body))
     return tables
 
 
-def _find(rows: Sequence[Row], table: str, name: str, modality: str) -> Row | None:
-    key = (table, name, modality)
-    return next((row for row in rows if (row["table"], row["predictor"], row["modality"]) == key), None)
-
-
-def _published_text(rows: Sequence[Row], table: str, name: str, modality: str) -> str:
-    row = _find(rows, table, name, modality)
-    if row is None:
-        return ""
+def _published_text(row: Row) -> str:
     scaled = "" if row["as_published"] is None else f"{row['as_published']:.3f} "
     return f"{scaled}({row['as_published_counts']:.0f})"
 
 
-def _own_text(rows: Sequence[Row], table: str, name: str, modality: str) -> str:
-    row = _find(rows, table, name, modality)
-    return "" if row is None or row["rmse_counts"] is None else f"{row['rmse_counts']:.0f}"
+def _own_text(row: Row) -> str:
+    return "" if row["rmse_counts"] is None else f"{row['rmse_counts']:.0f}"
 
 
 def _draw(rows: Rows, folder: Path) -> list[Path]:
     """Draw `rmse.png`: P1's score by table and predictor, a panel for each modality."""
-    tables, names = (list(dict.fromkeys(row[key] for row in rows)) for key in ("table", "predictor"))
-    figure = new_figure(12.0, 3.4)
-    for axes, modality in zip(figure.subplots(1, len(MODALITIES)), MODALITIES, strict=True):
-        for number, name in enumerate(names):
-            own = [row for row in rows if (row["predictor"], row["modality"]) == (name, modality)]
-            x = [tables.index(row["table"]) + 0.12 * (number - 1.5) for row in own]
-            style = {"color": "black", "marker": "*"} if name == _PUBLISHED else {"color": f"C{number}", "marker": "o"}
-            axes.plot(x, [row["as_published_counts"] for row in own], linestyle="", label=name, **style)
-        axes.set_title(modality)
-        axes.set_xticks(range(len(tables)), [name.replace(" ", "\n") for name in tables], fontsize=8)
-        axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.15)
-        axes.grid(visible=True, axis="y", alpha=0.3)
-    figure.axes[0].set_ylabel("P1's score [counts]")
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=len(names), fontsize=8)
+    tables, predictors = unique(rows, "table"), unique(rows, "predictor")
+    figure, (panels,) = modality_panels(12.0, (3.4,))
+    for axes, modality in panels:
+        draw_errors(axes, select(rows, modality=modality), tables, predictors, "as_published_counts")
+    panels[0][0].set_ylabel("P1's score [counts]")
+    drawn = next(axes for axes, modality in panels if select(rows, modality=modality))
+    legend_of(figure, drawn, "lower center", ncols=len(predictors))
     return [save(figure, folder / "rmse.png")]
 
 

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`--tare`, `--touched` and `--history`: readings that `predict` and `view` adapt their predictions to."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from foretouch.checked_files import read_json
+from foretouch.errors import ConfigError, DatasetError, FileError, ForetouchError, TactileError
+
+if TYPE_CHECKING:
+    from foretouch.models.hand_history import HandHistory
+    from foretouch.models.touch_model import Estimate, History, TouchModel
+    from foretouch.pipeline import FoundObject, Pipeline
+    from foretouch.types import Grasp, GraspSample, Touch, TouchPrediction
+
+
+_OWN = "sample"
+_UNKNOWN = "unknown"  # the recorder's label of an object without a name
+_FIELDS = ("pdc_th", "pdc_mf", "e_th", "e_mf")
+
+
+def add_adaptation_arguments(parser: argparse.ArgumentParser) -> None:
+    """--tare and --touched."""
+    parser.add_argument(
+        "--tare",
+        action="append",
+        default=[],
+        metavar="F|sample",
+        help="reading without contact, taken shortly before: JSON with pdc_th, pdc_mf, e_th [24], e_mf [24], a list of such, "
+        "or a vision2tactile tactile.tac; the median of several. `sample`: use each sample's own, for inputs that are datasets",
+    )
+    parser.add_argument(
+        "--touched",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="executed grasps of the same object with their readings (a dataset, a training store, vision2tactile folders): "
+        "adapt the predictions to all labelled ones, except the sample that is predicted",
+    )
+    parser.add_argument(
+        "--history",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="executed grasps of any objects with their readings, earlier ones of the same hand (as --touched), or the file of a hand that "
+        "the touch_predictor keeps: adapt the predictions to the state of its sensors",
+    )
+
+
+@dataclass(eq=False)
+class Adaptation:
+    """Readings from the command line, and the predictions adapted to them."""
+
+    model: TouchModel
+    tare: Touch | None  # for every prediction; None without
+    touched: Sequence[GraspSample]  # labelled samples of one object
+    own: bool  # whether each sample's own tare is used instead
+    history: Sequence[GraspSample] = ()  # labelled samples of any object, with stamps
+    hand: HandHistory | None = None  # from the file of a hand; None without
+    _estimates: dict[int, Estimate] = field(default_factory=dict)  # of readings, by the id of their sample
+
+    def __post_init__(self) -> None:
+        """Name a model that cannot adapt before the first prediction."""
+        if self.touched or self.history or self.hand is not None:
+            self.model.new_tracker()
+
+    def touches_for(self, sample: GraspSample | None) -> Sequence[GraspSample]:
+        """The touches that a prediction for this sample uses: never its own reading, which would leak its label."""
+        return [one for one in self.touched if sample is None or not _same(one, sample)]
+
+    def predict(
+        self,
+        pipeline: Pipeline,
+        target: FoundObject,
+        grasps: Sequence[Grasp],
+        sample: GraspSample | None,
+        model: TouchModel | None = None,
+    ) -> Sequence[TouchPrediction]:
+        """Predict K grasps on one object, by a reduced form of the model if one is given.
+
+        Raises:
+            DatasetError: If a sample lacks the requested tare, or is of another object than the touches.
+            ModelError: If the model cannot use tare or touches.
+        """
+        label = next((one.object for one in self.touched if one.object != _UNKNOWN), "")
+        if sample is not None and label and sample.object not in (label, _UNKNOWN):
+            raise DatasetError(f"{sample.id}: is of {sample.object}, the touches are of {label}")
+        tare = _own_tare(sample) if self.own else self.tare
+        touched = self.touches_for(sample)
+        if not (touched or self.history or self.hand is not None):
+            return pipeline.predict(target, grasps, tare=tare, model=model)
+        return pipeline.predict(target, grasps, history=self._history_of(touched, tare, sample), model=model)
+
+    def _history_of(self, touched: Sequence[GraspSample], tare: Touch | None, sample: GraspSample | None) -> History:
+        """The readings of the hand up to the time of a sample, or else until now; touches of its object in any case."""
+        from foretouch.models.hand_history import HandHistory
+
+        now_ns = sample.stamp_ns if sample is not None and sample.stamp_ns else time.time_ns()
+        hand = self.hand.copy() if self.hand is not None else HandHistory(self.model)
+        last = None
+        for one in sorted(self.history, key=lambda one: one.stamp_ns):
+            if one.stamp_ns <= now_ns and not (sample is not None and _same(one, sample)):
+                self._add(hand, one, one.stamp_ns, new_object=one.object != last)
+                last = one.object
+        for number, one in enumerate(sorted(touched, key=lambda one: one.stamp_ns)):
+            self._add(hand, one, one.stamp_ns or now_ns, new_object=number == 0)
+            now_ns = max(now_ns, one.stamp_ns)
+        if tare is not None:
+            hand.add_tare(now_ns, tare)
+        return hand.at(now_ns, same_object=bool(touched), tare=tare is not None)
+
+    def _add(self, hand: HandHistory, sample: GraspSample, stamp_ns: int, *, new_object: bool) -> None:
+        """Add a reading; the cloud is looked at once, however many predictions adapt to the reading."""
+        assert sample.touch is not None  # noqa: S101  only labelled samples are passed
+        try:
+            if sample.tare is not None:
+                hand.add_tare(stamp_ns, sample.tare)
+            if id(sample) not in self._estimates:
+                self._estimates[id(sample)] = self.model.estimate_executed(sample.cloud, [sample.grasp])
+            estimate = self._estimates[id(sample)]
+            hand.add_touch(stamp_ns, sample.cloud, sample.grasp, sample.touch, new_object=new_object, estimate=estimate)
+        except ForetouchError as err:
+            raise DatasetError(f"{sample.id}: {err}") from err
+
+
+def read_adaptation(arguments: argparse.Namespace, model: TouchModel) -> Adaptation:
+    """Read the files of --tare, --touched and --history.
+
+    Raises:
+        ConfigError: If `sample` and files are both given, or more than one file of a hand.
+        FileError: If a file cannot be read or is no tare, or there are no samples.
+        DatasetError: If no sample is labelled, touches are of several objects, or a sample of the history has no stamp.
+        ModelError: If the model cannot adapt to readings.
+    """
+    from foretouch.models.hand_history import read_history
+
+    own = _OWN in arguments.tare
+    if own and len(arguments.tare) > 1:
+        raise ConfigError(f"--tare: {_OWN!r} cannot be combined with files")
+    touched = _labelled_samples(arguments.touched)
+    labels = sorted({sample.object for sample in touched} - {_UNKNOWN})
+    if len(labels) > 1:
+        raise DatasetError(f"--touched: {', '.join(labels)}: touches must be of one object")
+    tare = _read_tare(arguments.tare) if arguments.tare and not own else None
+    files = [path for path in arguments.history if path.endswith(".safetensors")]
+    if len(files) > 1:
+        raise ConfigError(f"--history: {', '.join(files)}: more than one file of a hand")
+    history = _labelled_samples([path for path in arguments.history if path not in files])
+    for sample in history:
+        if not sample.stamp_ns:
+            raise DatasetError(f"--history: {sample.id}: has no stamp, so its place in time is not known")
+    return Adaptation(model, tare, touched, own, history, read_history(Path(files[0]), model) if files else None)
+
+
+def _read_tare(paths: Sequence[str]) -> Touch:
+    """The median of all readings in some files, which name the field and the rule that it breaks."""
+    from foretouch.dataset.vision2tactile import read_touch
+    from foretouch.tactile import make_tare
+
+    readings: list[Touch] = []
+    for path in map(Path, paths):
+        if path.suffix == ".tac":
+            fresh = [read_touch(path)[0]]
+        else:
+            document = read_json(path)
+            fresh = [_reading(path, entry) for entry in (document if isinstance(document, list) else [document])]
+        try:
+            make_tare(fresh)
+        except TactileError as err:
+            raise FileError(path, str(err)) from err
+        readings += fresh
+    return make_tare(readings)
+
+
+def _reading(path: Path, entry: Any) -> Touch:
+    """One reading; `make_tare` checks later whether a working sensor can give it."""
+    import numpy as np
+
+    from foretouch.types import ELECTRODES, Touch
+
+    if not isinstance(entry, dict) or sorted(entry) != sorted(_FIELDS):
+        raise FileError(path, f"is no reading: it must hold {', '.join(_FIELDS)} and nothing else")
+    values = {}
+    for name, shape in zip(_FIELDS, ((), (), (ELECTRODES,), (ELECTRODES,)), strict=True):
+        numbers = entry[name] if isinstance(entry[name], list) else [entry[name]]
+        if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+            raise FileError(path, "is not numbers", field=name)
+        values[name] = np.array(entry[name], np.float64)
+        if values[name].shape != shape:
+            raise FileError(path, f"is not {f'{ELECTRODES} numbers' if shape else 'one number'}", field=name)
+    return Touch(float(values["pdc_th"]), float(values["pdc_mf"]), values["e_th"], values["e_mf"])
+
+
+def _same(one: GraspSample, other: GraspSample) -> bool:
+    """Whether two samples are the same grasp, even from different files; ids alone may recur in another dataset."""
+    if one.touch is None or other.touch is None or one.id != other.id:
+        return False
+    return bool((one.touch.vector() == other.touch.vector()).all())
+
+
+def _own_tare(sample: GraspSample | None) -> Touch:
+    if sample is None or sample.tare is None:
+        raise DatasetError(f"{'cloud' if sample is None else sample.id}: has no recorded tare")
+    return sample.tare
+
+
+def read_samples(paths: Sequence[str]) -> list[GraspSample]:
+    """All samples of some datasets."""
+    from foretouch.dataset.samples import open_samples
+
+    samples: list[GraspSample] = []
+    for path in paths:
+        with open_samples(path) as found:
+            samples += [record.sample for record in found.records()]
+    return samples
+
+
+def _labelled_samples(paths: Sequence[str]) -> list[GraspSample]:
+    samples: list[GraspSample] = []
+    for path in paths:
+        labelled = [sample for sample in read_samples([path]) if sample.touch is not None]
+        if not labelled:
+            raise DatasetError(f"{path}: holds no sample with a touch")
+        samples += labelled
+    return samples

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frontier of skill and time of `tradeoff.csv`: variants that no other beats in both, as tables, sentences and picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from foretouch.experiments.framework.experiment import Row, Table
+from foretouch.report.panels import new_figure, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_LINE: Final = 0.05  # height of a label, as a share of the axes
+_LOWEST: Final = 0.25  # how far below the frontier's skills the axes reach, as a share of their range
+_COLUMNS: Final = ("ms_p50", "ms_p95", "ms_p99", "cpu_ms")
+_HEAD: Final = ("frontier", "skill", "p50 [ms]", "p95 [ms]", "p99 [ms]", "CPU [ms]", "times as fast as the reference")
+
+
+class Panel(NamedTuple):
+    """One diagram of the picture: the skill in a column against the time of requests of one size."""
+
+    skill: str
+    request: int
+    title: str
+    share: float = 0.9  # of the best skill that a good variant keeps
+
+
+def best_state(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the idle machine, if it was idle once, else of the loaded one."""
+    return [row for row in rows if row["state"] == "idle"] or list(rows)
+
+
+def of_request(rows: Sequence[Row], request: int) -> list[Row]:
+    """Rows of one size of request, of the best state of the machine."""
+    return [row for row in best_state(rows) if row["request"] == request]
+
+
+def time_column(rows: Sequence[Row]) -> str:
+    """Wall time if the machine was idle, else processor time, which other processes disturb less."""
+    return "ms_p50" if all(row["state"] == "idle" for row in rows) else "cpu_ms"
+
+
+def frontier(rows: Sequence[Row], skill: str) -> list[Row]:
+    """Rows that no other beats in both skill and time, by ascending time.
+
+    Args:
+        rows: Of one size of request and one state of the machine.
+        skill: Column; rows without it are ignored.
+    """
+    column = time_column(rows)
+    result: list[Row] = []
+    for row in sorted((row for row in rows if row.get(skill) is not None), key=lambda one: (one[column], -one[skill])):
+        if not result or row[skill] > result[-1][skill]:
+            result.append(row)
+    return result
+
+
+def tables(panels: Sequence[Panel], rows: Sequence[Row]) -> list[Table]:
+    """A table of the frontier and plain sentences for each panel that has rows."""
+    found = []
+    for panel in panels:
+        chosen = of_request(rows, panel.request)
+        if line := frontier(chosen, panel.skill):
+            body = [
+                [row["variant"], f"{row[panel.skill]:.3f}", *(f"{row[name]:.3g}" for name in _COLUMNS),
+                 "" if row["ratio"] is None else f"{row['ratio']:.1f}"]
+                for row in line
+            ]  # fmt: skip
+            found.append(Table(panel.title, _HEAD, body, list(_sentences(panel, chosen, line))))
+    return found
+
+
+def _sentences(panel: Panel, rows: Sequence[Row], line: Sequence[Row]) -> Iterator[str]:
+    skill, column = panel.skill, time_column(rows)
+
+    def at(row: Row) -> str:
+        return f"{row['variant']}, skill {row[skill]:.2f} in {row[column]:.3g} ms"
+
+    best, fastest = line[-1], line[0]
+    yield f"Most skilful: {at(best)}."
+    yield f"Fastest: {at(fastest)}."
+    good = next((row for row in line if row[skill] >= panel.share * best[skill]), best)  # the best may be negative
+    faster = best[column] / good[column]
+    yield f"At least {panel.share:.0%} of the best skill: {at(good)}, {faster:.1f} times as fast as the most skilful."
+    said = ""
+    for budget in _BUDGETS_MS:
+        within = [row for row in line if row["ms_p95" if column == "ms_p50" else column] <= budget]
+        if within and within[-1]["variant"] != said:
+            said = within[-1]["variant"]
+            yield f"Within {budget:g} ms: {said}, skill {within[-1][skill]:.2f}."
+    for row in rows:
+        if row["factor"] == "shipped" and row.get(skill) is not None:
+            ratio = ""
+            if row["ratio"] and row["reference"] != row["variant"]:
+                ratio = f", {row['ratio']:.1f} times as fast as {row['reference']} in the same run"
+            text = "is on the frontier" if row in line else "is not on the frontier"
+            yield f"{row['variant']} (shipped) {text}: skill {row[skill]:.2f} in {row[column]:.3g} ms{ratio}."
+
+
+def general_notes(rows: Sequence[Row], skills: Sequence[str]) -> Iterator[str]:
+    """Which variants have no skill or could not run, and on what machine they were timed."""
+    rows = best_state(rows)
+    timed = [row for row in rows if not row["skipped"]]
+    without = sorted({row["variant"] for row in timed if all(row.get(skill) is None for skill in skills)})
+    if without:
+        yield f"Times without a skill: {', '.join(without)}."
+    for row in rows:
+        if row["skipped"]:
+            yield f"Skipped: {row['variant']}: {row['skipped']}."
+    first, column = rows[0], "wall time" if time_column(timed) == "ms_p50" else "processor time"
+    yield (
+        f"Measured on {first['cpu']}, one thread, {first['state']}: other processes used {first['other_cores']:.2f} cores. "
+        f"Frontiers are of the median {column}."
+    )
+
+
+def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Draw `tradeoff.png`: a diagram for each panel that has rows, with the names on its frontier beside it.
+
+    Args:
+        panels: The diagrams.
+        skills: Columns of skills, each with its meaning.
+        rows: Of `tradeoff.csv`.
+        folder: The folder.
+    """
+    panels = [panel for panel in panels if frontier(of_request(rows, panel.request), panel.skill)]
+    if not panels:
+        return []
+    factors = list(dict.fromkeys(row["factor"] for row in rows))
+    wide = min(len(panels), 2)
+    tall = -(-len(panels) // wide)
+    figure = new_figure(7.6 * wide, 0.5 + 4.4 * tall)
+    grid = figure.subplots(tall, wide, squeeze=False).ravel()
+    for axes, panel in zip(grid, panels, strict=False):
+        _draw_panel(axes, panel, skills[panel.skill], of_request(rows, panel.request), factors)
+    for axes in grid[len(panels) :]:
+        axes.set_axis_off()
+    handles = {label: handle for axes in grid for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=7, fontsize=8)
+    return [save_small(figure, folder / "tradeoff.png")]
+
+
+def save_small(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG with 128 colours, less than half as large."""
+    from PIL import Image
+
+    save(figure, path)
+    with Image.open(path) as image:
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+    return path
+
+
+def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], factors: Sequence[str]) -> None:
+    column, skill = time_column(rows), panel.skill
+    known = [row for row in rows if row.get(skill) is not None]
+    line = frontier(rows, skill)
+    skills = [row[skill] for row in known]
+    low, high = line[0][skill], line[-1][skill]
+    span = max(high - low, _LOWEST * min(max(skills) - min(skills), 0.2)) or 0.05
+    floor = low - _LOWEST * span
+    axes.step([row[column] for row in line], [row[skill] for row in line], where="post", color="black", linewidth=1)
+    for row in known:
+        number, on_line, shipped = factors.index(row["factor"]), row in line, row["factor"] == "shipped"
+        marker = "v" if row[skill] < floor else "*" if shipped else "os^Dv"[number // 10 % 5]
+        style: dict[str, Any] = {"alpha": 1.0, "zorder": 3} if on_line else {"alpha": 0.55, "zorder": 2}
+        axes.plot(row[column], max(row[skill], floor), linestyle="", marker=marker, color=f"C{number % 10}",
+                  markersize=11 if shipped else 5, label=row["factor"], **style)  # fmt: skip
+        if on_line and (lower := row.get(f"{skill}_low")) is not None:
+            ends = [max(lower, floor), row[f"{skill}_high"]]
+            axes.plot([row[column]] * 2, ends, color=f"C{number % 10}", linewidth=0.6)
+    axes.set_xscale("log")
+    axes.set_ylim(floor - 0.1 * span, high + 0.12 * span)
+    for one in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+        one(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+    axes.grid(visible=True, which="both", alpha=0.2)
+    wall = column == "ms_p50"
+    axes.set_xlabel("wall time, median [ms]" if wall else "processor time, median (loaded machine) [ms]")
+    axes.set_ylabel(meaning)
+    axes.set_title(panel.title, fontsize=10)
+    names = {f"{row['variant']}  {row[column]:.3g} ms": (row[column], row[skill]) for row in line}
+    name_points(axes, names, _LINE)
+
+
+def name_points(axes: Axes, points: Mapping[str, tuple[float, float]], gap: float) -> None:
+    """Write names right of the axes, one below the other, each joined to its point by a line.
+
+    Args:
+        axes: The axes.
+        points: By name (x, y) of the point, with ascending y, so that neither names nor lines cross.
+        gap: Height of a name, as a share of the axes.
+    """
+    low, high = axes.get_ylim()
+    places = spread([(y - low) / (high - low) for _, y in points.values()], gap)
+    for (name, point), place in zip(points.items(), places, strict=True):
+        axes.annotate(
+            name, point, (1.04, place), textcoords="axes fraction", va="center", fontsize=7.5, annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 3, "relpos": (0.0, 0.5)},
+        )  # fmt: skip
+
+
+def spread(wanted: Sequence[float], gap: float) -> list[float]:
+    """Places near the wanted ascending ones in [0, 1] that are at least a gap apart, if they fit."""
+    from sklearn.isotonic import isotonic_regression
+
+    count = len(wanted)
+    offsets = min(gap, 1.0 / max(count - 1, 1)) * np.arange(count)
+    nearest = isotonic_regression(np.asarray(wanted, np.float64) - offsets)  # with least squares
+    return [float(place) for place in np.clip(nearest, 0.0, 1.0 - offsets[-1]) + offsets]

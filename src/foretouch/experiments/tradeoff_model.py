@@ -1,0 +1,425 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Area `model`: skill of touch models on held-out grasps against the time of 1 to 1000 grasps on a cloud.
+
+All contact models of a fold share what is described and fitted alike. Networks are trained on blocks of time alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import setting
+from foretouch.errors import ConfigError
+from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.frontier import Panel, frontier, name_points, of_request, save_small, time_column
+from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
+from foretouch.experiments.shared.scores import error_rows, labelled, load
+from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.learning.training.contact import (
+    ContactConfig,
+    describe_objects,
+    describe_samples,
+    fit_contact,
+    fit_forests,
+    thinned_samples,
+)
+from foretouch.models.card import read_card
+from foretouch.models.contact.cheaper import WithoutSurroundings, fewer_trees
+from foretouch.models.contact.estimator import ContactEstimator
+from foretouch.models.contact.hand_features import CONDITIONS
+from foretouch.models.files import packed
+from foretouch.models.registry import find_card, load_model
+from foretouch.models.touch_model import Estimator
+from foretouch.report.panels import new_figure
+from foretouch.tactile import MODALITIES
+from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
+
+if TYPE_CHECKING:
+    from foretouch.models.network.networks import TouchNet
+
+SHIPPED: Final = "contact-v2"
+NETWORK: Final = "touchnet-v1"
+_PAPERS: Final = "papers' four networks"
+_SPLITS: Final = {"time": "blocks of time", "object": "objects left out", "random": "random folds"}
+_CONTACT: Final = "contact"
+
+_BUDGET_MS: Final = 10.0  # of the overview
+_POINTS: Final = (64, 128, 256, 512, 1024, 2048)
+_SAMPLERS: Final = ("random", "voxel", "farthest")
+_REFITTED: Final = {"depth": (2, 4, 6, 8, 12), "feature_share": (0.1, 0.25, 1.0), "leaf": (1, 10), "trees": (120, 240)}
+_FEW_REFITTED: Final = {"depth": (4, 8), "feature_share": (0.1, 1.0)}
+_TEXTS: Final = {"depth": "depth {}", "feature_share": "share {:g} of features", "leaf": "leaf {}", "trees": "{} trees"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings(TradeoffSettings):
+    """Settings of the area."""
+
+    requests: tuple[int, ...] = setting((1, 10, 100, 1000), "Grasps per cloud that are timed", minimum=1)
+    splits: tuple[str, ...] = setting(tuple(_SPLITS), "Splits on which skill is measured", choices=tuple(_SPLITS))
+    seeds: tuple[int, ...] = setting((0,), "Seeds of random folds and of the trees", minimum=0)
+    networks: bool = setting(False, "Train networks on blocks of time")
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.splits or not self.seeds:
+            raise ConfigError("ModelSettings.splits, seeds: must hold at least one value")
+
+
+# Variants: one factor at a time around the shipped model, then pairs.
+
+
+def _variants(settings: ModelSettings) -> Iterator[Variant]:
+    every = settings.detail == "all"
+    yield _contact("shipped", SHIPPED)
+    yield Variant(_PAPERS, "reference", {"kind": "papers"})
+    yield Variant("mean of labels", "part", {"kind": "mean"})
+    for count in (2, 5, 10, 20, 30):
+        yield _contact("trees", f"{count} trees", trees=count)
+    for part in ("no surroundings", "forests alone", "kernel alone"):
+        yield _contact("part", part, part=part)
+    for count in (200, 500, 1000):
+        yield _contact("cloud", f"cloud of {count}", points=count)
+    for key, values in (_REFITTED if every else _FEW_REFITTED).items():
+        for value in values:
+            yield _contact(key.replace("_", " "), _TEXTS[key].format(value), refit={key: value})
+    for count, part in ((10, "no surroundings"), (10, "forests alone"), (5, "no surroundings")):
+        yield _contact("trees x part", f"{count} trees, {part}", trees=count, part=part)
+    yield _contact("trees x part", "10 trees, cloud of 500", trees=10, points=500)
+    yield Variant(NETWORK, "model", {"kind": "network"})
+    few = [*product(_SAMPLERS[:1], _POINTS), *product(_SAMPLERS[1:], (256,))]
+    for sampler, count in product(_SAMPLERS, _POINTS) if every else few:
+        network = {"kind": "network", "changes": {"n_points": count, "sampler": sampler}}
+        yield Variant(f"{sampler} {count}", f"net: {sampler}", network)
+    yield Variant("net bf16", "net: precision", {"kind": "network", "precision": "bfloat16"}, NETWORK)
+
+
+def _contact(factor: str, name: str, **values: Any) -> Variant:
+    return Variant(name, factor, {"kind": _CONTACT, **values})
+
+
+# Contact models.
+
+
+class Described:
+    """Samples with the features of their grasps, computed once.
+
+    Attributes:
+        samples, labels, objects: The samples, their (S, 50) labels [counts], and the names of their objects.
+    """
+
+    def __init__(self, samples: Sequence[GraspSample]) -> None:
+        self.samples = list(samples)
+        self.labels = labels_of(samples)
+        self.objects = [sample.object for sample in samples]
+        self._rows: dict[Any, Float64] = {}
+        self._place = {sample.id: k for k, sample in enumerate(self.samples)}
+
+    def index(self, samples: Sequence[GraspSample]) -> Indices:
+        """(T,) places of some of the samples."""
+        return np.array([self._place[sample.id] for sample in samples], np.intp)
+
+    def rows(self, clouds: str | int = "whole") -> Float64:
+        """(S, F) features on `whole` clouds, on `thinned` ones, or on clouds with a number of points."""
+        if clouds not in self._rows:
+            samples = self.samples
+            if clouds == "thinned":
+                samples = thinned_samples(samples, ContactConfig()) or []
+            elif isinstance(clouds, int):
+                samples = [replace(one, cloud=_thin(one.cloud, clouds)) for one in samples]
+            self._rows[clouds] = describe_samples(samples)
+        return self._rows[clouds]
+
+
+def _thin(cloud: Cloud, count: int) -> Cloud:
+    """A cloud of at most so many of its points, drawn at random by a fixed seed."""
+    finite = np.flatnonzero(np.isfinite(cloud.xyz.reshape(-1, 3)).all(axis=1))
+    return cloud.take(np.sort(np.random.default_rng(0).choice(finite, min(count, len(finite)), replace=False)))
+
+
+@dataclass(frozen=True, eq=False)
+class _OnePart(ContactEstimator):
+    """The forests alone, or the kernel alone."""
+
+    forests_alone: bool = True
+
+    def predict_rows(self, rows: Float64) -> tuple[Float64, npt.NDArray[np.bool_]]:
+        inputs = rows[:, len(CONDITIONS) :]
+        scaled = self._trees(inputs) if self.forests_alone else self.kernel.predict(inputs)
+        return scaled * self.deviation + self.mean, np.ones(len(rows), np.bool_)
+
+
+def _fitted(data: Described, train: Indices, seed: int) -> Callable[[Mapping[str, Any]], ContactEstimator]:
+    """The shipped recipe fitted to some samples; from it, variants by their values."""
+    rows, labels, thinned = data.rows()[train], data.labels[train], data.rows("thinned")[train]
+    shipped = fit_contact(rows, labels, [data.objects[k] for k in train], ContactConfig(seed=seed), thinned)
+
+    def variant(values: Mapping[str, Any]) -> ContactEstimator:
+        if "refit" not in values:
+            return _reduced(shipped, values)
+        return replace(shipped, forests=fit_forests(rows, labels, ContactConfig(seed=seed, **values["refit"]), thinned))
+
+    return variant
+
+
+def _reduced(estimator: ContactEstimator, values: Mapping[str, Any]) -> ContactEstimator:
+    """A fitted model with fewer trees, or one part of it alone."""
+    if "trees" in values:
+        estimator = fewer_trees(estimator, values["trees"])
+    part = values.get("part")
+    if part is None:
+        return estimator
+    if part == "no surroundings":
+        return WithoutSurroundings.of(estimator)
+    fields = {name: getattr(estimator, name) for name in ContactEstimator.__dataclass_fields__}
+    return _OnePart(**fields, forests_alone=part == "forests alone")
+
+
+# Networks; torch is imported where one is needed.
+
+
+def _network(values: Mapping[str, Any], net: TouchNet, fallback: Any) -> Estimator:
+    """The estimator of a variant from a network."""
+    from foretouch.models.network.checkpoint import Member, NetworkEstimator
+    from foretouch.models.network.folding import fold
+
+    config = net.config.replace(**values.get("changes", {}))
+    return NetworkEstimator([Member(config, fold(net, values.get("precision", "float32")))], fallback)
+
+
+def _trained(data: Described, fold: Fold, settings: ModelSettings) -> Iterator[tuple[str, Float64]]:
+    """Train the recipe of touchnet-v1 on a fold, and predict its test side by each variant of this network."""
+    from foretouch.learning.data.training_set import TrainingSet
+    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.supervised import train_network
+    from foretouch.models.novelty import Fallback
+
+    run: Any = load_run_config(NETWORK)
+    train, tested = ([data.samples[k] for k in side] for side in (fold.train, fold.test))
+    built = TrainingSet.build(train, run.model)
+    net = train_network(built, np.arange(len(train)), run.train.replace(seed=0))
+    fallback = Fallback.fit(describe_objects(train), data.labels[fold.train])
+    for variant in _variants(settings):
+        if variant.values["kind"] == "network":
+            estimator = _network(variant.values, net, fallback)
+            yield variant.name, np.concatenate([estimator.estimate(one.cloud, [one.grasp]).counts for one in tested])
+
+
+def _timed_network(values: Mapping[str, Any]) -> Estimator:
+    """A variant of touchnet-v1."""
+    from foretouch.models.calibration import load_calibration
+    from foretouch.models.network.checkpoint import load_network
+
+    path = find_card(NETWORK)
+    return _network(values, load_network(path)[0], load_calibration(path, read_card(path))[1])
+
+
+def _papers(cloud: Cloud, grasps: Sequence[Grasp]) -> Callable[[int], Answer]:
+    """Four eager networks of P2 on 750 points, one for each modality, of random weights: for their time alone."""
+    import torch
+
+    from foretouch.models.network.config import ModelConfig
+    from foretouch.models.network.networks import TouchNet
+    from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
+
+    torch.manual_seed(0)
+    configs = [ModelConfig(outputs=(name,)) for name in MODALITIES]
+    nets = [TouchNet(config).eval() for config in configs]
+
+    def answer(count: int) -> Answer:
+        with torch.inference_mode():
+            prepared = prepare_cloud(cloud, configs[0])
+            points = torch.from_numpy(prepared.points)[None].expand(count, -1, -1)
+            inputs = torch.from_numpy(prepare_grasps(grasps[:count], prepared.frame, configs[0]))
+            return torch.cat([net.counts(points, inputs) for net in nets], dim=1).numpy()
+
+    return answer
+
+
+# Skills.
+
+
+def _cells(settings: ModelSettings, data: Dataset) -> list[Cell]:
+    """A cell for each fold and seed, which fits all contact models, and one for each training of a network."""
+    samples = labelled(data)
+    found = [
+        (_CONTACT, split, fold.name, seed)
+        for split in settings.splits
+        for seed in settings.seeds
+        for fold in make_folds(samples, split, seed)
+    ]
+    if settings.networks:
+        found += [(NETWORK, "time", fold.name, 0) for fold in make_folds(samples, "time", 0)]
+    names = ("model", "split", "part", "seed")
+    return [
+        Cell("+".join((*one[:3], f"seed{one[3]}")).replace(" ", "_"), dict(zip(names, one, strict=True)))
+        for one in found
+    ]
+
+
+def _run(cell: Cell, settings: ModelSettings, data: Dataset) -> list[Row]:
+    """Errors of all variants of a model on one fold."""
+    model, split, part, seed = (cell.values[key] for key in ("model", "split", "part", "seed"))
+    described = _described(data)
+    fold = next(one for one in make_folds(described.samples, split, seed) if one.name == part)
+    labels, mean = described.labels[fold.test], described.labels[fold.train].mean(axis=0)
+    tested = [described.samples[k] for k in fold.test]
+    if model == _CONTACT:
+        fitted = _fitted(described, fold.train, seed)
+        contact = [one for one in _variants(settings) if one.values["kind"] == _CONTACT]
+        rows = {one.name: described.rows(one.values.get("points", "whole"))[fold.test] for one in contact}
+        found = [("mean of labels", np.tile(mean, (len(tested), 1)))]
+        found += [(one.name, fitted(one.values).predict_rows(rows[one.name])[0]) for one in contact]
+    else:
+        found = list(_trained(described, fold, settings))
+    return [
+        {"variant": name, **row} for name, predicted in found for row in error_rows(tested, predicted, labels, mean)
+    ]
+
+
+@lru_cache(maxsize=1)
+def _described(data: Dataset) -> Described:
+    return Described(labelled(data))
+
+
+def _tabulate(settings: ModelSettings, rows: Sequence[Row]) -> list[Row]:
+    """A row for each variant: on each split the skill with its interval, its deviation over folds, and the errors.
+
+    touchnet-v1 has the skills of its card where it was not trained here.
+    """
+    result = []
+    for name in dict.fromkeys([*(row["variant"] for row in rows), NETWORK]):
+        row: Row = {"variant": name}
+        for split in settings.splits:
+            own = [one for one in rows if (one["variant"], one["split"]) == (name, split)]
+            row |= skill_columns(split, own, settings.bootstrap)
+            if name == NETWORK and not own:
+                skill = read_card(find_card(NETWORK))["skill"][split]
+                row[split] = float(np.mean([skill[one]["skill"] for one in MODALITIES]))
+                row |= {f"{split}_{one}": skill[one]["skill"] for one in MODALITIES}
+                row |= {f"{split}_rmse_{one}": skill[one]["rmse"] for one in MODALITIES}
+        result.append(row)
+    return result
+
+
+# Times.
+
+
+def _timed(variant: Variant, settings: ModelSettings, data: Dataset) -> Timed:
+    """See `Area.timed`: predicts the touch of K grasps on the cloud of one real grasp; answers are (K, 50) counts."""
+    cloud, grasps = _scene(data, max(settings.requests))
+    values, kind = variant.values, variant.values["kind"]
+    if kind == "papers":
+        return Timed(_papers(cloud, grasps))
+    shipped: Any = load_model(SHIPPED).estimator
+    if kind == "mean":
+        return Timed(lambda count: np.tile(shipped.mean, (count, 1)), 8.0 * TOUCH_SIZE / 1e6)
+    if kind == "network":
+        network = _timed_network(values)
+        size = find_card(NETWORK).with_suffix(".safetensors").stat().st_size / 1e6 if len(values) == 1 else None
+        return Timed(lambda count: network.estimate(cloud, grasps[:count]).counts, size)
+    fitted = _refitted(data)(values) if "refit" in values else _reduced(shipped, values)
+    points = values.get("points")
+    return Timed(
+        lambda count: fitted.estimate(_thin(cloud, points) if points else cloud, grasps[:count]).counts,
+        len(packed(fitted.to_tensors())[0]) / 1e6,
+    )
+
+
+@lru_cache(maxsize=1)
+def _refitted(data: Dataset) -> Callable[[Mapping[str, Any]], ContactEstimator]:
+    described = _described(data)
+    return _fitted(described, np.arange(len(described.samples)), 0)
+
+
+@lru_cache(maxsize=1)
+def _scene(data: Dataset, count: int) -> tuple[Cloud, list[Grasp]]:
+    """A real cloud of median size, its grasp, and others between random points of it with the hand of its own grasp."""
+    samples = sorted(labelled(data), key=lambda one: one.cloud.size)
+    sample = samples[len(samples) // 2]
+    xyz = sample.cloud.xyz.reshape(-1, 3)
+    xyz = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
+    pairs = np.random.default_rng(0).integers(0, len(xyz), (50 * count, 2))
+    width = np.linalg.norm(xyz[pairs[:, 0]] - xyz[pairs[:, 1]], axis=1)
+    near = pairs[(width > 0.02) & (width < 0.1)][: count - 1]
+    return sample.cloud, [sample.grasp, *(Grasp(xyz[a], xyz[b], sample.grasp.rotation) for a, b in near)]
+
+
+def _draw_overview(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Draw `ten_milliseconds.png`: the frontier for each number of grasps, what each leaves in 10 ms, and the default."""
+    lines = {
+        n: frontier(of_request(rows, n), "time") for n in sorted({row["request"] for row in rows if row["request"]})
+    }
+    named = {row["variant"]: row["time"] for line in lines.values() for row in line}
+    if not named:
+        return []
+    figure = new_figure(10.0, 5.2)
+    axes = figure.subplots()
+    column = time_column(of_request(rows, min(lines)))
+    axes.axvline(_BUDGET_MS, color="black", linewidth=1.2)
+    for number, (request, line) in enumerate(lines.items()):
+        within = [row for row in line if row[column] <= _BUDGET_MS]
+        best = f"; in {_BUDGET_MS:g} ms {within[-1]['time']:.2f}: {within[-1]['variant']}" if within else ""
+        label, points = f"{request} grasp{'s' * (request > 1)}{best}", [(row[column], row["time"]) for row in line]
+        style: dict[str, Any] = {
+            "where": "post",
+            "marker": "o",
+            "markersize": 4,
+            "linewidth": 1.2,
+            "color": f"C{number}",
+        }
+        axes.step(*zip(*points, strict=True), label=label, **style)
+        for row in of_request(rows, request):
+            if row["factor"] == "shipped":
+                axes.plot(row[column], row["time"], marker="*", markersize=12, color=f"C{number}", zorder=3)
+                named[f"★ {row['variant']}, the default"] = row["time"]
+    axes.set_xscale("log")
+    kind = "wall time, idle machine" if column == "ms_p50" else "processor time, loaded machine"
+    axes.set_xlabel(f"time of a prediction [ms], {kind}")
+    axes.set_ylabel("mean skill on later grasps of known objects\n(0: mean of the labels, 1: perfect)")
+    axes.grid(visible=True, which="major", alpha=0.25)
+    right = axes.get_xlim()[1]
+    name_points(axes, {name: (right, named[name]) for name in sorted(named, key=named.__getitem__)}, 0.045)
+    axes.legend(loc="center left", fontsize=8, title="frontier for")
+    return [save_small(figure, folder / "ten_milliseconds.png")]
+
+
+EXPERIMENT = Area(
+    name="tradeoff_model",
+    question="How good a prediction of touch can I have in 10 ms?",
+    module=__name__,
+    settings=ModelSettings,
+    presets={
+        "small": {"timing_s": 45.0, "splits": ["time", "object"], "detail": "few"},
+        "full": {"timing_s": 200.0, "seeds": [0, 1], "networks": True},
+    },
+    load=load,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    figure=_draw_overview,
+    resumable_settings=("splits", "seeds", "networks", "bootstrap", "timing_s", "requests"),
+    data_folder="vision2tactile",
+    variants=_variants,
+    timed=_timed,
+    shipped=SHIPPED,
+    reference=_PAPERS,
+    skills={name: f"mean skill, {text}" for name, text in _SPLITS.items()},
+    panels=(
+        Panel("time", 1, "Known objects (blocks of time), 1 grasp"),
+        Panel("time", 100, "Known objects (blocks of time), 100 grasps"),
+        Panel("time", 1000, "Known objects (blocks of time), 1000 grasps"),
+        Panel("object", 100, "New objects (left out), 100 grasps"),
+        Panel("random", 100, "Same sessions (random folds), 100 grasps"),
+    ),
+)

@@ -1,0 +1,443 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Area `perception`: masks, contacts and predicted touch against the time of segmentation and GeoGrasp on a cloud.
+
+Each object of a scene is taken through the whole pipeline with the changed setting and with the shipped ones. Best
+grasps of both are scored by the same function, the original's score at full resolution on the object as the shipped
+segmentation sees it, so that a grasp that moved can be distinguished from a grasp that is worse. Variants that add noise to the
+points of the objects, with the shipped settings, show what a camera's next image would do as well.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import cycle
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.cloud.io.files import read_cloud
+from foretouch.config import setting
+from foretouch.errors import ConfigError
+from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.frontier import Panel
+from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch.grasp.original_score import OriginalScore
+from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
+from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
+from foretouch.simulation.solids import Primitive
+from foretouch.simulation.view import CameraView
+from foretouch.types import ASSUMED_TABLE, Cloud, Float64
+
+SEGMENTATION: Final = "segmentation"
+GRASP: Final = "GeoGrasp"
+
+_EVERY_PIXEL: Final = "every pixel"
+_ALL_POINTS: Final = "all points"
+_EVERY_PIXEL_ROWS: Final = 10_000
+_NOISE_M: Final = 0.001  # standard deviation of the depth at 1 m
+_SHARED: Final = ("oblique_848x480.npz", "oblique_1280x720.npz")
+_REAL: Final = "vision2tactile/*/*/cloud-object.pcd"
+_MOVED_MM: Final = 5.0  # a best grasp has moved if a contact is farther from before
+_EQUAL_SCORE: Final = 0.1  # of equal grasps; scores range from 2.5, both rankings at their minimum, to 10
+_DRAWS: Final = 1000  # of the bootstrap
+_TIMED: Final = 8  # clouds that are timed in turn
+
+_Values = tuple[Any, ...]
+_FACTORS: Final[tuple[tuple[str, str, str, _Values, _Values], ...]] = (
+    (SEGMENTATION, "grid", "grid_rows", (60, 80, 160, 240), (60, 80, 240)),
+    (SEGMENTATION, "crop", "crop.max_range_m", (1.5, 4.0), ()),
+    (SEGMENTATION, "plane threshold", "plane.threshold_m", (0.005, 0.02), ()),
+    (SEGMENTATION, "plane samples", "plane.max_trials", (64, 4096), ()),
+    (SEGMENTATION, "height", "clusters.min_height_m", (0.002, 0.006, 0.008), (0.006,)),
+    (SEGMENTATION, "noise", "clusters.noise_factor", (0.0, 1.5, 4.0), ()),
+    (SEGMENTATION, "gap", "clusters.gap_m", (0.004, 0.016), (0.016,)),
+    (SEGMENTATION, "slope", "clusters.max_slope", (10.0, 40.0), ()),
+    (SEGMENTATION, "flying", "clusters.flying_slope", (2.0, 8.0), ()),
+    (GRASP, "points", "max_points", (500, 1000, 1500, 2000, 3000, 5000), (1000, 3000)),
+    (GRASP, "neighbours", "neighbours", (10, 20, 30, 80), (20,)),
+    (GRASP, "normal radius", "normal_radius_m", (0.008, 0.01, 0.015, 0.02, 0.04), (0.015,)),
+    (GRASP, "outliers", "outlier_deviations", (0.5, 2.0, 3.0), ()),
+    (GRASP, "slab", "slab_half_width_m", (0.004, 0.01, 0.014), ()),
+)
+"""Step, name of the factor, setting, values of `all`, and those of `few`."""
+
+_PAIRS: Final[tuple[tuple[str, str, Mapping[str, Any]], ...]] = (
+    (SEGMENTATION, "grid x height", {"grid_rows": 80, "clusters.min_height_m": 0.002}),
+    (SEGMENTATION, "grid x gap", {"grid_rows": 80, "clusters.gap_m": 0.004}),
+    (SEGMENTATION, "grid x gap", {"grid_rows": 60, "clusters.gap_m": 0.004}),
+    (SEGMENTATION, "grid x flying", {"grid_rows": 80, "clusters.flying_slope": 2.0}),
+    (SEGMENTATION, "grid x samples", {"grid_rows": 80, "plane.max_trials": 64}),
+    (GRASP, "points x neighbours", {"max_points": 3000, "neighbours": 20}),
+    (GRASP, "points x neighbours", {"max_points": 1500, "neighbours": 20}),
+    (GRASP, "points x neighbours", {"max_points": 1000, "neighbours": 10}),
+    (GRASP, "points x radius", {"max_points": 3000, "normal_radius_m": 0.015}),
+    (GRASP, "points x radius", {"max_points": 3000, "normal_radius_m": 0.02}),
+    (GRASP, "points x radius", {"max_points": 1500, "normal_radius_m": 0.02}),
+    (GRASP, "neighbours x radius", {"neighbours": 20, "normal_radius_m": 0.015}),
+    (GRASP, "neighbours x radius", {"neighbours": 20, "normal_radius_m": 0.02}),
+    *((GRASP, "method x points", {"method": "stable", "max_points": n}) for n in (0, 3000, 1500, 1000, 500)),
+    (GRASP, "method x neighbours", {"method": "stable", "neighbours": 20}),
+    (GRASP, "method x radius", {"method": "stable", "normal_radius_m": 0.015}),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionSettings(TradeoffSettings):
+    """Settings of the area."""
+
+    scenes: int = setting(40, "Number of generated scenes of three objects", minimum=2, maximum=1000)
+    real: int = setting(60, "Number of real objects, if recordings are given", minimum=0, maximum=1000)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledScene:
+    """A cloud and the truth about it."""
+
+    cloud: Cloud  # (H, W, 3)
+    labels: npt.NDArray[np.int32]  # (H, W), 2 and on are the objects
+    solids: tuple[Primitive, ...] = ()  # the objects in the world, in order of their labels; none if unknown
+    view: CameraView | None = None  # the camera in the world
+
+    @property
+    def object_labels(self) -> range:
+        """Labels of the objects."""
+        return range(FIRST_OBJECT, int(self.labels.max()) + 1)
+
+    @classmethod
+    def generate(cls, seed: int) -> "LabelledScene":
+        """Three boxes, cans or balls, 848x480, with depth noise and flying pixels."""
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng)
+        image = scene.render(rng, _NOISE_M, True)
+        return cls(image.cloud(), image.labels, scene.objects, scene.view)
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionData:
+    """What settings are measured on."""
+
+    scenes: tuple[LabelledScene, ...]
+    real: tuple[Cloud, ...]  # an object each
+    sha256: str
+
+
+def _prepare(settings: PerceptionSettings, source: Path | None, out: Path) -> Path:
+    """The folder of recordings if there is one; scenes are generated."""
+    del settings, out
+    if source is not None and not source.is_dir():
+        raise ConfigError(f"--data: {source}: is no folder of recordings")
+    return source or Path() / "no recordings"
+
+
+def _load(settings: PerceptionSettings, path: Path) -> PerceptionData:
+    """Render the scenes, and read what the folder holds."""
+    scenes = [LabelledScene.generate(seed) for seed in range(settings.scenes)]
+    for name in _SHARED:
+        if (path / "scenes" / name).is_file():
+            with np.load(path / "scenes" / name) as shared:
+                scenes.append(LabelledScene(Cloud(shared["xyz"]), shared["labels"].astype(np.int32)))
+    found = sorted(path.glob(_REAL))
+    chosen = np.linspace(0, len(found) - 1, min(settings.real, len(found))).astype(int)
+    real = tuple(Cloud(read_cloud(found[k]).xyz.reshape(-1, 3)) for k in chosen)
+    content = hashlib.sha256()
+    for cloud in (*(scene.cloud for scene in scenes), *real):
+        content.update(np.ascontiguousarray(cloud.xyz).tobytes())
+    return PerceptionData(tuple(scenes), real, content.hexdigest())
+
+
+def _variants(settings: PerceptionSettings) -> Iterator[Variant]:
+    """Each changes settings of one step alone, or no setting but the points by noise."""
+    every = settings.detail == "all"
+    yield _variant(SEGMENTATION, "shipped", {})
+    yield (shipped := _variant(GRASP, "shipped", {}))
+    yield replace(_variant(SEGMENTATION, "reference", {"grid_rows": _EVERY_PIXEL_ROWS}), name=_EVERY_PIXEL)
+    yield replace(_variant(GRASP, "reference", {"max_points": 0}), name=_ALL_POINTS)
+    for mm in (0.01, 0.1, 0.5) if every else (0.1,):
+        moved = {**shipped.values, "jitter_mm": mm}
+        yield replace(shipped, name=f"points moved by {mm:g} mm", factor="noise", values=moved)
+    yield _variant(GRASP, "method", {"method": "stable"})
+    for step, factor, name, values, few in _FACTORS:
+        for value in values if every else few:
+            yield _variant(step, factor, {name: value})
+    for step, factor, changes in _PAIRS if every else ():
+        yield _variant(step, factor, changes)
+
+
+def _variant(step: str, factor: str, changes: Mapping[str, Any]) -> Variant:
+    shipped = f"{step} as shipped"
+    name = ", ".join(_text(key, value) for key, value in changes.items()) or shipped
+    reference = _EVERY_PIXEL if step == SEGMENTATION else _ALL_POINTS
+    return Variant(name, factor, {"step": step, "changes": dict(changes)}, shipped, reference)
+
+
+def _text(key: str, value: Any) -> str:
+    name = key.rpartition(".")[2]
+    if name == "method":
+        return str(value)
+    if name.endswith("_m"):
+        return f"{name.removesuffix('_m').replace('_', ' ')} {1e3 * value:g} mm"
+    return f"{name.replace('_', ' ')} {value:g}"
+
+
+@dataclass(frozen=True, eq=False)
+class GraspedObject:
+    """An object that was found in a scene, with its best grasp and the touch that is predicted for it."""
+
+    iou: float | None  # of its mask with the true one; None of a real object
+    found: FoundObject | None  # None if it was not found
+    contacts: Float64 | None = None  # (2, 3) float64 [m]; None without a grasp
+    touch: Float64 | None = None  # (50,) [counts]
+    half: Float64 | None = None  # (50,) half widths of the intervals [counts]
+    error_mm: float | None = None  # mean distance of both contacts from the true surface
+
+
+def overlaps(labels: npt.NDArray[np.int32], truth: npt.NDArray[np.int32], objects: Sequence[int]) -> list[float]:
+    """Intersection over union of each true object with the found one that covers it most."""
+    result = []
+    for label in objects:
+        true = truth == label
+        found = labels == _covering(labels, true)
+        result.append(float((true & found).sum() / (true | found).sum()))
+    return result
+
+
+def _covering(labels: npt.NDArray[np.int32], true: npt.NDArray[np.bool_]) -> int:
+    return 1 + int(np.bincount(labels[true], minlength=2)[1:].argmax())
+
+
+def _pipeline(values: Mapping[str, Any]) -> Pipeline:
+    """The shipped pipeline with the changed settings of one step."""
+    group = "segmentation" if values["step"] == SEGMENTATION else "grasp"
+    return Pipeline(PipelineConfig().updated({f"{group}.{name}": value for name, value in values["changes"].items()}))
+
+
+def grasp_objects(pipeline: Pipeline, scene: LabelledScene, jitter_mm: float = 0.0) -> tuple[list[GraspedObject], int]:
+    """The true objects of a scene as the pipeline finds and grasps them, and the number of objects it found."""
+    found = pipeline.segment(scene.cloud).segmentation
+    shape = (scene.cloud.xyz.shape[0], scene.cloud.xyz.shape[1])
+    result = []
+    for label, iou in zip(scene.object_labels, overlaps(found.labels, scene.labels, scene.object_labels), strict=True):
+        number = _covering(found.labels, scene.labels == label)
+        segments = [one for one in found.objects if one.id == number]
+        if not segments or found.plane is None or iou == 0.0:
+            result.append(GraspedObject(0.0, None))
+            continue
+        seen = _jittered(segments[0].cloud, jitter_mm)
+        target = FoundObject(str(number), seen, found.plane, segments[0].pixels, shape)
+        result.append(_grasped(pipeline, target, iou, scene, label - scene.object_labels.start))
+    return result, len(found.objects)
+
+
+def _grasp_real(pipeline: Pipeline, cloud: Cloud, jitter_mm: float = 0.0) -> GraspedObject:
+    """A real object on its own, with the table that is assumed below it."""
+    return _grasped(pipeline, FoundObject("1", _jittered(cloud, jitter_mm), ASSUMED_TABLE))
+
+
+def _jittered(cloud: Cloud, jitter_mm: float) -> Cloud:
+    if not jitter_mm:
+        return cloud
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 * jitter_mm, cloud.xyz.shape)
+    return Cloud((cloud.xyz + noise).astype(np.float32))
+
+
+def _grasped(
+    pipeline: Pipeline,
+    target: FoundObject,
+    iou: float | None = None,
+    scene: LabelledScene | None = None,
+    index: int = 0,
+) -> GraspedObject:
+    grasps = pipeline.plan(target).grasps
+    if not grasps:
+        return GraspedObject(iou, target)
+    contacts = np.stack([grasps[0].g1, grasps[0].g2])
+    (predicted,) = pipeline.predict(target, grasps[:1])
+    error = None
+    if scene is not None and scene.view is not None:
+        world = contacts @ scene.view.R_world_camera.T + scene.view.eye
+        error = 1e3 * float(scene.solids[index].surface_distance(world).mean())
+    if predicted.value is None or predicted.lower is None or predicted.upper is None:
+        return GraspedObject(iou, target, contacts, error_mm=error)
+    half = (predicted.upper.vector() - predicted.lower.vector()) / 2.0
+    return GraspedObject(iou, target, contacts, predicted.value.vector(), half, error)
+
+
+@lru_cache(maxsize=1)
+def _shipped(data: PerceptionData) -> tuple[list[list[GraspedObject]], list[GraspedObject]]:
+    pipeline = Pipeline()
+    return [grasp_objects(pipeline, one)[0] for one in data.scenes], [_grasp_real(pipeline, one) for one in data.real]
+
+
+@lru_cache(maxsize=4096)
+def _scorer(found: FoundObject) -> OriginalScore | None:
+    scorer = OriginalScore.of(found.cloud, found.plane)
+    return scorer if scorer is not None and scorer.has_axis else None
+
+
+def _run(cell: Cell, settings: PerceptionSettings, data: PerceptionData) -> list[Row]:
+    """A row for each object."""
+    del settings
+    pipeline, jitter_mm = _pipeline(cell.values), cell.values.get("jitter_mm", 0.0)
+    before, real_before = _shipped(data)
+    rows = []
+    for number, (scene, shipped) in enumerate(zip(data.scenes, before, strict=True)):
+        changed, count = grasp_objects(pipeline, scene, jitter_mm)
+        wrong = count != len(scene.object_labels)
+        for one, other in zip(changed, shipped, strict=True):
+            rows.append({"scene": number, "wrong": wrong, **_compared(one, other)})
+    if cell.values["step"] != SEGMENTATION:
+        for number, (cloud, other) in enumerate(zip(data.real, real_before, strict=True), len(data.scenes)):
+            one = _grasp_real(pipeline, cloud, jitter_mm)
+            rows.append({"scene": number, "wrong": False, **_compared(one, other)})
+    return rows
+
+
+def _compared(one: GraspedObject, shipped: GraspedObject) -> Row:
+    """An object against the same with the shipped settings; what cannot be compared is None."""
+    row: Row = dict.fromkeys(("score", "score_change", "touch_counts", "touch_half", "moved"))
+    row |= {"iou": one.iou, "grasped": one.contacts is not None, "error_mm": one.error_mm}
+    if one.contacts is None or shipped.contacts is None or shipped.found is None:
+        return row
+    row["moved"] = bool(1e3 * np.linalg.norm(one.contacts - shipped.contacts, axis=1).max() > _MOVED_MM)
+    scorer = _scorer(shipped.found)
+    if scorer is not None:
+        score, before = scorer(one.contacts)[0], scorer(shipped.contacts)[0]
+        if np.isfinite([score, before]).all():
+            row |= {"score": score, "score_change": score - before}
+    if one.touch is not None and shipped.touch is not None and shipped.half is not None:
+        change = np.abs(one.touch - shipped.touch)
+        row |= {"touch_counts": float(change.mean()), "touch_half": float((change / shipped.half).mean())}
+    return row
+
+
+def _tabulate(settings: PerceptionSettings, rows: Sequence[Row]) -> list[Row]:
+    """A row for each variant: masks of a segmentation, scores of a GeoGrasp, and what both do to grasps and touch."""
+    del settings
+    result = []
+    for name in dict.fromkeys(row["variant"] for row in rows):
+        own = [row for row in rows if row["variant"] == name]
+        masks = own[0]["step"] == SEGMENTATION
+        row: Row = {"variant": name, **_interval("iou", own if masks else [])}
+        row["iou_least"] = min(one["iou"] for one in own) if masks else None
+        row["wrong_scenes"] = len({one["scene"] for one in own if one["wrong"]}) if masks else None
+        row |= _interval("score", [] if masks else own)
+        row |= {"objects": len(own), "no_grasp": sum(not one["grasped"] for one in own)}
+        row["contact_mm"] = _mean(own, "error_mm")
+        row |= _moves(own)
+        row |= _interval("score_change", own)
+        real = [one for one in own if one["iou"] is None]
+        for key in ("touch_counts", "touch_half"):
+            row |= {key: _mean(own, key), f"{key}_real": _mean(real, key)}
+        result.append(row)
+    return result
+
+
+def _moves(rows: Sequence[Row]) -> Row:
+    """Share of best grasps that moved, and of those that have a score, whether it is equal, better or worse."""
+    known = [row for row in rows if row["moved"] is not None]
+    moved = [row["score_change"] for row in known if row["moved"] and row["score_change"] is not None]
+    changes = np.array(moved)
+    shares: dict[str, Any] = {"moved": sum(row["moved"] for row in known) / max(len(known), 1)}
+    tests = {
+        "equal": np.abs(changes) <= _EQUAL_SCORE,
+        "better": changes > _EQUAL_SCORE,
+        "worse": changes < -_EQUAL_SCORE,
+    }
+    return shares | {f"moved_{name}": float(test.mean()) if len(moved) else None for name, test in tests.items()}
+
+
+def _values(rows: Sequence[Row], key: str) -> Float64:
+    return np.array([row[key] for row in rows if row[key] is not None], np.float64)
+
+
+def _mean(rows: Sequence[Row], key: str) -> float | None:
+    values = _values(rows, key)
+    return float(values.mean()) if len(values) else None
+
+
+def _interval(key: str, rows: Sequence[Row]) -> Row:
+    """Mean over objects, and its 95 % interval by drawing scenes."""
+    known = [row for row in rows if row[key] is not None]
+    if not known:
+        return {key: None, f"{key}_low": None, f"{key}_high": None}
+    numbers, scene = np.unique([row["scene"] for row in known], return_inverse=True)
+    sums = np.bincount(scene, _values(known, key))
+    counts = np.bincount(scene)
+    drawn = np.random.default_rng(0).integers(0, len(numbers), (_DRAWS, len(numbers)))
+    low, high = np.percentile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), (2.5, 97.5))
+    return {key: float(sums.sum() / counts.sum()), f"{key}_low": float(low), f"{key}_high": float(high)}
+
+
+def _timed(variant: Variant, settings: PerceptionSettings, data: PerceptionData) -> Timed:
+    """See `Area.timed`: segments scenes, or plans grasps on objects, one after the other.
+
+    Answers are the centroid of the nearest object, (3,), or the contacts of the best grasp, (6,) [m].
+    """
+    del settings
+    pipeline = _pipeline(variant.values)
+    clouds = cycle([scene.cloud for scene in data.scenes if scene.view is not None][:_TIMED])
+    targets = cycle(_timed_targets(data))
+
+    def segment(_: int) -> Answer:
+        return np.asarray(pipeline.segment(next(clouds)).segmentation.objects[0].centroid)
+
+    def plan(_: int) -> Answer:
+        grasps = pipeline.plan(next(targets)).grasps
+        return np.concatenate([grasps[0].g1, grasps[0].g2]) if grasps else np.zeros(6)
+
+    return Timed(segment if variant.values["step"] == SEGMENTATION else plan)
+
+
+@lru_cache(maxsize=1)
+def _timed_targets(data: PerceptionData) -> list[FoundObject]:
+    """Objects of all sizes: of the generated scenes, by number of points, evenly spread."""
+    found = [one for scene in data.scenes[:_TIMED] for one in grasp_objects(Pipeline(), scene)[0]]
+    targets = sorted((one.found for one in found if one.found is not None), key=lambda one: one.cloud.size)
+    return [targets[k] for k in np.linspace(0, len(targets) - 1, min(_TIMED, len(targets))).astype(int)]
+
+
+def _notes(rows: Sequence[Row]) -> list[str]:
+    """What happens to best grasps, and whether those that move are worse."""
+    found = []
+    for row in rows:
+        if not row["moved"] or row["moved_equal"] is None or row["score_change"] is None:
+            continue
+        real = row["touch_half_real"]
+        on_real = "" if real is None else f" (real objects {row['touch_counts_real']:.0f} = {real:.2f})"
+        found.append(
+            f"{row['variant']}: {row['moved']:.0%} of best grasps move more than 5 mm; of these {row['moved_equal']:.0%} score "
+            f"the same within {_EQUAL_SCORE:g}, {row['moved_better']:.0%} better, {row['moved_worse']:.0%} worse; mean "
+            f"change of the score {row['score_change']:+.2f} [{row['score_change_low']:+.2f}, {row['score_change_high']:+.2f}], "
+            f"of touch {row['touch_counts']:.0f} counts = {row['touch_half']:.2f} half widths{on_real}; contacts "
+            f"{row['contact_mm']:.1f} mm from the true surface."
+        )
+    return found
+
+
+EXPERIMENT = Area(
+    name="tradeoff_perception",
+    question="How well can objects and grasps be found in a few milliseconds?",
+    module=__name__,
+    settings=PerceptionSettings,
+    presets={"small": {"scenes": 8, "real": 12, "detail": "few", "timing_s": 25.0}, "full": {"timing_s": 150.0}},
+    prepare=_prepare,
+    load=_load,
+    cells=variant_cells(_variants),
+    run=_run,
+    tabulate=_tabulate,
+    data_folder="",
+    variants=_variants,
+    timed=_timed,
+    shipped=f"{GRASP} as shipped",
+    reference=_ALL_POINTS,
+    skills={"iou": "mean IoU of the objects, 95 % interval", "score": "mean original score, 95 % interval"},
+    panels=(
+        Panel("iou", 1, "Segmentation, 848x480: masks of the objects", 0.99),
+        Panel("score", 1, "GeoGrasp: score of the best grasp at full resolution", 0.98),
+    ),
+    unit="m",
+    notes=_notes,
+)

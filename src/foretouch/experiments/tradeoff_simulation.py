@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Area `simulation`: level of contact, grid and effects of the simulator against the time of a sample.
+
+pattern      error of the drops of 24 electrodes against the finest layer, ‖drop - finest‖ / ‖finest‖, median
+force        error of the forces of both fingers against those of the finest layer, median
+counts       root mean square change of the readings when an effect is left out of the scene
+trained      skill, on the finest level and with all effects, of a contact model that is trained on the variant
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import cycle
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import setting
+from foretouch.errors import ConfigError, SimulationError
+from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.frontier import Panel
+from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant, variant_cells
+from foretouch.experiments.shared.scores import interval_columns
+from foretouch.learning.data import labels_of
+from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, ObjectErrors, compare, skills
+from foretouch.learning.training.contact import ContactConfig, ContactPredictor
+from foretouch.simulation.effects import EFFECTS
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.scene import SceneConfig, load_scene
+from foretouch.simulation.simulate import SAMPLE_KEYS, Simulation
+from foretouch.simulation.world import SampleKey
+from foretouch.types import Float64, GraspSample
+
+RIGID: Final = "rigid"
+SOFT: Final = "deformables"
+EVERYTHING: Final = "everything"
+SCENES: Final = (RIGID, SOFT, EVERYTHING)
+
+_FOLDER: Final = Path("config/scenes")
+_TIMED: Final = 16  # samples that are timed in turn
+_BOOTSTRAP: Final = BootstrapConfig(draws=500)
+
+_LEVELS: Final = (
+    *(("hertz", 24), ("winkler", 12), ("winkler", 24), ("winkler", 48)),
+    *(("layer", 8), ("layer", 12), ("layer", 16), ("layer", 24), ("layer", 32), ("layer", 48)),
+)
+_FEW_LEVELS: Final = (("hertz", 24), ("winkler", 12), ("winkler", 24), ("layer", 12), ("layer", 24))
+
+_DEPTH_EFFECTS: Final = {
+    "clutter": "clutter",
+    "flying_pixels": "camera.flying_pixels",
+    "depth_noise": "camera.noise",
+    "stereo_shadow": "camera.stereo",
+    "holes": "camera.holes",
+    "depth_steps": "camera.z_step_m",
+}
+_OTHER_EFFECTS: Final = {
+    "execution_error": "grasps.error",
+    "weight": "gravity",
+    "creep": "fingers.creep",
+    "slip": "fingers.slip",
+    "drift": "fingers.drift",
+    "noise": "fingers.noise",
+    "scan_hold": "fingers.scan",
+}
+"""Effects by name, with the setting of the scene whose absence switches each off."""
+
+_ALWAYS: Final = {RIGID: {}, SOFT: {}, EVERYTHING: {"fingers.dead": None}}
+"""Changes of all variants of a scene: no training accepts readings with a dead electrode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSettings(TradeoffSettings):
+    """Settings of the area."""
+
+    compared: int = setting(60, "Grasps whose readings are compared", minimum=2, maximum=10_000)
+    train: int = setting(
+        160, "Grasps that a model is trained on, and as many that it is tested on", minimum=10, maximum=10_000
+    )
+    trees: int = setting(30, "Trees of each of its forests", minimum=1, maximum=1000)
+    finest_cells: int = setting(64, "Cells a side of the finest layer", minimum=16, maximum=256)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """The scenes of the repository."""
+
+    scenes: Mapping[str, SceneConfig]
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all."""
+        return hashlib.sha256(" ".join(one.sha256() for one in self.scenes.values()).encode()).hexdigest()
+
+    def changed(self, values: Mapping[str, Any]) -> SceneConfig:
+        """The scene of a variant."""
+        scene = self.scenes[values["scene"]]
+        return scene.updated(values["changes"]) if values["changes"] else scene
+
+
+def _prepare(settings: SimulationSettings, source: Path | None, out: Path) -> Path:
+    """The folder of the scenes, which must be there."""
+    del settings, out
+    folder = source or _FOLDER
+    for name in SCENES:
+        if not (folder / f"{name}.yaml").is_file():
+            raise ConfigError(
+                f"--data: {folder}: holds no {name}.yaml; give the folder config/scenes of the repository"
+            )
+    return folder
+
+
+def _load(settings: SimulationSettings, path: Path) -> Scenes:
+    del settings
+    return Scenes({name: load_scene(path / f"{name}.yaml") for name in SCENES})
+
+
+def _shipped(scene: str) -> str:
+    return f"{scene} as shipped"
+
+
+def _finest(scene: str) -> str:
+    """Name of the variant that simulates a scene at the finest level; scenes of effects have no other level."""
+    return _shipped(scene) if scene == EVERYTHING else f"{scene}: finest layer"
+
+
+def _variants(settings: SimulationSettings) -> Iterator[Variant]:
+    every = settings.detail == "all"
+
+    def variant(name: str, factor: str, scene: str, changes: Mapping[str, Any], effect: str = "") -> Variant:
+        values = {"scene": scene, "changes": {**_ALWAYS[scene], **changes}, "effect": effect}
+        return Variant(name, factor, values, compared_with=_shipped(scene), reference=_finest(scene))
+
+    for scene in (RIGID, SOFT):
+        yield variant(_shipped(scene), "shipped", scene, {})
+        finest = {"fidelity": "layer", "fingers.pad.cells": settings.finest_cells}
+        yield variant(_finest(scene), "reference", scene, finest)
+        for name, cells in _LEVELS if every else _FEW_LEVELS:
+            changes = {"fidelity": name, "fingers.pad.cells": cells}
+            yield variant(f"{scene}: {name} {cells}x{cells}", name, scene, changes)
+    yield variant(_shipped(EVERYTHING), "shipped", EVERYTHING, {})
+    for name, field in (_DEPTH_EFFECTS | (_OTHER_EFFECTS if every else {})).items():
+        factor = "depth effect" if name in _DEPTH_EFFECTS else "other effect"
+        yield variant(f"without {name}", factor, EVERYTHING, {field: None}, effect=name)
+    if every:
+        ideal = dict.fromkeys(_DEPTH_EFFECTS.values())
+        yield variant("ideal camera", "depth effect", EVERYTHING, ideal)
+        ideal |= dict.fromkeys(_OTHER_EFFECTS.values())
+        yield variant("ideal camera and sensor", "other effect", EVERYTHING, ideal)
+
+
+@dataclass(frozen=True, eq=False)
+class _Touched:
+    """What the first tries of the first slots read."""
+
+    drops: Mapping[int, Float64]  # (2, 24) by slot, of the electrodes of both fingers before sensor effects [counts]
+    forces: Mapping[int, Float64]  # (2,) by slot [N]
+    counts: Mapping[int, Float64]  # (50,) by slot, whole readings [counts]
+    seconds: Mapping[str, float]  # of a call, by effect
+
+
+@lru_cache(maxsize=8)
+def _touched(scene: SceneConfig, count: int) -> _Touched:
+    """Simulate grasps; those that fail are left out."""
+    engine = Engine(scene, EFFECTS, ("readings", "contacts", "touch"))
+    drops, forces, counts = {}, {}, {}
+    for slot in range(count):
+        try:
+            state = engine.run(SampleKey(scene.seed, slot))
+        except SimulationError:
+            continue
+        rest, pressed = state.readings
+        drops[slot] = (rest - pressed)[:, 1:]
+        forces[slot] = np.array([contact.force_n for contact in state.contacts])
+        counts[slot] = state.touch.vector()
+    seconds = {name: timing.seconds / max(timing.calls, 1) for name, timing in engine.timings.items()}
+    return _Touched(drops, forces, counts, seconds)
+
+
+def _run(cell: Cell, settings: SimulationSettings, data: Scenes) -> list[Row]:
+    """The row of a variant."""
+    name, scene = cell.values["scene"], data.changed(cell.values)
+    best = data.changed(next(one.values for one in _variants(settings) if one.name == _finest(name)))
+    row: Row = dict.fromkeys(("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest"))
+    mine, others = _touched(scene, settings.compared), _touched(best, settings.compared)
+    both = sorted(mine.counts.keys() & others.counts.keys())
+    row |= {"effect_ms": None, "refused": settings.compared - len(mine.counts)}
+    if name == EVERYTHING:
+        change = np.array([mine.counts[k] - others.counts[k] for k in both])
+        row |= {"counts": float(np.sqrt(np.mean(change**2))), "counts_largest": float(np.abs(change).max())}
+        if cell.values["effect"]:
+            row["effect_ms"] = 1e3 * others.seconds[cell.values["effect"]]
+    else:
+        drops, forces = ([_relative(one[k], other[k]) for k in both] for one, other in (
+            (mine.drops, others.drops), (mine.forces, others.forces)))  # fmt: skip
+        row |= {"pattern_error": float(np.median(drops)), "pattern_error_largest": float(max(drops))}
+        row["force_error"] = float(np.median(forces))
+    errors, best_errors = _errors(scene, best, settings), _errors(best, best, settings)
+    row |= interval_columns(f"trained_{name}", skills(errors, _BOOTSTRAP)[MEAN])
+    return [row | interval_columns("trained_change", compare(errors, best_errors, _BOOTSTRAP)[MEAN])]
+
+
+def _relative(values: Float64, true: Float64) -> float:
+    return float(np.linalg.norm(values - true) / np.linalg.norm(true))
+
+
+@lru_cache(maxsize=4)
+def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
+    return [made.sample for made in Simulation(scene).samples(count)]
+
+
+@lru_cache(maxsize=4)
+def _errors(scene: SceneConfig, best: SceneConfig, settings: SimulationSettings) -> ObjectErrors:
+    """Of a model that is trained on a scene and tested on later grasps of the finest one; each grasp counts alone."""
+    finest = _samples(best, 2 * settings.train)
+    train = finest[: settings.train] if scene == best else _samples(scene, settings.train)
+    test, mean = finest[settings.train :], labels_of(finest[: settings.train]).mean(axis=0)
+    predictor = ContactPredictor(train, labels_of(train), ContactConfig(trees=settings.trees))
+    labels, predicted = labels_of(test), predictor.predict(test)
+    squared, reference = (predicted - labels) ** 2, (mean - labels) ** 2
+    rows = zip(test, squared, reference, strict=True)
+    return ObjectErrors.total([(sample.id, 1.0, own, other) for sample, own, other in rows])
+
+
+def _tabulate(settings: SimulationSettings, rows: Sequence[Row]) -> list[Row]:
+    """A row for each variant; the skill of a pattern is its number of correct decimal digits."""
+    del settings
+    result = []
+    for row in rows:
+        found: Row = {"variant": row["variant"]}
+        for name in (RIGID, SOFT):
+            own = row["scene"] == name and row["pattern_error"]
+            digits, least = (
+                -float(np.log10(row[key])) if own else None for key in ("pattern_error", "pattern_error_largest")
+            )
+            found |= {f"digits_{name}": digits, f"digits_{name}_low": least, f"digits_{name}_high": digits}
+        for name in (*(f"trained_{scene}" for scene in SCENES), "trained_change"):
+            found |= {f"{name}{end}": row.get(f"{name}{end}") for end in ("", "_low", "_high")}
+        names = ("pattern_error", "pattern_error_largest", "force_error", "counts", "counts_largest")
+        result.append(found | {name: row[name] for name in (*names, "effect_ms", "refused")})
+    return result
+
+
+def _timed(variant: Variant, settings: SimulationSettings, data: Scenes) -> Timed:
+    """See `Area.timed`: simulates the first grasps that do not fail, one after the other; answers are (50,) counts."""
+    del settings
+    scene = data.changed(variant.values)
+    engine = Engine(scene, EFFECTS, SAMPLE_KEYS)
+    kept = []
+    for slot in range(2 * _TIMED):
+        try:
+            engine.run(SampleKey(scene.seed, slot))
+        except SimulationError:
+            continue
+        kept.append(SampleKey(scene.seed, slot))
+    keys = cycle(kept[:_TIMED])
+    return Timed(lambda _: engine.run(next(keys)).touch.vector())
+
+
+def _notes(rows: Sequence[Row]) -> list[str]:
+    found = []
+    for row in rows:
+        if row["trained_change"] is None:
+            continue
+        change = f"{row['trained_change']:+.2f}"
+        if row["trained_change_low"] is not None:
+            change += f" [{row['trained_change_low']:+.2f}, {row['trained_change_high']:+.2f}]"
+        trained = f"a model trained on it has a skill {change} different from one trained on"
+        if row["pattern_error"]:
+            found.append(
+                f"{row['variant']}: pattern error {100.0 * row['pattern_error']:.2g} % (largest "
+                f"{100.0 * row['pattern_error_largest']:.2g} %), force error {100.0 * round(row['force_error'], 6):.2g} %; "
+                f"{trained} the finest level."
+            )
+        elif row["effect_ms"] is not None or row["counts"]:
+            cost = "" if row["effect_ms"] is None else f", costs {row['effect_ms']:.2g} ms a sample"
+            found.append(
+                f"{row['variant']}: readings change by {row['counts']:.3g} counts (largest {row['counts_largest']:.0f}){cost}; "
+                f"{trained} all effects."
+            )
+    return found
+
+
+EXPERIMENT = Area(
+    name="tradeoff_simulation",
+    question="How exact must the simulator be, and what does a sample cost?",
+    module=__name__,
+    settings=SimulationSettings,
+    presets={
+        "small": {"compared": 16, "train": 60, "trees": 10, "finest_cells": 48, "detail": "few", "timing_s": 25.0},
+        "full": {"timing_s": 120.0},
+    },
+    prepare=_prepare,
+    load=_load,
+    cells=variant_cells(_variants),
+    run=_run,
+    tabulate=_tabulate,
+    variants=_variants,
+    timed=_timed,
+    shipped=_shipped(RIGID),
+    reference=_finest(RIGID),
+    skills={
+        **{f"digits_{name}": "correct decimal digits" for name in (RIGID, SOFT)},
+        **{f"trained_{name}": "mean skill, 95 % interval" for name in SCENES},
+    },
+    panels=(
+        Panel("digits_rigid", 1, "Rigid objects: correct digits of the electrodes' pattern"),
+        Panel("digits_deformables", 1, "Deformable objects: correct digits of the electrodes' pattern"),
+        Panel("trained_rigid", 1, "Rigid objects: skill of a model trained on it, on the finest level", 0.98),
+        Panel(
+            "trained_deformables", 1, "Deformable objects: skill of a model trained on it, on the finest level", 0.98
+        ),
+        Panel("trained_everything", 1, "Effects left out: skill of a model trained without, with all effects", 0.98),
+    ),
+    notes=_notes,
+)

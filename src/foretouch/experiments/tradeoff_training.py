@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Area `training`: grasps, objects, trees, epochs, points and precision against the time of a training and of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.config import setting
+from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.frontier import Panel, of_request
+from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
+from foretouch.experiments.shared.folds import some_grasps, some_objects, split_by_fold
+from foretouch.experiments.shared.predictors import network
+from foretouch.experiments.shared.scores import error_rows, labelled, load
+from foretouch.experiments.shared.simulated_data import beside, simulate_store
+from foretouch.experiments.tradeoff_model import Described
+from foretouch.learning.data import Dataset, labels_of, make_folds
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.learning.training.contact import ContactConfig, fit_contact
+from foretouch.types import Float64, GraspSample
+
+CONTACT: Final = "contact model as shipped"
+NETWORK: Final = "network as shipped"
+MEAN: Final = "mean of labels"
+
+_SPLITS: Final = {"known": "time", "new": "object"}  # column of the skill, and the folds that it is measured on
+_ONE_BLOCK: Final = "one_block"  # column of the skill on the first block of time, all that networks are trained for
+_FIRST: Final = "block 0"  # its name
+_SCENE: Final = Path("config/scenes/deformables.yaml")  # of the grasps where no recordings are given
+_ENDLESS: Final = 100_000  # epochs of a trainer that is timed epoch by epoch
+_COMPARED: Final = 10  # predictions of each model that are compared
+
+_GRASPS: Final = (5, 10, 20)  # for training, of each object; the shipped model uses all, 40 of 50 in a block of time
+_OBJECTS: Final = (2, 4)  # for training; the shipped model uses all, 7 of 8 where one is left out
+_TREES: Final = (5, 15, 120)
+_NETWORKS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
+    ("epochs", {"train.epochs": 10}),
+    ("epochs", {"train.epochs": 30}),
+    ("epochs", {"train.epochs": 60}),
+    ("epochs", {"train.epochs": 240}),
+    ("cloud size", {"train.points": 64}),
+    ("cloud size", {"train.points": 128}),
+    ("cloud size", {"train.points": 512}),
+    ("precision", {"train.precision": "bfloat16"}),
+    ("epochs x cloud size", {"train.epochs": 240, "train.points": 64}),
+    ("epochs x cloud size", {"train.epochs": 240, "train.points": 128}),
+    ("epochs x cloud size", {"train.epochs": 60, "train.points": 64}),
+)
+_ROBOT: Final = {
+    "labels": ("known", "known objects, more grasps of each"),
+    "objects": ("new", "new objects, more objects"),
+}
+"""Factors that cost time of the robot, with the column of the skill and what is said about it."""
+
+_COMPUTER: Final = {"trees": ("known", CONTACT), "epochs": (_ONE_BLOCK, NETWORK), "cloud size": (_ONE_BLOCK, NETWORK)}
+"""Factors that cost time of the computer, with the column of the skill and the variant in which they are as shipped."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings(TradeoffSettings):
+    """Settings of the area."""
+
+    trees: int = setting(60, "Trees of each forest of the contact model", minimum=1, maximum=1000)
+    splits: tuple[str, ...] = setting(tuple(_SPLITS), "Skills of contact models to measure", choices=tuple(_SPLITS))
+    samples: int = setting(200, "Grasps to simulate where no recordings are given", minimum=100, maximum=100_000)
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+
+def _prepare(settings: TrainingSettings, source: Path | None, out: Path) -> Path:
+    """Recordings, or else a simulated store beside `out`."""
+    return simulate_store(_SCENE, settings.samples, beside(out)) if source is None else source
+
+
+def _variants(settings: TrainingSettings) -> Iterator[Variant]:
+    every = settings.detail == "all"
+    yield Variant(CONTACT, "shipped", {"kind": "contact"})
+    yield Variant(MEAN, "part", {"kind": "mean"}, reference=CONTACT)
+    contact: list[tuple[str, str, dict[str, Any]]] = [
+        *((f"{count} grasps an object", "labels", {"grasps": count}) for count in (_GRASPS if every else _GRASPS[::2])),
+        *((f"{count} objects", "objects", {"objects": count}) for count in (_OBJECTS if every else ())),
+        *((f"{count} trees", "trees", {"changes": {"trees": count}}) for count in (_TREES if every else _TREES[1:2])),
+        ("no thinned copies", "copies", {"changes": {"thinned": 1.0}}),
+    ]
+    for name, factor, values in contact:
+        yield Variant(name, factor, {"kind": "contact", **values}, reference=CONTACT)
+    for factor, changes in (("shipped", {}), *_NETWORKS) if every else ():
+        texts = [str(v) if key == "train.precision" else f"{v} {key.rpartition('.')[2]}" for key, v in changes.items()]
+        name = f"network, {', '.join(texts)}" if changes else NETWORK
+        yield Variant(name, factor, {"kind": "network", "changes": changes}, CONTACT, NETWORK)
+
+
+def _cells(settings: TrainingSettings, data: Dataset) -> list[Cell]:
+    """A cell for each variant and split; networks are trained once, for the first block of time."""
+    del data
+    made = []
+    for number, one in enumerate(_variants(settings)):
+        wanted = ("new",) if "objects" in one.values else settings.splits  # fewer objects: a question about new ones
+        columns = (
+            [_ONE_BLOCK] if one.values["kind"] == "network" else [name for name in wanted if name in settings.splits]
+        )
+        made += [
+            Cell(f"{number:03}_{column}", {"variant": one.name, **one.values, "column": column}) for column in columns
+        ]
+    return made
+
+
+def _run(cell: Cell, settings: TrainingSettings, data: Dataset) -> list[Row]:
+    """Errors on all folds of the split, or on the first one."""
+    samples = labelled(data)
+    folds = make_folds(samples, _SPLITS.get(cell.values["column"], "time"), 0)
+    hours = _robot_seconds(samples) / 3600.0
+    rows: list[Row] = []
+    for fold in folds[:1] if cell.values["column"] == _ONE_BLOCK else folds:
+        train, test = split_by_fold(samples, folds, fold.name)
+        chosen = _chosen_samples(cell.values, train)
+        predicted = _predict(cell.values, settings, data, chosen, test)
+        head = {"part": fold.name, "train": len(chosen), "robot_h": len(chosen) * hours}
+        mean = labels_of(train).mean(axis=0)
+        rows += [{**head, **row} for row in error_rows(test, predicted, labels_of(test), mean)]
+    return rows
+
+
+def _chosen_samples(values: Mapping[str, Any], train: Sequence[GraspSample]) -> list[GraspSample]:
+    """The training samples of a variant; all if it has fewer than it asks for."""
+    objects = [one.object for one in train]
+    if (grasps := values.get("grasps")) is not None:
+        return some_grasps(train, min(grasps, *(objects.count(name) for name in objects)), 0)
+    if (count := values.get("objects")) is not None:
+        return some_objects(train, min(count, len(set(objects))), 0)
+    return list(train)
+
+
+@lru_cache(maxsize=1)
+def _described(data: Dataset) -> Described:
+    return Described(labelled(data))
+
+
+def _predict(
+    values: Mapping[str, Any],
+    settings: TrainingSettings,
+    data: Dataset,
+    train: Sequence[GraspSample],
+    test: Sequence[GraspSample],
+) -> Float64:
+    """(T, 50) predictions of test samples by a variant that is trained on some samples [counts]."""
+    if values["kind"] == "mean":
+        return np.tile(labels_of(train).mean(axis=0), (len(test), 1))
+    if values["kind"] == "network":
+        return network("touchnet_v1", 1.0, values["changes"])(train, labels_of(train), test, 0)
+    described = _described(data)
+    config = ContactConfig(trees=settings.trees).updated(values.get("changes", {}))
+    index = described.index(train)
+    thinned = None if config.thinned == 1.0 else described.rows("thinned")[index]
+    names = [one.object for one in train]
+    fitted = fit_contact(described.rows()[index], described.labels[index], names, config, thinned)
+    return fitted.predict_rows(described.rows()[described.index(test)])[0]
+
+
+def _robot_seconds(samples: Sequence[GraspSample]) -> float:
+    """Median time from one grasp of an object to the next, as they were recorded; 0 of simulated ones [s]."""
+    gaps: list[float] = []
+    for name in {one.object for one in samples}:
+        gaps += list(np.diff(sorted(one.stamp_ns for one in samples if one.object == name)) / 1e9)
+    return float(np.median(gaps)) if gaps else 0.0
+
+
+def _tabulate(settings: TrainingSettings, rows: Sequence[Row]) -> list[Row]:
+    """A row for each variant: skills, and for each the training grasps and the hours that a robot needs for them."""
+    result = []
+    for name in dict.fromkeys(row["variant"] for row in rows):
+        own = [row for row in rows if row["variant"] == name]
+        parts = {column: [one for one in own if one["column"] == column] for column in (*_SPLITS, _ONE_BLOCK)}
+        blocks = [one for one in [*parts["known"], *parts[_ONE_BLOCK]] if one["part"] == _FIRST]
+        row: Row = {"variant": name}
+        for column, part in {**parts, _ONE_BLOCK: blocks}.items():
+            row |= skill_columns(column, part, settings.bootstrap)
+        for column, part in parts.items():
+            row[f"grasps_{column}"] = round(float(np.mean([one["train"] for one in part]))) if part else None
+            row[f"robot_h_{column}"] = float(np.mean([one["robot_h"] for one in part])) if part else None
+        result.append(row)
+    return result
+
+
+def _timed(variant: Variant, settings: TrainingSettings, data: Dataset) -> Timed:
+    """See `Area.timed`: one fit of a contact model, or one epoch of a network, of the first block of time.
+
+    The features of a contact model are computed before: they cost the same at each setting, about 6 ms a grasp. Its
+    answers are predictions of some test samples [counts]; an epoch answers nothing.
+    """
+    train, test = _first_block(data)
+    chosen = _chosen_samples(variant.values, train)
+    if variant.values["kind"] == "network":
+        return _timed_network(variant, chosen)
+    return Timed(lambda _: _predict(variant.values, settings, data, chosen, test[:_COMPARED]))
+
+
+@lru_cache(maxsize=1)
+def _first_block(data: Dataset) -> tuple[list[GraspSample], list[GraspSample]]:
+    samples = labelled(data)
+    return split_by_fold(samples, make_folds(samples, "time", 0), _FIRST)
+
+
+def _timed_network(variant: Variant, train: Sequence[GraspSample]) -> Timed:
+    from foretouch.learning.data import TrainingSet
+    from foretouch.learning.training.learners import load_run_config
+    from foretouch.learning.training.supervised import SupervisedTrainer
+
+    recipe: Any = load_run_config("touchnet-v1").updated(variant.values["changes"])
+    endless = recipe.train.replace(epochs=_ENDLESS)
+    trainer = SupervisedTrainer(TrainingSet.build(train, recipe.model), np.arange(len(train)), endless)
+
+    def epoch(_: int) -> Answer:
+        trainer.run_epoch()
+        return np.zeros(0)
+
+    return Timed(epoch, whole=float(recipe.train.epochs))
+
+
+def _notes(rows: Sequence[Row]) -> list[str]:
+    """Sentences about steps from less to more, of the robot and of the computer."""
+    rows, found = of_request(rows, 1), []
+    for factor, (column, text) in _ROBOT.items():
+        for less, more in pairwise(_series(rows, factor, column, f"robot_h_{column}", CONTACT)):
+            hours, gain = more[f"robot_h_{column}"] - less[f"robot_h_{column}"], more[column] - less[column]
+            each = f": {gain / hours:+.3f} an hour" if hours > 0.0 else ""
+            found.append(
+                f"Robot, {text}: from {less[f'grasps_{column}']} to {more[f'grasps_{column}']} grasps, {hours:.1f} hours, "
+                f"skill {less[column]:.3f} to {more[column]:.3f}{each}."
+            )
+    for factor, (column, shipped) in _COMPUTER.items():
+        for less, more in pairwise(_series(rows, factor, column, "cpu_ms", shipped)):
+            seconds = 1e-3 * (more["cpu_ms"] - less["cpu_ms"])
+            found.append(
+                f"Computer, {factor}: from {less['variant']} to {more['variant']}, {seconds:.1f} s more of one core, skill "
+                f"{less[column]:.3f} to {more[column]:.3f}."
+            )
+    return found
+
+
+def _series(rows: Sequence[Row], factor: str, column: str, order: str, shipped: str) -> list[Row]:
+    """Rows of one factor and the shipped one, by what they cost."""
+    own = [row for row in rows if (row["factor"] == factor or row["variant"] == shipped) and row[column] is not None]
+    own = [row for row in own if row[order] is not None]
+    return sorted(own, key=lambda row: row[order]) if len(own) > 1 else []
+
+
+EXPERIMENT = Area(
+    name="tradeoff_training",
+    question="What does one more hour buy, of the robot that grasps or of the computer that trains?",
+    module=__name__,
+    settings=TrainingSettings,
+    presets={"small": {"detail": "few", "splits": ["known"], "timing_s": 20.0}, "full": {"timing_s": 120.0}},
+    prepare=_prepare,
+    load=load,
+    cells=_cells,
+    run=_run,
+    tabulate=_tabulate,
+    data_folder="vision2tactile",
+    variants=_variants,
+    timed=_timed,
+    shipped=CONTACT,
+    reference=CONTACT,
+    skills={
+        "known": "mean skill, known objects in blocks of time",
+        "new": "mean skill, objects left out",
+        _ONE_BLOCK: "mean skill, the first block of time alone",
+    },
+    panels=(
+        Panel("known", 1, "Contact model: skill on known objects (blocks of time)"),
+        Panel("new", 1, "Contact model: skill on new objects (left out)"),
+        Panel(_ONE_BLOCK, 1, "Networks and contact models: skill on the first block of time"),
+    ),
+    notes=_notes,
+)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tare of a hand: its readings while it touches nothing. No node, no thread.
+
+A reading is at rest if neither finger is in contact, by the contact detector, nor will be within `lag_s`: a contact is
+detected a moment after it has begun. The tare is the median over the last `window_s` of rest; during a grasp, the tare
+from before is kept, and ages.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from foretouch.tactile import check_touch
+from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
+from foretouch.types import Float32, Touch
+
+_SECOND_NS = 1_000_000_000
+_MIN_READINGS = 5
+_RENEW_EVERY = 10  # readings: the tare hardly changes, and a median takes time
+_MAX_READINGS = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps that repeat would fill the memory
+_MIN_SPAN = 0.8  # of the window
+
+
+class LiveTare:
+    """The tare of a stream of readings. Not thread-safe.
+
+    Args:
+        config: Settings of the contact detector; its `window_s` and `lag_s` are used for the tare too.
+
+    Attributes:
+        fault: Why the last rest gives no tare, such as a dead sensor; "" without a fault or without a rest.
+    """
+
+    def __init__(self, config: ContactConfig) -> None:
+        self.fault = ""
+        self._detector = ContactDetector(config)
+        self._lag_ns = round(config.lag_s * _SECOND_NS)
+        self._window_ns = round(config.window_s * _SECOND_NS)
+        self._recent: deque[tuple[int, Float32]] = deque(maxlen=_MAX_READINGS)
+        self._rest: list[Float32] = []
+        self._rest_ns = 0
+        self._rest_s = 0.0
+        self._tare: Touch | None = None
+        self._since_renewal = 0
+
+    def update(self, stamp_ns: int, counts: Float32, now_s: float) -> None:
+        """Add a reading that the `TouchBuffer` has accepted: its stamp is not checked again.
+
+        Args:
+            stamp_ns: Stamp of the reading [ns].
+            counts: (50,) as `Touch.vector()`.
+            now_s: Time of a clock that never goes back [s].
+        """
+        self._detector.update(stamp_ns, counts)
+        touching = [finger.touching for finger in self._detector.fingers.values()]
+        if any(touching):
+            self._recent.clear()  # its end may belong to the contact; the rest before it is kept
+            return
+        self._recent.append((stamp_ns, counts))
+        oldest = stamp_ns - self._lag_ns - self._window_ns
+        while self._recent[0][0] < oldest:
+            self._recent.popleft()
+        self._since_renewal += 1
+        if self._since_renewal >= _RENEW_EVERY and None not in touching:
+            self._renew(stamp_ns, now_s)
+
+    def tare(self, now_s: float, max_age_s: float) -> Touch | None:
+        """The median of the last rest; None if there is no recent one, or a sensor does not work."""
+        if self.age_s(now_s) > max_age_s:
+            return None
+        if self._tare is None and not self.fault:
+            touch = Touch.from_vector(np.median(self._rest, axis=0))
+            self.fault = "; ".join(check_touch(touch).faults)
+            self._tare = None if self.fault else touch
+        return self._tare
+
+    def age_s(self, now_s: float) -> float:
+        """Time since the last rest [s]; infinite if there was none."""
+        return now_s - self._rest_s if self._rest else float("inf")
+
+    def exclude(self, contact_ns: int, release_ns: int) -> None:
+        """Reset a tare from within a reported grasp, such as where the stream began in contact.
+
+        Args:
+            contact_ns: When contact was steady [ns].
+            release_ns: When the hand began to open [ns].
+        """
+        if self._rest and contact_ns <= self._rest_ns < release_ns:
+            self.reset()
+
+    def reset(self) -> None:
+        """Restart, after the clock has jumped or a contact was taken for rest."""
+        self._detector.reset()
+        self._recent.clear()
+        self._rest, self._tare, self.fault = [], None, ""
+
+    def _renew(self, stamp_ns: int, now_s: float) -> None:
+        newest = stamp_ns - self._lag_ns
+        rest = [counts for stamp, counts in self._recent if stamp <= newest]
+        spans = newest - self._recent[0][0] >= _MIN_SPAN * self._window_ns
+        if len(rest) >= _MIN_READINGS and spans:
+            self._rest, self._rest_ns, self._rest_s = rest, newest, now_s - self._lag_ns / _SECOND_NS
+            self._tare, self.fault, self._since_renewal = None, "", 0

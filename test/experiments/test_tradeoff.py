@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An area of one's own, measured from skill to picture; resumed, timed again, redrawn and refused."""
+
+import json
+import shutil
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from every_case import every_case
+
+from foretouch.cli.main import main
+from foretouch.errors import ConfigError
+from foretouch.experiments.framework import sweep
+from foretouch.experiments.framework.executors import run_cell
+from foretouch.experiments.framework.experiment import Row
+from foretouch.experiments.framework.frontier import frontier, spread
+from foretouch.experiments.framework.manifest import read_results
+from foretouch.experiments.framework.tradeoff import find_area, list_areas
+from foretouch.timing import MachineLoad
+
+SOURCE = """
+import math
+import time
+from hashlib import sha256
+
+import numpy as np
+
+from foretouch.experiments import Cell
+from foretouch.experiments.framework.frontier import Panel
+from foretouch.experiments.framework.tradeoff import Area, Timed, TradeoffSettings, Variant
+
+TERMS = {"shipped": 8, "short": 2, "long": 12, "slow and bad": 1}
+
+
+class Words:
+    def __init__(self, path):
+        self.sha256 = sha256(path.read_bytes()).hexdigest()
+
+
+def variants(settings):
+    made = [Variant(name, "shipped" if name == "shipped" else "terms", {"terms": n}) for name, n in TERMS.items()]
+    return [*made, Variant("other library", "library", missing="fast_pi is not installed")]
+
+
+def series(terms):
+    return 4.0 * sum((-1.0) ** k / (2 * k + 1) for k in range(terms))
+
+
+def timed(variant, settings, data):
+    terms = variant.values["terms"]
+    naps = 2e-3 if variant.name == "slow and bad" else 1e-4 * terms
+
+    def answer(count):
+        end = time.thread_time() + naps
+        while time.thread_time() < end:
+            pass
+        return np.full(count, series(terms))
+
+    return Timed(answer, 0.001 * terms)
+
+
+EXPERIMENT = Area(
+    name="pi",
+    question="How many digits in a millisecond?",
+    module=__name__,
+    settings=TradeoffSettings,
+    presets={"small": {"timing_s": 0.3, "requests": [1, 3]}, "full": {}},
+    load=lambda settings, path: Words(path),
+    cells=lambda settings, data: [Cell(name.replace(" ", "_"), {"variant": name}) for name in TERMS],
+    run=lambda cell, settings, data: [{"skill": 1.0 - abs(series(TERMS[cell.values["variant"]]) - math.pi)}],
+    tabulate=lambda settings, rows: [{"skill_low": None, "skill_high": None, **row} for row in rows],
+    variants=variants,
+    timed=timed,
+    shipped="shipped",
+    reference="long",
+    skills={"skill": "closeness to pi"},
+    panels=(Panel("skill", 1, "One number"),),
+    unit="units",
+)
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "pi_lab").mkdir()
+    (tmp_path / "pi_lab/__init__.py").touch()
+    (tmp_path / "pi_lab/pi.py").write_text(SOURCE)
+    (tmp_path / "data.txt").write_text("3")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sweep, "in_processes", lambda job, cells, workers: (run_cell(job, cell) for cell in cells))
+    return tmp_path
+
+
+@pytest.fixture
+def run(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Runs the command: exit status, and the last line on stdout as JSON, or what is on stderr."""
+
+    def command(*words: str) -> tuple[int, dict[str, object] | str]:
+        for name in ("pi_lab", "pi_lab.pi"):
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        head = ["tradeoff", "pi_lab.pi", "-o", str(lab / "out"), "--data", str(lab / "data.txt"), "--workers", "1"]
+        status = main([*head, "--json", *words])
+        printed = capsys.readouterr()
+        return status, json.loads(printed.out.splitlines()[-1]) if printed.out else printed.err
+
+    return command
+
+
+def test_an_area_gives_table_picture_and_sentences(lab: Path, run) -> None:
+    status, last = run()
+    assert (status, last["cells"]) == (0, 4)
+    assert last["frontier"] == {"One number": ["short", "shipped", "long"]}
+    assert last["skipped"] == {"other library": "fast_pi is not installed"}
+    *rows, other = read_results(lab / "out/tradeoff.csv")
+    assert {(row["variant"], row["request"]) for row in rows} == {(v, n) for v in (
+        "shipped", "short", "long", "slow and bad") for n in (1, 3)}  # fmt: skip
+    assert (other["variant"], other["request"], other["ms_p50"]) == ("other library", None, None)
+    for row in rows:
+        assert row["ms_p50"] <= row["ms_p95"] <= row["ms_p99"]
+        assert row["calls"] >= 5
+        assert row["state"] in ("idle", "loaded")
+        assert row["size_mb"] > 0.0
+    (short,) = (row for row in rows if row["variant"] == "short" and row["request"] == 1)
+    assert short["ratio"] == pytest.approx(6.0, rel=0.3)  # to the reference in the same run
+    assert short["difference"] == pytest.approx(0.350, abs=0.001)  # of its answers to those of the shipped one
+    summary = (lab / "out/summary.md").read_text()
+    for text in (
+        "Most skilful: long", "Fastest: short", "shipped (shipped) is on the frontier",
+        "Skipped: other library: fast_pi is not installed.", "other processes used",
+    ):  # fmt: skip
+        assert text in summary
+    assert (lab / "out/tradeoff.png").stat().st_size > 10_000
+
+
+def test_skills_are_kept_and_times_are_measured_again(lab: Path, run) -> None:
+    assert run()[0] == 0
+    table = lab / "out/tradeoff.csv"
+    first = table.read_text()
+    status, message = run()
+    assert status == 1
+    assert "--resume" in message
+    assert run("--resume")[1]["reused"] == 4  # no cell was run
+    shutil.rmtree(lab / "out/cells")  # as published results are
+    (lab / "out/manifest.json").unlink()
+    assert run("--times")[1]["cells"] == 0
+    again = table.read_text()
+    assert again != first
+    assert run("--redraw")[1]["figures"] == ["tradeoff.png"]
+    assert table.read_text() == again
+    assert {row["skill"] for row in read_results(table) if row["variant"] == "short"} == {0.52507}
+
+
+def test_runs_of_an_idle_and_a_loaded_machine_are_kept_apart(lab: Path, run, monkeypatch: pytest.MonkeyPatch) -> None:
+    for state in ("loaded", "idle", "loaded"):
+        monkeypatch.setattr(MachineLoad, "row", lambda self, state=state: {"state": state, "other_cores": 0.0})
+        assert run("--resume")[0] == 0
+    states = [row["state"] for row in read_results(lab / "out/tradeoff.csv")]
+    assert states == ["loaded"] * 9 + ["idle"] * 9
+    assert ", idle: " in (lab / "out/summary.md").read_text()  # which the picture shows
+
+
+def test_a_wrong_area_is_refused(lab: Path, run) -> None:
+    for old, new, error in (
+        ('shipped="shipped"', 'shipped="absent"', "variants: 'absent' is absent"),
+        ("return [*made,", "return [*made, *made,", "occurs twice"),
+    ):
+        (lab / "pi_lab/pi.py").write_text(SOURCE.replace(old, new))
+        status, message = run("--resume")
+        assert status == 1
+        assert error in message
+
+
+def test_areas_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    areas = list_areas()
+    assert [one.area for one in areas] == ["model", "perception", "simulation", "training"]
+
+    def check(area, preset: str) -> None:
+        assert find_area(area.area) is area
+        assert [one for one in area.variants(area.resolve(preset, {})) if one.factor == "shipped"]
+
+    every_case({f"{one.area} {preset}": (one, preset) for one in areas for preset in one.presets}, check)
+    with pytest.raises(ConfigError, match=r"'nothing' is none of model, perception"):
+        find_area("nothing")
+    assert main(["tradeoff", "list", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[0])["name"] == "model"
+
+
+def test_the_frontier_holds_what_nothing_beats() -> None:
+    points = [("a", 1.0, 0.1), ("b", 2.0, 0.3), ("c", 3.0, 0.3), ("d", 4.0, 0.2), ("e", 5.0, 0.9), ("f", 0.5, None)]
+    rows: list[Row] = [{"variant": n, "ms_p50": t, "cpu_ms": t, "state": "idle", "skill": s} for n, t, s in points]
+    assert [row["variant"] for row in frontier(rows, "skill")] == ["a", "b", "e"]
+    for wanted in ([0.1, 0.5, 0.9], [0.5, 0.5, 0.51, 0.52], [0.97, 0.98, 1.0], [0.3]):  # labels do not overlap
+        places = spread(wanted, 0.05)
+        assert all(b - a >= 0.05 - 1e-9 for a, b in pairwise(places))
+        assert max(places) <= 1.0 + 1e-9

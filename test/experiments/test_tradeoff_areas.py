@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the areas of `tradeoff` measure, on made-up grasps, generated scenes and the scenes of the repository."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from every_case import every_case
+from experiment_samples import make_collection
+
+from foretouch.errors import ConfigError
+from foretouch.experiments import tradeoff_model, tradeoff_perception, tradeoff_simulation, tradeoff_training
+from foretouch.experiments.framework.experiment import Cell, Row
+from foretouch.experiments.framework.tradeoff import Area
+from foretouch.learning.data import labels_of
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.pipeline import Pipeline
+
+GRASPS = make_collection()
+QUICK = BootstrapConfig(draws=100)
+PERCEPTION = tradeoff_perception.PerceptionSettings(scenes=2, real=0, detail="few")
+SIMULATION = tradeoff_simulation.SimulationSettings(compared=4, train=10, trees=2, finest_cells=24)
+TRAINING = tradeoff_training.TrainingSettings(trees=2, detail="few", bootstrap=QUICK)
+SCENES = Path(__file__).parents[2] / "config" / "scenes"
+
+
+@cache
+def images() -> Any:
+    return tradeoff_perception.EXPERIMENT.load(PERCEPTION, Path("no recordings"))
+
+
+@cache
+def scenes() -> Any:
+    return tradeoff_simulation.EXPERIMENT.load(SIMULATION, SCENES)
+
+
+def table(area: Area[Any, Any], settings: Any, data: Any, cells: list[Cell]) -> dict[str, Row]:
+    rows = [{**cell.values, **row} for cell in cells for row in area.run(cell, settings, data)]
+    return {row["variant"]: row for row in area.tabulate(settings, rows)}
+
+
+# Model.
+
+
+def test_models_are_measured_on_each_split_and_timed() -> None:
+    area = tradeoff_model.EXPERIMENT
+    settings = tradeoff_model.ModelSettings(splits=("object",), requests=(1, 2), bootstrap=QUICK, detail="few")
+    cells = list(area.cells(settings, GRASPS))
+    assert len(cells) == 8
+    rows = table(area, settings, GRASPS, cells[:1])
+    contact = {one.name for one in area.variants(settings) if one.values["kind"] == "contact"}
+    assert rows.keys() == {"mean of labels", "touchnet-v1", *contact}
+    assert rows["mean of labels"]["object"] == 0.0
+    assert rows["contact-v2"]["object_rmse_PDC_TH"] > 0.0
+    assert rows["10 trees"]["object"] != rows["contact-v2"]["object"]
+    assert rows["touchnet-v1"]["object_E_TH"] is not None  # of its card
+    with pytest.raises(ConfigError, match="must hold at least one"):
+        settings.replace(seeds=())
+    kinds = (
+        "contact-v2",
+        "10 trees",
+        "no surroundings",
+        "kernel alone",
+        "cloud of 200",
+        "mean of labels",
+        "touchnet-v1",
+    )
+    for one in area.variants(settings):
+        if one.name in (*kinds, "voxel 256", "net bf16", "papers' four networks"):
+            assert area.timed(one, settings, GRASPS).answer(2).shape == (2, 50)
+
+
+# Perception.
+
+
+def perceived(step: str, changes: dict[str, object], **values: object) -> list[Row]:
+    cell = Cell("one", {"variant": "one", "step": step, "changes": changes, **values})
+    return [{**cell.values, **row} for row in tradeoff_perception.EXPERIMENT.run(cell, PERCEPTION, images())]
+
+
+def test_an_overlap_is_that_of_the_found_object_which_covers_most() -> None:
+    truth = np.array([[2, 2, 2, 2, 0, 3, 3, 0]], np.int32)
+    labels = np.array([[1, 1, 1, 2, 0, 3, 3, 3]], np.int32)
+    assert tradeoff_perception.overlaps(labels, truth, range(2, 4)) == [3 / 4, 2 / 3]
+
+
+def test_the_shipped_settings_move_nothing_and_noise_moves_grasps() -> None:
+    rows = perceived(tradeoff_perception.GRASP, {})
+    assert len(rows) == 6
+    assert all(row["moved"] is False and row["touch_counts"] == 0.0 for row in rows)
+    assert {row["score_change"] for row in rows} <= {0.0, None}
+    errors = [row["error_mm"] for row in rows]
+    assert max(errors) < 6.0  # half a voxel, in which points of both faces of an edge may be averaged
+    assert np.median(errors) < 1.5
+    assert any(row["score_change"] for row in perceived(tradeoff_perception.GRASP, {}, jitter_mm=2.0))
+
+
+def test_a_coarser_grid_loses_some_of_the_masks() -> None:
+    area = tradeoff_perception.EXPERIMENT
+    (coarse,), (shipped,) = (
+        area.tabulate(PERCEPTION, perceived(tradeoff_perception.SEGMENTATION, changes))
+        for changes in ({"grid_rows": 30}, {})
+    )
+    assert coarse["iou"] < shipped["iou"]
+    assert shipped["iou_low"] <= shipped["iou"] <= shipped["iou_high"]
+    assert shipped["score"] is None  # its time is not GeoGrasp's
+    assert shipped["wrong_scenes"] == 0
+
+
+def test_grasps_that_move_are_equal_better_or_worse() -> None:
+    row = tradeoff_perception._moves(
+        [{"moved": True, "score_change": change} for change in (0.05, 0.5, -0.5, -0.05)]
+        + [{"moved": False, "score_change": 0.0}, {"moved": None, "score_change": None}]
+    )
+    assert row == {"moved": 0.8, "moved_equal": 0.5, "moved_better": 0.25, "moved_worse": 0.25}
+
+
+def test_variants_of_perception_are_settings_of_the_pipeline_and_are_timed() -> None:
+    area, shipped = tradeoff_perception.EXPERIMENT, Pipeline().config
+
+    def check(one) -> None:
+        assert (tradeoff_perception._pipeline(one.values).config == shipped) == (not one.values["changes"])
+
+    variants = list(area.variants(PERCEPTION.replace(detail="all")))
+    every_case({one.name: one for one in variants}, check)
+    for one in variants[:2]:
+        timed = area.timed(one, PERCEPTION, images())
+        first, second = timed.answer(1), timed.answer(1)
+        assert first.shape in ((3,), (6,))
+        assert not np.array_equal(first, second)
+
+
+# Simulation.
+
+
+def simulated(name: str) -> Row:
+    area = tradeoff_simulation.EXPERIMENT
+    (cell,) = (one for one in area.cells(SIMULATION, scenes()) if one.values["variant"] == name)
+    return table(area, SIMULATION, scenes(), [cell])[name]
+
+
+def test_springs_are_nearly_right_on_rigid_objects_and_half_spaces_are_not() -> None:
+    finest = simulated("rigid: finest layer")
+    assert finest["pattern_error"] == finest["force_error"] == finest["trained_change"] == 0.0
+    assert finest["digits_rigid"] is None
+    springs, spaces = simulated("rigid: winkler 12x12"), simulated("rigid: hertz 24x24")
+    assert springs["pattern_error"] < 0.05
+    assert spaces["pattern_error"] > 1.0
+    assert springs["digits_rigid"] == pytest.approx(-np.log10(springs["pattern_error"]), rel=1e-4)
+    assert springs["force_error"] < 1e-6  # the hand closes to a force
+    assert springs["trained_rigid"] > spaces["trained_rigid"]
+    assert springs["trained_deformables"] is None
+
+
+def test_an_effect_that_is_left_out_changes_counts() -> None:
+    row = simulated("without noise")
+    assert 1.0 < row["counts"] < 20.0  # its deviation is 4 to 5 counts in each of both
+    assert row["effect_ms"] > 0.0
+    assert row["trained_everything"] is not None
+    assert any("without noise: readings change by" in text for text in tradeoff_simulation.EXPERIMENT.notes([row]))
+
+
+def test_all_variants_of_the_simulator_are_scenes_and_are_timed(tmp_path: Path) -> None:
+    area = tradeoff_simulation.EXPERIMENT
+    variants = list(area.variants(SIMULATION))
+    every_case({one.name: one for one in variants}, lambda one: scenes().changed(one.values))
+    timed = area.timed(variants[0], SIMULATION, scenes())
+    one, two = timed.answer(1), timed.answer(1)
+    assert one.shape == (50,)
+    assert not np.array_equal(one, two)
+    with pytest.raises(ConfigError, match=r"holds no rigid.yaml; give the folder config/scenes"):
+        area.prepare(SIMULATION, tmp_path, tmp_path)
+
+
+# Training.
+
+
+def test_more_grasps_are_more_skilful_and_take_the_robot_longer() -> None:
+    area, wanted = tradeoff_training.EXPERIMENT, ("contact model as shipped", "mean of labels", "5 grasps an object")
+    cells = [one for one in area.cells(TRAINING, GRASPS) if one.values["variant"] in wanted]
+    rows = table(area, TRAINING, GRASPS, [one for one in cells if one.values["column"] == "known"])
+    shipped, mean, fewer = (rows[name] for name in wanted)
+    assert shipped["known"] > fewer["known"] > mean["known"] == 0.0
+    assert shipped["robot_h_known"] == pytest.approx(shipped["grasps_known"] * 60.0 / 3600.0, abs=0.01)
+    assert shipped["known_low"] < shipped["known"] < shipped["known_high"]
+    columns = {cell.values["column"] for cell in area.cells(TRAINING.replace(detail="all"), GRASPS)}
+    assert columns == {"known", "new", "one_block"}
+
+
+def test_fewer_grasps_or_objects_are_part_of_all() -> None:
+    train, test = tradeoff_training._first_block(GRASPS)
+    chosen = tradeoff_training._chosen_samples
+    five = chosen({"grasps": 5}, train)
+    assert len(five) == 5 * 8
+    assert {one.id for one in five} < {one.id for one in chosen({"grasps": 8}, train)}
+    assert len({one.object for one in chosen({"objects": 3}, train)}) == 3
+    assert chosen({"grasps": 1000}, train) == chosen({"grasps": 9}, train)
+    shipped, *_, network = tradeoff_training.EXPERIMENT.variants(TRAINING.replace(detail="all"))
+    answer = tradeoff_training.EXPERIMENT.timed(shipped, TRAINING, GRASPS).answer(1)
+    assert answer.shape == (10, 50)
+    assert abs(answer - labels_of(test[:10])).max() < 1000.0
+    epoch = tradeoff_training.EXPERIMENT.timed(network, TRAINING, GRASPS)
+    assert (epoch.whole, epoch.answer(1).size) == (60.0, 0)
+
+
+def test_a_sentence_states_what_an_hour_of_the_robot_buys() -> None:
+    rows = [
+        {"variant": variant, "factor": factor, "known": known, "new": None, "one_block": None, "robot_h_known": hours,
+         "robot_h_new": None, "grasps_known": int(60 * hours), "cpu_ms": cpu_ms, "request": 1, "state": "idle"}
+        for variant, factor, known, hours, cpu_ms in (
+            ("contact model as shipped", "shipped", 0.4, 4.0, 3000.0),
+            ("5 grasps an object", "labels", 0.2, 2.0, 1000.0),
+            ("5 trees", "trees", 0.3, 4.0, 1000.0),
+        )
+    ]  # fmt: skip
+    assert tradeoff_training.EXPERIMENT.notes(rows) == [
+        "Robot, known objects, more grasps of each: from 120 to 240 grasps, 2.0 hours, skill 0.200 to 0.400: +0.100 an hour.",
+        "Computer, trees: from 5 trees to contact model as shipped, 2.0 s more of one core, skill 0.300 to 0.400.",
+    ]
