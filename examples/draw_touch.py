@@ -26,8 +26,8 @@ def main(scene_path: str = str(ROOT / "config" / "scenes" / "demo.yaml"), pictur
     scene, pipeline = load_scene(scene_path), Pipeline()
     frames = FrameMaker(scene)
     drawn = []
-    for slot, made in enumerate(Simulation(scene).samples(OBJECTS, workers=1)):
-        sample, cloud = made.sample, frames.frame(slot).cloud()
+    for slot, sample in enumerate(Simulation(scene).samples(OBJECTS, workers=1)):
+        cloud = frames.frame(slot).cloud()
         target = replace(pipeline.segment(cloud).targets[0], id=sample.object)
         (prediction,) = pipeline.predict(target, [sample.grasp], tare=sample.tare)
         known = "does not know any such object (unfamiliar)" if prediction.flags else "knows such objects"

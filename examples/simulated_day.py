@@ -43,7 +43,7 @@ from foretouch.ros.graph import Graph
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.execution import SimulatedHand
 from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile import columns
 from foretouch.tactile.messages.table import stamp_ns
 
@@ -84,9 +84,9 @@ def write_model(out: Path) -> Path:
     return card
 
 
-def nodes_of(show: ShowConfig, out: Path, model: Path) -> dict[str, dict[str, Any]]:
+def nodes_of(schedule: ScheduleConfig, out: Path, model: Path) -> dict[str, dict[str, Any]]:
     """Parameters of each node, as `foretouch run --source SCENE` sets them, and the file of the hand."""
-    shown = {f"scene.{name}": value for name, value in show.to_mapping().items()}
+    shown = {f"scene.{name}": value for name, value in schedule.to_mapping().items()}
     nodes: dict[str, dict[str, Any]] = {name: {} for name in PERCEPTION}
     nodes["touch_predictor"] = {
         "model": str(model),
@@ -102,22 +102,27 @@ class Log:
     """Rows of `day.csv`.
 
     Args:
-        show: Which object is on the table at a time.
+        schedule: Which object is on the table at a time.
         scene: The scene.
         model: Of the predictor.
     """
 
-    def __init__(self, show: ShowConfig, scene: SceneConfig, model: TouchModel) -> None:
+    def __init__(self, schedule: ScheduleConfig, scene: SceneConfig, model: TouchModel) -> None:
         self.rows: list[Row] = []
-        self._show, self._scene, self._model = show, scene, model
+        self._schedule, self._scene, self._model = schedule, scene, model
         self._seen: Any = None
         self._readings = -1
 
     def add(self, kind: str, at_ns: int, value: float, half: float = 0.0, **evidence: int) -> None:
         """One row: a value and its 90 % interval."""
-        slot = self._show.slot(at_ns)
+        slot = self._schedule.slot(at_ns)
         name = self._scene.objects[object_index(self._scene, slot)].name
-        row = {"kind": kind, "second": round((at_ns - self._show.origin_ns) / 1e9, 2), "visit": slot, "object": name}
+        row = {
+            "kind": kind,
+            "second": round((at_ns - self._schedule.origin_ns) / 1e9, 2),
+            "visit": slot,
+            "object": name,
+        }
         numbers = {"value": round(value, 1), "low": round(value - half, 1), "high": round(value + half, 1)}
         self.rows.append({**row, **numbers, "touches": None, "readings": None, **evidence})
 
@@ -149,13 +154,13 @@ class Log:
                 self.add(kind, time.time_ns(), value, DEVIATIONS * deviation, readings=readings)
 
 
-def rest_level(show: ShowConfig, scene: SceneConfig, model: TouchModel, seconds: float) -> list[Row]:
+def rest_level(schedule: ScheduleConfig, scene: SceneConfig, model: TouchModel, seconds: float) -> list[Row]:
     """What the electrode reads without contact, above its mean, twice a second."""
-    log, hand = Log(show, scene, model), SimulatedHand(scene)
+    log, hand = Log(schedule, scene, model), SimulatedHand(scene)
     times = np.arange(0.0, seconds, 0.5)
     counts = [hand.rest(20, elapsed_s=float(second))[:, 1, ELECTRODE].mean() for second in times]
     for second, count in zip(times, counts, strict=True):
-        log.add("rest", show.origin_ns + round(1e9 * second), float(count - np.mean(counts)))
+        log.add("rest", schedule.origin_ns + round(1e9 * second), float(count - np.mean(counts)))
     return log.rows
 
 
@@ -170,10 +175,10 @@ def parts_of(history: HandHistory) -> dict[str, tuple[float, float]]:
     return found
 
 
-def run_graph(out: Path, show: ShowConfig, card: Path, end_s: float) -> list[Row]:
+def run_graph(out: Path, schedule: ScheduleConfig, card: Path, end_s: float) -> list[Row]:
     """Run the graph until a time (`time.time`), then stop it."""
-    log, path = Log(show, load_scene(show.path), load_model(card)), out / f"{HAND}.safetensors"
-    with Graph(nodes_of(show, out, card), monitor={"with_hand": True, "on_touch": log.add_answer}) as graph:
+    log, path = Log(schedule, load_scene(schedule.path), load_model(card)), out / f"{HAND}.safetensors"
+    with Graph(nodes_of(schedule, out, card), monitor={"with_hand": True, "on_touch": log.add_answer}) as graph:
         if not graph.started:
             raise SystemExit("a node did not start; see its log")
         while time.time() < end_s:
@@ -287,15 +292,17 @@ def main() -> int:
     out: Path = arguments.out
     out.mkdir(parents=True)
     scene, card = write_scene(out), write_model(out)
-    show = ShowConfig(path=str((out / "scene.yaml").resolve()), dwell_s=arguments.each_s, origin_ns=time.time_ns())
-    began, seconds = show.origin_ns / 1e9, 3.0 * arguments.each_s
+    schedule = ScheduleConfig(
+        path=str((out / "scene.yaml").resolve()), dwell_s=arguments.each_s, origin_ns=time.time_ns()
+    )
+    began, seconds = schedule.origin_ns / 1e9, 3.0 * arguments.each_s
     stop, start = (seconds - arguments.pause_s) / 2.0, (seconds + arguments.pause_s) / 2.0
     rows = []
     for first, last in ((0.0, stop), (start, seconds)):
         time.sleep(max(0.0, began + first - time.time()))
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
-            rows += process.submit(run_graph, out, show, card, began + last).result()
-    rows += rest_level(show, scene, load_model(card), seconds)
+            rows += process.submit(run_graph, out, schedule, card, began + last).result()
+    rows += rest_level(schedule, scene, load_model(card), seconds)
     with (out / "day.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()

@@ -52,7 +52,7 @@ def true_counts(stamp_ns: int, grasps: int, period_s: float = 3.0) -> np.ndarray
 def stream(grasps: int, faults: FaultConfig | None = None, seed: int = 0, period_s: float = 3.0) -> list[TouchReading]:
     """What the sensor sends during so many grasps, in the order of arrival; arrival is on time."""
     rng = np.random.default_rng(seed)
-    spoil = MessageFaults(faults or FaultConfig())
+    spoil = MessageFaults(faults or FaultConfig(), seed)
     readings = []
     for true_ns in range(T0, T0 + round(grasps * period_s * SECOND), PERIOD):
         stamp = spoil.stamp(true_ns)

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 import pytest
 from recording_builders import write_dataset
+from scene_builders import write_scenes
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 CONFIG = Path(__file__).parents[1] / "config"
 PATIENCE_S = 100.0
@@ -108,7 +108,7 @@ MISTAKES = [
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    record_scenes(folder / "recording", SceneRecordingConfig(count=40))
+    write_scenes(folder / "recording", 40)
     image = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render()
     write_cloud(folder / "scene.npz", image.cloud())
     write_cloud(folder / "object.pcd", image.cloud().take(image.labels == 2))

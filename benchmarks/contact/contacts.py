@@ -16,7 +16,6 @@ from foretouch.simulation.contact import (
     pad_direction,
     pad_window,
 )
-from foretouch.simulation.contact.pad import bent_surface, wedge
 
 
 def random_contacts(
@@ -34,7 +33,8 @@ def random_contacts(
         if kind == 0:
             height = np.zeros_like(x)
         elif kind == 1:
-            height = bent_surface(x, y, 1.0 / radius, 0.0, angle)
-        else:
-            height = wedge(x - beside, y, 1.0, angle, 0.002)
+            height = -((np.cos(angle) * x + np.sin(angle) * y) ** 2) / (2.0 * radius)
+        else:  # an edge that falls at 45 degrees, rounded over 2 mm
+            across = np.cos(angle) * (x - beside) + np.sin(angle) * y
+            height = -(np.clip(across + 0.001, 0.0, 0.002) ** 2 / 0.004 + np.maximum(across - 0.001, 0.0))
         yield window, ContactProblem(gap_field(window.depth, height), pad.step_m, layers), force

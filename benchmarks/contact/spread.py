@@ -13,33 +13,25 @@ import numpy.typing as npt
 from contacts import random_contacts
 
 from foretouch.simulation.contact import Command, PadConfig, solve_contact
-from foretouch.simulation.fingertip import (
-    MIDDLE_FINGER,
-    THUMB,
-    FingerConfig,
-    FingertipConfig,
-    NoiseConfig,
-    draw_finger,
-    quantise,
-    read_contact,
-    white_noise,
-)
+from foretouch.simulation.disturbances import NoiseConfig
+from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
 
 Array = npt.NDArray[np.float64]
 
 
-def grasps(kind: FingerConfig, n: int, seed: int, config: FingertipConfig) -> tuple[Array, Array]:
+def grasps(kind: FingerConfig, n: int, seed: int) -> tuple[Array, Array]:
     """PDC (n,) and electrodes (n, 24) of one finger, in whole counts with white noise."""
     pad, noise = PadConfig(), NoiseConfig()
+    deviation = np.array([noise.pdc_counts, *[noise.electrode_counts] * 24])
     rng = np.random.default_rng([seed, 1])
     finger = draw_finger(kind, rng)
-    pdc, electrodes = [], []
-    for window, problem, force in random_contacts(n, seed, pad):
-        reading = read_contact(config, pad, finger, window, solve_contact(problem, Command(force_n=force)))
-        pdc.append(reading.pdc + noise.pdc_counts * rng.standard_normal())
-        electrodes.append(reading.electrodes + white_noise((24,), noise.electrode_counts, rng))
-    p, e = quantise(config, pdc, electrodes)
-    return p.astype(np.float64), e.astype(np.float64)
+    readings = [
+        read_contact(pad, finger, window, solve_contact(problem, Command(force_n=force)))
+        + deviation * rng.standard_normal(25)
+        for window, problem, force in random_contacts(n, seed, pad)
+    ]
+    counts = quantise(np.array(readings)).astype(np.float64)
+    return counts[:, 0], counts[:, 1:]
 
 
 def spread(pdc: Array, electrodes: Array) -> dict[str, float]:
@@ -65,8 +57,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     arguments = parser.parse_args()
     rows = [
-        (name, seed, spread(*grasps(kind, arguments.n, seed, FingertipConfig())))
-        for name, kind in (("MF", MIDDLE_FINGER), ("TH", THUMB))
+        (name, seed, spread(*grasps(kind, arguments.n, seed)))
+        for name, kind in (("MF", FingerConfig()), ("TH", ThumbConfig()))
         for seed in range(arguments.seeds)
     ]
     print("| finger | seed | " + " | ".join(rows[0][2]) + " |\n" + "|---" * (2 + len(rows[0][2])) + "|")

@@ -91,12 +91,12 @@ def main() -> None:
     rows = []
     for name, layout in layouts().items():
         data = fill(layout, rng)
-        arrays = decode(layout, data)
+        found_xyz, found_rgb = decode(layout, data)
         xyz, rgb = by_struct(layout, data, stride)
-        same = np.array_equal(arrays.xyz[::stride, ::stride].reshape(-1, 3), xyz)
-        if rgb is not None and arrays.rgb is not None:
-            same &= np.array_equal(arrays.rgb[::stride, ::stride].reshape(-1, 3), rgb)
-        view = np.shares_memory(arrays.xyz, np.frombuffer(data, np.uint8))
+        same = np.array_equal(found_xyz[::stride, ::stride].reshape(-1, 3), xyz)
+        if rgb is not None and found_rgb is not None:
+            same &= np.array_equal(found_rgb[::stride, ::stride].reshape(-1, 3), rgb)
+        view = np.shares_memory(found_xyz, np.frombuffer(data, np.uint8))
         rows.append((name, same, view, cpu_ms(lambda layout=layout, data=data: decode(layout, data), 51)))
     print(f"{'decode, 848x480':<30}{'as by struct':>14}{'view':>7}{'CPU ms':>9}")
     for name, same, view, ms in rows:
@@ -105,8 +105,8 @@ def main() -> None:
     rgb = rng.integers(0, 256, xyz.shape, dtype=np.uint8)
     print(f"\n{'encode, 848x480':<30}{'read back':>14}{'':>7}{'CPU ms':>9}")
     for name, cloud in (("xyz, 12 bytes", Cloud(xyz)), ("xyz and rgb, 16 bytes", Cloud(xyz, rgb))):
-        arrays = decode(*encode(cloud))
-        same = np.array_equal(arrays.xyz, xyz) and (cloud.rgb is None or np.array_equal(arrays.rgb, rgb))
+        found_xyz, found_rgb = decode(*encode(cloud))
+        same = np.array_equal(found_xyz, xyz) and (cloud.rgb is None or np.array_equal(found_rgb, rgb))
         ms = cpu_ms(lambda cloud=cloud: encode(cloud), 21)
         print(f"{name:<30}{'equal' if same else 'DIFFERENT':>14}{'':>7}{ms:>9.4f}")
 

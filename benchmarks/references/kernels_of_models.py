@@ -47,7 +47,6 @@ from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
 from foretouch.models.novelty import OBJECT_FEATURES, SizeNoveltyDetector, standardisation
-from foretouch.simulation.fingertip.disturbances import steady_noise
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
 
@@ -531,28 +530,6 @@ def _skills(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 
 @kernel(
-    "correlation at one row",
-    of="simulation.fingertip.disturbances.steady_noise",
-    error="max(|r - r*|, |sd - sd*| / sd*)",
-    condition="max|counts| / deviation from the straight line",
-    constant=0.2,
-)
-def _lag1(t: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Counts that vary less and less about a drifting mean."""
-    time = np.arange(20.0)
-    series = 3000.0 + 2.0 * time[:, None] + span(t, 50.0, 1e-6) * rng.normal(size=(20, 1))
-    found = steady_noise([series])
-    x, at = exact(series[:, 0]), exact(time) - exact(9.5)
-    rest = x - x.sum() / 20
-    rest = rest - at * (at @ rest / (at @ at))
-    steps = x[1:] - x[:-1]
-    sd = mpmath.sqrt((steps**2).sum() / 19 / 2)
-    deviation = mpmath.sqrt(rest @ rest / 20)
-    kappa = float(np.abs(series).max() / deviation)
-    return kappa, max(gap(found.lag1, rest[1:] @ rest[:-1] / (rest @ rest)), relative_gap(found.sd, sd))
-
-
-@kernel(
     "gap of the range check",
     of="models.network.length_check._nearest",
     error="|d - d*| / radius of the cloud",
@@ -565,7 +542,7 @@ def _range_gap(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud = float32_cloud(rng.uniform(-0.05, 0.05, (30, 3)))
     frame = UnitSphereFrame.fit(cloud)
     points = frame.apply_points(cloud).astype(np.float32)
-    g1 = frame.invert_points(points[:1])[0] + span(t, 0.5, 1e-6) * frame.scale * rotation(rng)[0]
+    g1 = points[0] * frame.scale + frame.centre + span(t, 0.5, 1e-6) * frame.scale * rotation(rng)[0]
     grasp = Grasp(g1, g1 + 1e-9, np.eye(3))
     found = grasp_lengths(PreparedCloud(points, frame), [grasp])[0, 4] / frame.scale
     targets = (exact(np.stack([grasp.g1, grasp.g2])) - exact(frame.centre)) / exact(frame.scale)

@@ -24,29 +24,32 @@ from reference import (
 from scipy.integrate import quad
 from scipy.special import j0
 
-from foretouch.simulation.contact import Command, ContactConfig, ContactProblem, Layer, PadConfig, solve_grip
+from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, solve_grip
 from foretouch.simulation.contact.closed_form import _displacement, _ellipse, _fit, bed_stiffness, solve_winkler
 from foretouch.simulation.contact.grip import weigh
 from foretouch.simulation.contact.layer import (
+    _convolve,
+    _influence_spectrum,
+    _layer_influence,
+    _layer_transfer,
+    _love_influence,
     _smooth_part,
-    convolve,
-    influence_spectrum,
-    layer_influence,
-    layer_transfer,
-    love_influence,
     solve_layer,
 )
 from foretouch.simulation.contact.pad import contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.effects.meeting import _slope
-from foretouch.simulation.fingertip.disturbances import CreepConfig, creep
-from foretouch.simulation.fingertip.fingertip import (
-    ElectrodeConfig,
-    FluidConfig,
-    displaced_volume,
-    electrode_counts,
-    electrode_weights,
-    pdc_counts,
-    skin_approach,
+from foretouch.simulation.disturbances import creep
+from foretouch.simulation.effects.approach import _slope
+from foretouch.simulation.fingertip import (
+    BOTTOMING_M,
+    BULGE_AREA_M2,
+    PDC_SPAN,
+    SATURATION_M3,
+    THINNING_M,
+    _displaced_volume,
+    _electrode_counts,
+    _electrode_weights,
+    _pdc_counts,
+    _skin_approach,
 )
 from foretouch.simulation.solids import Body, Sphere
 from foretouch.tactile import (
@@ -260,7 +263,7 @@ def _bed(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "layer: transfer function",
-    of="simulation.contact.layer.layer_transfer",
+    of="simulation.contact.layer._layer_transfer",
     error="|M - M*|",
     condition="1",
     constant=1.0,
@@ -271,12 +274,12 @@ def _transfer(t: float, rng: np.random.Generator) -> tuple[float, float]:
     q, n = mpmath.mpf(at), mpmath.mpf(nu)
     top = (3 - 4 * n) * mpmath.sinh(2 * q) - 2 * q
     below = (3 - 4 * n) * mpmath.cosh(2 * q) + 2 * q**2 + 5 - 12 * n + 8 * n**2
-    return 1.0, gap(layer_transfer(at, nu), top / below)
+    return 1.0, gap(_layer_transfer(at, nu), top / below)
 
 
 @kernel(
     "layer: Love's rectangle",
-    of="simulation.contact.layer.love_influence",
+    of="simulation.contact.layer._love_influence",
     error="|u - u*| / u*",
     condition="1 + (r / step)²",
     constant=10.0,
@@ -292,7 +295,7 @@ def _love(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
     wanted = corner(a + s, b + s) + corner(a - s, b - s) - corner(a + s, b - s) - corner(a - s, b + s)
     kappa = 1.0 + float((cells**2).sum())
-    return kappa, relative_gap(love_influence(x, y, step, 1e6)[0], wanted / (mpmath.pi * 1000000))
+    return kappa, relative_gap(_love_influence(x, y, step, 1e6)[0], wanted / (mpmath.pi * 1000000))
 
 
 @kernel(
@@ -320,7 +323,7 @@ def _smooth(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "layer: convolution",
-    of="simulation.contact.layer.convolve",
+    of="simulation.contact.layer._convolve",
     error="|u - u*| / max u*, against the double sum",
     condition="log2 of the padded cells",
     constant=1.0,
@@ -329,18 +332,18 @@ def _convolution(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Windows of 4 to 8 cells, pressures that differ by up to 1e12."""
     n = int(span(t, 4.0, 8.9))
     pressure = 10.0 ** rng.uniform(0.0, 12.0 * t, (n, n))
-    quarter = layer_influence(SKIN, n, 5e-4)
+    quarter = _layer_influence(SKIN, n, 5e-4)
     i, j = np.indices((n, n)).reshape(2, -1)
     matrix = quarter[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
     wanted = exact(matrix) @ exact(pressure.ravel())
-    found = convolve(pressure, influence_spectrum(SKIN, n, 5e-4))
+    found = _convolve(pressure, _influence_spectrum(SKIN, n, 5e-4))
     return 2.0 * np.log2(2.0 * n), gap(found.ravel(), wanted) / float(max(wanted))
 
 
 def _pressed(problem: ContactProblem, force: float) -> Float64:
     """Pressure of the linear complementarity problem by an active set, solved densely in float64."""
     n = problem.gap.shape[0]
-    quarter = sum(layer_influence(layer, n, problem.step_m) for layer in problem.layers)
+    quarter = sum(_layer_influence(layer, n, problem.step_m) for layer in problem.layers)
     i, j = np.indices((n, n)).reshape(2, -1)
     influence = np.asarray(quarter)[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
     gap_, wet = problem.gap.ravel(), problem.gap.ravel() <= np.quantile(problem.gap, 0.5)
@@ -364,8 +367,7 @@ def _solved(t: float, rng: np.random.Generator, layer: Layer) -> tuple[float, fl
     problem = _bowl(n, 0.004, rng.uniform(0.004, 0.03))
     problem = ContactProblem(problem.gap, problem.step_m, (layer,))
     force = 10.0 ** rng.uniform(-1.0, 0.0)
-    config = ContactConfig(tolerance=tolerance, max_iterations=3000, max_strain=1.0)
-    found = solve_layer(problem, Command(force_n=force), config).pressure
+    found = solve_layer(problem, Command(force_n=force), tolerance=tolerance, max_iterations=3000).pressure
     wanted = _pressed(problem, force)
     return tolerance / EPS, float(np.abs(found - wanted).sum() / wanted.sum())
 
@@ -451,7 +453,7 @@ def _pad_depth(t: float, rng: np.random.Generator) -> tuple[float, float]:
 
 @kernel(
     "slope at first touch",
-    of="simulation.effects.meeting._slope",
+    of="simulation.effects.approach._slope",
     error="|s - s*|",
     condition="1 / s + s",
     constant=1.0,
@@ -510,7 +512,7 @@ def _grip(t: float, rng: np.random.Generator) -> tuple[float, float]:
         force = (low * high) ** 0.5
         depth = sum(_bed_depth(problem, force) for problem in problems)
         low, high = (force, high) if depth < closing else (low, force)
-    return 2.0, abs(found.first.force_n - low) / low
+    return 2.0, abs(found[0].force_n - low) / low
 
 
 def _bed_depth(problem: ContactProblem, force: float) -> float:
@@ -524,101 +526,99 @@ def _bed_depth(problem: ContactProblem, force: float) -> float:
 
 @kernel(
     "electrodes: weights",
-    of="simulation.fingertip.fingertip.electrode_weights",
+    of="simulation.fingertip._electrode_weights",
     error="|w - w*| / largest weight",
     condition="max|p|² / kernel²",
     constant=2.0,
 )
-def _electrode_weights(t: float, rng: np.random.Generator) -> tuple[float, float]:
+def _weights_of_electrodes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Fields of 10 mm down to 0.1 mm."""
-    config = ElectrodeConfig(kernel_m=span(t, 0.01, 1e-4))
+    kernel_m = span(t, 0.01, 1e-4)
     pad = PadConfig(cells=3)
     window = pad_window(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
     points = window.points.reshape(-1, 3)
     points[:4] = electrode_positions()[:4] + pad.layer_m * electrode_normals()[:4]  # some right at an electrode
-    found = electrode_weights(config, pad, window.frame, points.reshape(3, 3, 3))
+    found = _electrode_weights(pad, window.frame, points.reshape(3, 3, 3), kernel_m)
     places = exact(electrode_positions()) + exact(pad.layer_m) * exact(electrode_normals())
     squares = ((places[:, None] - exact(points)[None]) ** 2).sum(axis=2)
     facing = np.maximum(exact(electrode_normals()) @ exact(window.frame.rotation[:, 2]), mpmath.mpf(0))
-    scale = exact(pad.step_m) ** 2 / (2 * mpmath.pi * exact(config.kernel_m) ** 2)
-    wanted = scale * facing[:, None] * exp(-squares / (2 * exact(config.kernel_m) ** 2))
-    return float((points**2).sum(axis=1).max()) / config.kernel_m**2, gap(found, wanted) / float(wanted.max())
+    scale = exact(pad.step_m) ** 2 / (2 * mpmath.pi * exact(kernel_m) ** 2)
+    wanted = scale * facing[:, None] * exp(-squares / (2 * exact(kernel_m) ** 2))
+    return float((points**2).sum(axis=1).max()) / kernel_m**2, gap(found, wanted) / float(wanted.max())
 
 
 @kernel(
     "electrodes: approach of the skin",
-    of="simulation.fingertip.fingertip.skin_approach, displaced_volume",
+    of="simulation.fingertip._skin_approach, _displaced_volume",
     error="|s - s*| / |s*|",
     condition="(Σ w |u| + V/A) / |s|",
     constant=2.0,
 )
 def _approach(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Indentation and bulge that cancel more and more."""
-    config, fluid = ElectrodeConfig(), FluidConfig()
     u = rng.uniform(0.0, 5e-4, (6, 6))
-    volume = displaced_volume(fluid, u, 2.5e-7)
-    reference = np.minimum(exact(u), exact(fluid.bottoming_m)).sum() * exact(2.5e-7)
+    volume = _displaced_volume(u, 2.5e-7)
+    reference = np.minimum(exact(u), exact(BOTTOMING_M)).sum() * exact(2.5e-7)
     weights = rng.random((1, 36))
-    bulge = float(reference) / config.bulge_area_m2
+    bulge = float(reference) / BULGE_AREA_M2
     weights *= bulge * (1.0 + span(t, 1.0, 1e-9)) / (weights @ u.ravel())
-    wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(config.bulge_area_m2)
+    wanted = (exact(weights) @ exact(u.ravel()))[0] - reference / exact(BULGE_AREA_M2)
     kappa = float((weights @ u.ravel())[0] + bulge) / abs(float(wanted))
-    return kappa, relative_gap(skin_approach(config, weights, u, volume)[0], wanted)
+    return kappa, relative_gap(_skin_approach(weights, u, volume)[0], wanted)
 
 
 @kernel(
     "electrodes: counts",
-    of="simulation.fingertip.fingertip.electrode_counts",
+    of="simulation.fingertip._electrode_counts",
     error="|E - E*| / E*",
     condition="1 + |exponent| + 4095 / (4095 - rest)",
     constant=1.0,
 )
-def _electrode_counts(t: float, rng: np.random.Generator) -> tuple[float, float]:
+def _counts_of_electrodes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Rests near full scale, and approaches up to where the exponent is clipped."""
-    config = ElectrodeConfig()
     rest = 4095.0 - span(t, 3000.0, 0.1)
     exponent = span(t, 1e-3, 49.0) * float(rng.choice([-1.0, 1.0]))
-    approach = exponent * config.thinning_m
-    impedance = (4095 / exact(rest) - 1) * 10 * mpmath.exp(exact(approach) / exact(config.thinning_m))
-    found = electrode_counts(config, np.array([approach]), np.array([rest]))
+    approach = exponent * THINNING_M
+    impedance = (4095 / exact(rest) - 1) * 10 * mpmath.exp(exact(approach) / exact(THINNING_M))
+    found = _electrode_counts(np.array([approach]), np.array([rest]))
     kappa = 1.0 + abs(exponent) + 4095.0 / (4095.0 - rest)
     return kappa, relative_gap(found[0], 4095 / (1 + impedance / 10))
 
 
 @kernel(
     "pressure of the liquid",
-    of="simulation.fingertip.fingertip.pdc_counts",
+    of="simulation.fingertip._pdc_counts",
     error="|PDC - PDC*| / PDC*",
     condition="1",
     constant=1.0,
 )
 def _pdc(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Volumes of 1e-20 to 1e-6 m³."""
-    config, pad = FluidConfig(), PadConfig()
+    pad = PadConfig()
     frame = contact_frame(pad, pad_direction(rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)))
     volume = span(t, 1e-20, 1e-6)
-    rise = exact(config.span_counts) * (-exact(frame.rotation[2, 2])) ** 2
-    wanted = 1676 + rise * mpmath.tanh(exact(volume) / exact(config.saturation_m3))
-    return 1.0, relative_gap(pdc_counts(config, frame, volume, 1676.0), wanted)
+    rise = exact(PDC_SPAN) * (-exact(frame.rotation[2, 2])) ** 2
+    wanted = 1676 + rise * mpmath.tanh(exact(volume) / exact(SATURATION_M3))
+    return 1.0, relative_gap(_pdc_counts(frame, volume, 1676.0), wanted)
 
 
 @kernel(
     "creep of the skin",
-    of="simulation.fingertip.disturbances.creep",
+    of="simulation.disturbances.creep",
     error="|y - y*| / max|y*|",
     condition="number of rows",
     constant=1.0,
 )
 def _creep(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Up to 1000 rows, and time constants of up to 1e6 s."""
-    rows, config = int(span(t, 2.0, 1000.0)), CreepConfig(time_s=span(t, 0.1, 1e6))
+    rows, time_s, share_late = int(span(t, 2.0, 1000.0)), span(t, 0.1, 1e6), 0.08
     series = rng.uniform(1000.0, 4000.0, (rows, 1))
-    pull = 1 - mpmath.exp(-1 / (100 * exact(config.time_s)))
-    late, wanted, share = exact(series[0, 0]), [], exact(config.share)
+    pull = 1 - mpmath.exp(-1 / (100 * exact(time_s)))
+    late, wanted, share = exact(series[0, 0]), [], exact(share_late)
     for value in exact(series[:, 0]):
         late = late + pull * (value - late)
         wanted.append((1 - share) * value + share * late)
-    return rows, gap(creep(config, series, 100.0)[:, 0], np.array(wanted, object)) / 4000.0
+    return rows, gap(creep(series, 100.0, share=share_late, time_s=time_s)[:, 0], np.array(wanted, object)) / 4000.0
 
 
 @kernel(

@@ -41,7 +41,7 @@ def simulate(config: SceneConfig, count: int, workers: int = 1) -> Run:
     """All samples at once; CPU time is that of the effects, wherever they ran."""
     simulation = Simulation(config)
     start = time.perf_counter()
-    samples = [made.sample for made in simulation.samples(count, workers)]
+    samples = list(simulation.samples(count, workers))
     wall = time.perf_counter() - start
     content = hashlib.sha256(b"".join(sample_digest(sample) for sample in samples))
     cpu = sum(timing.seconds for timing in simulation.timings.values())

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from scenes import engine, keys, scene, simulate
+from steady_noise import steady_noise
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.fingertip import steady_noise
 from foretouch.types import GraspSample
 
 Array = npt.NDArray[np.float64]

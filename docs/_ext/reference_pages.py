@@ -170,12 +170,23 @@ def all_infos(cls: type[Settings], prefix: str = "") -> list[SettingInfo]:
     for field in dataclasses.fields(cls):
         hint = typing.get_type_hints(cls)[field.name]
         inner = [one for one in (hint, *typing.get_args(hint)) if isinstance(one, type) and issubclass(one, Settings)]
-        if inner:
+        if inner and not dataclasses.fields(inner[0]):
+            infos.append(_switch(cls, field.name, prefix))
+        elif inner:
             listed = "[]" if typing.get_origin(hint) is tuple else ""
             infos += all_infos(inner[0], f"{prefix}{field.name}{listed}.")
         else:
             infos.append(dataclasses.replace(own[field.name], name=prefix + field.name))
     return infos
+
+
+def _switch(cls: type[Settings], name: str, prefix: str) -> SettingInfo:
+    """A group without settings, described under `Attributes` of the class that has it."""
+    found = re.search(rf"^ +{name}: (.*)", inspect.getdoc(cls) or "", re.MULTILINE)
+    meaning = found[1].rstrip(".") if found else ""
+    limits: dict[str, Any] = {"unit": "", "minimum": None, "maximum": None, "choices": ("{}",)}
+    kind: dict[str, Any] = {"type": str, "is_list": False, "optional": True, "read_only": True}
+    return SettingInfo(name=prefix + name, default=None, description=meaning, **limits, **kind)
 
 
 def _summary(documented: Any) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from foretouch.cli.main import main
 from foretouch.cloud.io.files import read_cloud
 from foretouch.models.registry import find_card
 from foretouch.pipeline import Pipeline
@@ -20,26 +21,21 @@ from foretouch.types import ASSUMED_TABLE
 Call = Callable[..., Any]
 
 
-def test_segment_prints_plane_objects_and_times(call: Call, files: Path) -> None:
-    answer = call("segment", files / "scene.npz", "--json")
+def test_segment_prints_plane_objects_times_and_labels(call: Call, files: Path, tmp_path: Path) -> None:
+    answer = call("segment", files / "scene.npz", "--json", "--labels-out", tmp_path / "l.npy")
     (record,) = answer.records
-    assert answer.status == 0
-    assert record["input"] == str(files / "scene.npz")
-    assert len(record["objects"]) == 2
+    assert (answer.status, record["input"], len(record["objects"])) == (0, str(files / "scene.npz"), 2)
     assert np.linalg.norm(record["plane"][:3]) == pytest.approx(1.0)
     assert record["ms"]["total"] > 0
     for one in record["objects"]:
         low, high = np.array(one["bounds"])
         assert ((low <= one["centroid"]) & (one["centroid"] <= high)).all()
-
-
-def test_labels_have_the_shape_of_the_cloud(call: Call, files: Path, tmp_path: Path) -> None:
-    (record,) = call("segment", files / "scene.npz", "--json", "--labels-out", tmp_path / "l.npy").records
     labels = np.load(tmp_path / "l.npy")
     assert (labels.shape, labels.dtype) == ((240, 424), np.int32)
     # Flying pixels bear the label of their object and are none of its points.
     assert np.count_nonzero(labels) == sum(one["n_points"] for one in record["objects"]) + record["counts"]["flying"]
     assert set(np.unique(labels)) == {0, *(one["id"] for one in record["objects"])}
+    assert "centroid [m]" in call("segment", files / "scene.npz").out
 
 
 def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call: Call, files: Path) -> None:
@@ -52,12 +48,6 @@ def test_every_input_has_its_line_in_order_and_a_bad_one_ends_nothing(call: Call
     assert "Traceback" not in answer.err
 
 
-def test_a_person_gets_a_table(call: Call, files: Path) -> None:
-    answer = call("segment", files / "scene.npz")
-    assert answer.status == 0
-    assert "centroid [m]" in answer.out
-
-
 def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:
     (record,) = call("grasp", files / "object.pcd", "--plane", "0,0,1,-1.27", "--json").records
     cloud = read_cloud(files / "object.pcd")
@@ -68,36 +58,27 @@ def test_grasp_of_an_object_equals_the_core(call: Call, files: Path) -> None:
     np.testing.assert_array_equal(record["initial_points"], result.plan.initial_points)
 
 
-def test_grasp_segments_an_organised_cloud_first(call: Call, files: Path) -> None:
+def test_an_organised_cloud_is_segmented_and_its_targets_are_used(call: Call, files: Path) -> None:
     records = call("grasp", files / "scene.npz", "--target", "all", "--count", "3", "--json").records
     assert [record["object"] for record in records] == ["1", "2"]
     assert all(1 <= len(record["grasps"]) <= 3 for record in records)
-
-
-def test_predict_takes_every_object_of_a_scene(call: Call, files: Path) -> None:
-    records = call("predict", files / "scene.npz", "--json").records
+    words = ("predict", files / "scene.npz", "--json")
+    records = call(*words).records
     assert [record["object"] for record in records] == ["1", "2"]
-    (one,) = call("predict", files / "scene.npz", "--json", "--target", "nearest").records
-    assert one["predictions"] == records[0]["predictions"]
-    (limited,) = call("predict", files / "scene.npz", "--json", "--set", "target.max_objects=1").records
+    (nearest,) = call(*words, "--target", "nearest").records
+    assert nearest["predictions"] == records[0]["predictions"]
+    (limited,) = call(*words, "--set", "target.max_objects=1").records
     assert limited["object"] == "1"
-
-
-def test_an_ambiguous_target_is_predicted_and_flagged(call: Call, files: Path) -> None:
-    words = ["predict", files / "scene.npz", "--json", "--target", "nearest"]
-    (sure,) = call(*words).records
-    (tied,) = call(*words, "--set", "target.margin_m=1").records
-    flags = [[flag for one in record["predictions"] for flag in one["flags"]] for record in (sure, tied)]
-    assert "ambiguous_target" not in flags[0]
-    assert "ambiguous_target" in flags[1]
+    (tied,) = call(*words, "--target", "nearest", "--set", "target.margin_m=1").records
+    flagged = ["ambiguous_target" in one["predictions"][0]["flags"] for one in (nearest, tied)]
+    assert flagged == [False, True]
 
 
 def test_vary_is_repeated_by_its_seed_and_slide_by_its_length(call: Call, files: Path) -> None:
     def contact(*options: str) -> list[list[float]]:
         return call("grasp", files / "object.pcd", "--json", *options).records[0]["initial_points"]
 
-    assert contact("--vary", "1") == contact("--vary", "1")
-    assert contact("--vary", "1") != contact("--vary", "2")
+    assert contact("--vary", "1") == contact("--vary", "1") != contact("--vary", "2")
     assert contact("--slide-m", "0.01") != contact()
 
 
@@ -105,18 +86,14 @@ def fifty(one: dict[str, Any], key: str) -> list[float]:
     return [one["PDC_TH"][key], one["PDC_MF"][key], *one["E_TH"][key], *one["E_MF"][key]]
 
 
-def test_predict_gives_50_values_within_their_bounds(call: Call, files: Path) -> None:
+def test_predict_gives_50_values_within_their_bounds(call: Call, files: Path, tmp_path: Path) -> None:
     (record,) = call("predict", files / "object.pcd", "--json").records
     (one,) = record["predictions"]
     values = fifty(one, "value")
     assert len(values) == 50
     assert np.isfinite(values).all()
     assert (np.less(fifty(one, "lower"), values) & np.less(values, fifty(one, "upper"))).all()
-    assert one["reference"] == "none"
-    assert len(record["model"]["sha256"]) == 64
-
-
-def test_bounds_are_null_without_calibration(call: Call, files: Path, tmp_path: Path) -> None:
+    assert (one["reference"], len(record["model"]["sha256"])) == ("none", 64)
     shipped = find_card("touchnet-v1")
     shutil.copy(shipped.with_suffix(".safetensors"), tmp_path)
     bare = tmp_path / shipped.name
@@ -130,17 +107,13 @@ def test_bounds_are_null_without_calibration(call: Call, files: Path, tmp_path: 
 def test_predict_takes_given_grasps_in_their_order(call: Call, files: Path) -> None:
     xyz = read_cloud(files / "object.pcd").xyz.reshape(-1, 3)
     pairs = [(xyz[0], xyz[-1]), (xyz[5], xyz[-5])]
-    options = [word for g1, g2 in pairs for word in ("--grasp=" + ",".join(f"{v:.6f}" for v in (*g1, *g2)),)]
+    options = ["--grasp=" + ",".join(f"{v:.6f}" for v in (*g1, *g2)) for g1, g2 in pairs]
     (record,) = call("predict", files / "object.pcd", "--json", *options).records
     given = [[*one["grasp"]["g1"], *one["grasp"]["g2"]] for one in record["predictions"]]
     np.testing.assert_allclose(given, [[*g1, *g2] for g1, g2 in pairs], atol=1e-6)
-
-
-def test_a_grasp_without_width_is_refused_in_one_line(call: Call, files: Path) -> None:
-    answer = call("predict", files / "object.pcd", "--json", "--grasp", "0,0,1,0,0,1")
-    assert answer.status == 1
-    assert "both contacts" in answer.records[0]["reason"]
-    assert answer.err.count("\n") == 1
+    refused = call("predict", files / "object.pcd", "--json", "--grasp", "0,0,1,0,0,1")
+    assert (refused.status, refused.err.count("\n")) == (1, 1)
+    assert "both contacts" in refused.records[0]["reason"]
 
 
 def test_a_config_file_and_set_change_the_pipeline(call: Call, files: Path, tmp_path: Path) -> None:
@@ -149,20 +122,9 @@ def test_a_config_file_and_set_change_the_pipeline(call: Call, files: Path, tmp_
     from_option = call("grasp", files / "object.pcd", "--json", "--tip-mm", "30", "--set", "grasp.count=2").records[0]
     assert from_file["counts"] == from_option["counts"]
     assert from_file["counts"] != call("grasp", files / "object.pcd", "--json").records[0]["counts"]
-
-
-def test_an_unknown_setting_names_the_known_ones(call: Call, files: Path) -> None:
-    answer = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
-    assert answer.status == 1
-    assert "grasp.tipp_mm: unknown setting; known: tip_mm" in answer.err
-
-
-def test_wrong_usage_is_2(files: Path) -> None:
-    from foretouch.cli.main import main
-
-    with pytest.raises(SystemExit) as caught:
-        main(["grasp", str(files / "object.pcd"), "--plane", "0,0,1"])
-    assert caught.value.code == 2
+    unknown = call("grasp", files / "object.pcd", "--set", "grasp.tipp_mm=3")
+    assert unknown.status == 1
+    assert "grasp.tipp_mm: unknown setting; known: tip_mm" in unknown.err
     assert main([]) == 2
 
 
@@ -170,8 +132,7 @@ def test_wrong_usage_is_2(files: Path) -> None:
 def test_the_public_grasps_bring_their_own_grasp_and_name(call: Call, real_data: Path) -> None:
     folder = real_data / "vision2tactile" / "coffee"
     answer = call("predict", folder, "--json")
-    assert answer.status == 0
-    assert len(answer.records) == 50
+    assert (answer.status, len(answer.records)) == (0, 50)
     record = answer.records[0]
     sample = folder.parent / record["sample"]
     given = np.loadtxt(sample / "best-grasp.txt", delimiter=",")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_models import REST, make_tracked_calibration, save_calibrated_contact, save_calibrated_network
+from every_case import every_case
 from recording_builders import IDENTITY, QUICK, record, write_dataset
 
 from foretouch.cli.adaptation import _read_tare
@@ -114,61 +115,57 @@ def test_touches_narrow_the_interval_and_a_person_sees_it(call: Call, model: str
     assert "touches 4" in table
 
 
-@pytest.mark.parametrize(
-    ("content", "rule"),
-    [
-        ("{", "is no JSON"),
-        ("[]", "no reading"),
-        (json.dumps({"pdc_th": 1}), "it must hold pdc_th, pdc_mf, e_th, e_mf"),
-        (json.dumps(reading(0) | {"e_mf": [1.0] * 23}), "e_mf: is not 24 numbers"),
-        (json.dumps(reading(0) | {"pdc_th": "high"}), "pdc_th: is not numbers"),
-        (json.dumps(reading(0) | {"pdc_th": True}), "pdc_th: is not numbers"),
-        (json.dumps(reading(0) | {"e_th": ["3100"] * 24}), "e_th: is not numbers"),
-        (json.dumps(reading(0) | {"e_th": [[3100.0]] * 24}), "e_th: is not numbers"),
-        (json.dumps(reading(0) | {"pdc_mf": [1676.0]}), "pdc_mf: is not one number"),
-        (json.dumps(reading(0) | {"e_th": [0.0] * 24}), "absent sensor"),
-        (json.dumps(reading(0) | {"pdc_th": -22072.0}), "absent or dead sensor"),
-    ],
-)
-def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path, content: str, rule: str) -> None:
-    (tmp_path / "t.json").write_text(content)
-    with pytest.raises(FileError, match=rule) as caught:
-        _read_tare([str(tmp_path / "t.json")])
-    assert "t.json" in str(caught.value)
+def test_a_file_that_is_no_tare_is_named_with_the_rule(tmp_path: Path) -> None:
+    path, good = tmp_path / "t.json", reading(0)
+
+    def check(content: Any, rule: str) -> None:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        with pytest.raises(FileError, match=f"t.json: .*{rule}"):
+            _read_tare([str(path)])
+
+    every_case(
+        [
+            ("{", "is no JSON"),
+            ([], "no reading"),
+            ({"pdc_th": 1}, "it must hold pdc_th, pdc_mf, e_th, e_mf"),
+            (good | {"e_mf": [1.0] * 23}, "e_mf: is not 24 numbers"),
+            (good | {"pdc_th": "high"}, "pdc_th: is not numbers"),
+            (good | {"pdc_th": True}, "pdc_th: is not numbers"),
+            (good | {"e_th": ["3100"] * 24}, "e_th: is not numbers"),
+            (good | {"e_th": [[3100.0]] * 24}, "e_th: is not numbers"),
+            (good | {"pdc_mf": [1676.0]}, "pdc_mf: is not one number"),
+            (good | {"e_th": [0.0] * 24}, "absent sensor"),
+            (good | {"pdc_th": -22072.0}, "absent or dead sensor"),
+        ],
+        check,
+    )
 
 
-def test_an_absent_file_ends_the_command_in_one_line(call: Call, model: str, session: Path) -> None:
-    for option in ("--tare", "--touched"):
-        answer = call("predict", session, "--model", model, option, session / "none.json")
-        assert answer.status == 1
-        assert "none.json" in answer.err
-        assert answer.err.count("\n") == 1
-
-
-def test_touches_of_several_objects_or_of_another_are_refused(
-    call: Call, model: str, session: Path, tmp_path: Path
+def test_what_cannot_be_adapted_to_is_refused_in_one_line(
+    call: Call, model: str, session: Path, files: Path, tmp_path: Path
 ) -> None:
     other = write_dataset(tmp_path / "cup", 2, name="cup", points=300)
-    both = call("predict", session, "--model", model, "--touched", session, "--touched", other)
-    assert (both.status, both.err.count("\n")) == (1, 1)
-    assert "ball, cup: touches must be of one object" in both.err
-    answer = call("predict", other, "--model", model, "--touched", session, "--json")
-    assert answer.status == 1
-    assert all("is of cup, the touches are of ball" in result["reason"] for result in answer.records)
+    sample, scene, cloud = ("--tare", "sample"), files / "scene.npz", files / "object.pcd"
 
+    def check(words: tuple[Any, ...], line: str) -> None:
+        answer = call("predict", *words, "--model", model)
+        assert answer.status == 1
+        assert all(line in one for one in answer.err.splitlines()), answer.err
 
-def test_a_cloud_has_no_tare_of_its_own(call: Call, model: str, files: Path) -> None:
-    answer = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--json")
-    assert answer.status == 1
-    assert "has no recorded tare" in answer.records[0]["reason"]
-    mixed = call("predict", files / "object.pcd", "--model", model, "--tare", "sample", "--tare", "x.json")
-    assert "cannot be combined with files" in mixed.err
-
-
-def test_touches_of_one_object_are_refused_for_two(call: Call, model: str, files: Path, session: Path) -> None:
-    words = ("predict", files / "scene.npz", "--model", model, "--touched", session, "--json")
-    assert "the cloud holds 2 objects" in call(*words, "--target", "all").records[0]["reason"]
-    (result,) = call(*words, "--target", "nearest").records
+    every_case(
+        [
+            ((session, "--tare", session / "none.json"), "none.json"),
+            ((session, "--touched", session / "none.json"), "none.json"),
+            ((session, "--touched", session, "--touched", other), "ball, cup: touches must be of one object"),
+            ((other, "--touched", session), "is of cup, the touches are of ball"),
+            ((cloud, *sample), "has no recorded tare"),
+            ((cloud, *sample, "--tare", "x.json"), "cannot be combined with files"),
+            ((scene, "--touched", session, "--target", "all"), "the cloud holds 2 objects"),
+            ((session, "--prequential", *sample), "--tare: cannot be combined with --prequential"),
+        ],
+        check,
+    )
+    (result,) = call("predict", scene, "--model", model, "--touched", session, "--target", "nearest", "--json").records
     assert result["predictions"][0]["reference"] == "touches"
 
 
@@ -286,20 +283,8 @@ def test_in_order_of_time_each_sample_is_predicted_from_the_readings_before(
     references = [one["predictions"][0]["reference"] for one in answer.records]
     assert references[1:] == ["touches"] * 4
     assert references[0] in ("none", "history")  # a tare is read before the first touch
-
-
-def test_a_history_of_the_same_samples_is_not_used(call: Call, model: str, session: Path) -> None:
-    plain, same = (
-        call("predict", session, "--model", model, "--prequential", "--json", *more)
-        for more in ((), ("--history", session))
-    )
-    assert plain.out == same.out
-
-
-def test_options_that_exclude_each_other_are_refused(call: Call, model: str, session: Path) -> None:
-    answer = call("predict", session, "--model", model, "--prequential", "--tare", "sample")
-    assert answer.status == 1
-    assert "--tare: cannot be combined with --prequential" in answer.err
+    same = call("predict", session, "--model", model, "--prequential", "--json", "--history", session)
+    assert same.out == answer.out, "readings of the samples themselves are no history"
 
 
 def test_evaluate_in_order_of_time_reports_scores_by_touches(

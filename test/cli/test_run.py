@@ -8,38 +8,43 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from command_answer import Answer
+from every_case import every_case
+from scene_builders import scene_cloud, write_scenes
 from websocket_client import WebSocketClient
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.simulation.depth_scene import random_scene
-from foretouch.simulation.recording import SceneRecordingConfig, record_scenes
 
 pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 LISTENER = Path(__file__).parents[2] / "examples" / "listen_touch.py"
 
 
-def _run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "foretouch.cli.main", *map(str, words)],
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=100,
-        check=False,
-    )
-    return done.returncode, [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")], done.stderr
+def run(environment: dict[str, str], *words: object) -> tuple[int, list[dict[str, Any]], str]:
+    with started(environment, *words) as process:
+        out, err = process.communicate(timeout=100)
+    return process.returncode, [json.loads(line) for line in out.splitlines() if line.startswith("{")], err
+
+
+@contextmanager
+def started(environment: dict[str, str], *words: object) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "foretouch.cli.main", "run", *map(str, words), "--json"]
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        yield process
 
 
 def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, environment: dict[str, str]) -> None:
-    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=5))
     picture = tmp_path / "touch.png"
-    status, lines, err = _run(environment, "run", "--source", tmp_path / "recording", "--json", "--picture", picture)
+    status, lines, err = run(environment, "--source", write_scenes(tmp_path / "bag", 5), "--picture", picture)
     assert status == 0, err
     *answers, last = lines
     assert (last["played"], last["answered"], len(answers)) == (5, 5, 5)
@@ -49,35 +54,52 @@ def test_a_recording_is_answered_cloud_by_cloud_and_drawn(tmp_path: Path, enviro
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_mistakes_are_one_line_before_anything_starts(call: Callable[..., Answer], tmp_path: Path) -> None:
+    write_cloud(tmp_path / "8.npz", scene_cloud(0))
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
+    none, waits = tmp_path / "none", "a camera does not wait; --wait-for needs a recording or files"
+
+    def check(words: tuple[object, ...], line: str) -> None:
+        answer = call(*words)
+        assert (answer.status, answer.out) == (1, "")
+        assert answer.err.startswith(f"foretouch: {line}"), answer.err
+        assert answer.err.count("\n") == 1
+
+    every_case(
+        [
+            (("run", "--source", none), f"{none}: does not exist\n"),
+            (("replay", none), f"{none}: does not exist\n"),
+            (("run", "--source", "camera", "--wait-for", "touch"), f"--source camera: {waits}\n"),
+            (("run", "--source", "s.yaml", "--wait-for", "touch"), f"--source s.yaml: {waits}\n"),
+            (("run", "--source", tmp_path / "8.npz", "--model", "nope"), "nope: is no run folder, no card"),
+            (
+                ("run", "--source", tmp_path / "8.npz", "--model", tmp_path / "a.json"),
+                f"{tmp_path / 'a.json'}: no such",
+            ),
+            (("run", "--source", scene), f"{scene}: camera.hight: unknown setting"),
+        ],
+        check,
+    )
+
+
+@pytest.mark.slow
 def test_a_folder_is_played_once_in_order_with_stamps_of_its_own(tmp_path: Path, environment: dict[str, str]) -> None:
     for k in range(3):
-        image = random_scene(np.random.default_rng(k), width=212, height=120, n_objects=1).render()
-        write_cloud(tmp_path / f"{k + 8}.npz", image.cloud())
-    status, lines, err = _run(environment, "run", "--source", tmp_path, "--json")
+        write_cloud(tmp_path / f"{k + 8}.npz", scene_cloud(k))
+    status, lines, err = run(environment, "--source", tmp_path)
     assert status == 0, err
     stamps = [line["stamp_ns"] for line in lines[:-1]]
     assert len(stamps) == 3
     assert stamps == sorted(set(stamps))
 
 
+@pytest.mark.slow
 def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environment: dict[str, str]) -> None:
-    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=5))
-    command = ["run", "--source", str(tmp_path / "recording"), "--json", "--wait-for", "touch", "--wait-limit", "60"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "foretouch.cli.main", *command],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        listener = subprocess.run(
-            [sys.executable, str(LISTENER), "--count", "5"],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=80,
-            check=False,
-        )
+    words = ("--source", write_scenes(tmp_path / "bag", 5), "--wait-for", "touch", "--wait-limit", 60)
+    with started(environment, *words) as process:
+        command = [sys.executable, str(LISTENER), "--count", "5"]
+        listener = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=80, check=False)
         out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     stamps = [json.loads(line)["stamp_ns"] for line in out.splitlines()[:5]]
@@ -85,44 +107,13 @@ def test_a_planner_that_is_waited_for_gets_every_answer(tmp_path: Path, environm
     assert list(dict.fromkeys(int(sec) * 10**9 + int(ns) for sec, ns in heard)) == stamps
 
 
-@pytest.mark.parametrize("source", ["camera", "scene.yaml"])
-def test_a_camera_does_not_wait_for_subscribers(source: str, environment: dict[str, str]) -> None:
-    status, _, err = _run(environment, "run", "--source", source, "--wait-for", "touch")
-    assert status == 1
-    assert err.splitlines() == [
-        f"foretouch: --source {source}: a camera does not wait; --wait-for needs a recording or files"
-    ]
-
-
-def test_an_absent_source_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
-    status, lines, err = _run(environment, "run", "--source", tmp_path / "none", "--json")
-    assert status == 1
-    assert lines == []
-    assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
-
-
-def test_an_absent_model_is_one_line_before_anything_starts(tmp_path: Path, environment: dict[str, str]) -> None:
-    write_cloud(tmp_path / "8.npz", random_scene(np.random.default_rng(0), width=212, height=120).render().cloud())
-    for model, rule in (("nope", "is no run folder, no card"), (tmp_path / "absent.json", "no such model card")):
-        status, lines, err = _run(environment, "run", "--source", tmp_path / "8.npz", "--model", model, "--json")
-        assert (status, lines) == (1, [])
-        assert err.startswith(f"foretouch: {model}: {rule}"), err
-        assert len(err.splitlines()) == 1
-
-
-def test_an_absent_recording_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
-    status, lines, err = _run(environment, "replay", tmp_path / "none", "--json")
-    assert (status, lines) == (1, [])
-    assert err.splitlines() == [f"foretouch: {tmp_path / 'none'}: does not exist"]
-
-
+@pytest.mark.slow
 def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
     tmp_path: Path, environment: dict[str, str]
 ) -> None:
     scene, picture = tmp_path / "scene.yaml", tmp_path / "touch.png"
     scene.write_text("camera: {width: 424, height: 320}\ngrasps: {insertion_m: 0.01}\n", encoding="utf-8")
-    options = ("--count", 10, "--json", "--picture", picture)
-    status, lines, err = _run(environment, "run", "--source", scene, *options)
+    status, lines, err = run(environment, "--source", scene, "--count", 10, "--picture", picture)
     assert status == 0, err
     *answers, last = lines
     assert 10 <= last["answered"] == len(answers) <= 15
@@ -130,84 +121,42 @@ def test_a_scene_is_seen_grasped_and_drawn_until_enough_is_answered(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_mistake_in_a_scene_is_one_line(tmp_path: Path, environment: dict[str, str]) -> None:
-    scene = tmp_path / "scene.yaml"
-    scene.write_text("camera: {width: 424, hight: 320}\n", encoding="utf-8")
-    status, lines, err = _run(environment, "run", "--source", scene, "--json")
-    assert (status, lines) == (1, [])
-    assert err.startswith(f"foretouch: {scene}: camera.hight: unknown setting")
-    assert len(err.splitlines()) == 1
-
-
-def test_a_recording_may_be_left_before_its_end(tmp_path: Path, environment: dict[str, str]) -> None:
-    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=100))
-    status, lines, err = _run(environment, "run", "--source", tmp_path / "recording", "--json", "--count", 5)
-    assert status == 0, err
-    assert 5 <= lines[-1]["answered"] < 50
-
-
+@pytest.mark.slow
 def test_ctrl_c_ends_it_cleanly(tmp_path: Path, environment: dict[str, str]) -> None:
-    record_scenes(tmp_path / "recording", SceneRecordingConfig(count=200))
-    with subprocess.Popen(
-        [sys.executable, "-m", "foretouch.cli.main", "run", "--source", str(tmp_path / "recording"), "--json"],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with started(environment, "--source", write_scenes(tmp_path / "bag", 150)) as process:
         assert process.stdout is not None
         process.stdout.readline()  # the first answer: it is under way
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
-    last = json.loads(out.splitlines()[-1])
     assert process.returncode == 0, err
-    assert 0 < last["answered"] < 200
+    assert 0 < json.loads(out.splitlines()[-1])["answered"] < 150
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("command", [("run", "--source", "clouds"), ("replay", "clouds")])
-def test_a_plane_that_is_not_four_numbers_is_wrong_usage(command: tuple[str, ...], environment: dict[str, str]) -> None:
-    status, _, err = _run(environment, *command, "--plane", "0,0,1")
-    assert status == 2
-    assert "argument --plane" in err
-    assert "Traceback" not in err
-
-
-def test_without_a_camera_it_says_what_it_waits_for_and_ends_with_a_status_of_its_own(
-    environment: dict[str, str],
-) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "foretouch.cli.main", "run", "--source", "camera", "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-    )
-    assert process.stderr is not None
-    lines = []
-    for line in process.stderr:
-        lines.append(line)
-        if "waiting for the first cloud" in line:
-            break
-    process.send_signal(signal.SIGINT)
-    _, rest = process.communicate(timeout=60)
+@pytest.mark.slow
+def test_without_a_camera_it_names_what_it_waits_for_and_ends_with_its_own_status(environment: dict[str, str]) -> None:
+    with started(environment, "--source", "camera") as process:
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "waiting for the first cloud" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
     assert process.returncode == 3, rest
     assert "no RealSense device" in lines[-1], lines
     assert "no cloud came from the camera" in rest
     assert "Traceback" not in "".join(lines) + rest
 
 
+@pytest.mark.slow
 def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environment: dict[str, str]) -> None:
     pytest.importorskip("foxglove", reason="the Foxglove SDK is not installed: pip install 'foretouch[serve]'")
     for k in range(40):
-        image = random_scene(np.random.default_rng(k % 2), width=212, height=120, n_objects=1).render()
-        write_cloud(tmp_path / f"{k + 10}.npz", image.cloud())
-    words = ("run", "--source", tmp_path, "--rate", 5, "--serve", "127.0.0.1:0", "--json")
-    command = [sys.executable, "-m", "foretouch.cli.main", *map(str, words)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as process:
+        write_cloud(tmp_path / f"{k + 10}.npz", scene_cloud(k % 2, objects=1))
+    with started(environment, "--source", tmp_path, "--rate", 5, "--serve", "127.0.0.1:0") as process:
         assert process.stderr is not None
         line = next(line for line in process.stderr if "serving at ws://127.0.0.1:" in line and "open it" in line)
         with WebSocketClient(line.split()[3].rstrip(":")) as client:
@@ -216,10 +165,3 @@ def test_serve_gives_the_answers_to_a_websocket_client(tmp_path: Path, environme
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert "Traceback" not in err
-
-
-@pytest.mark.parametrize("address", ["8765", "localhost:", "127.0.0.1:99999", "127.0.0.1:x"])
-def test_an_address_to_serve_at_is_checked(address: str, environment: dict[str, str]) -> None:
-    status, _, err = _run(environment, "run", "--source", "none", "--serve", address)
-    assert status == 2
-    assert f"{address!r} is not HOST:PORT, such as 127.0.0.1:8765" in err

@@ -1,29 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`foretouch train` and `foretouch evaluate` on a small simulated dataset."""
+"""`foretouch train` and `evaluate` on a small simulated dataset, and the folder of a run wherever a model is taken."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-SCENES = Path(__file__).parents[2] / "config/scenes"
-RECIPES = Path(__file__).parents[2] / "config/train"
-TINY = ["model.channels=xyz", "model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.tnet=false"]
-SHORT = ["model.n_points=64", "srgan.points=64", "srgan.epochs=2", "srgan.batch_size=2"]
+from foretouch.cli.main import main
+from foretouch.models import load_model
+
+Call = Callable[..., Any]
+CONFIG = Path(__file__).parents[2] / "config"
+SMALL = ("model.trunk_widths=[8,16]", "model.head_widths=[16]", "model.tnet=false", "model.n_points=64")
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory) -> Path:
-    from foretouch.cli.main import main
-
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("simulated") / "store"
-    scene = str(SCENES / "clean.yaml")
-    assert main(["simulate", scene, "-n", "24", "-o", str(out), "--workers", "1", "--no-sheet", "--json"]) == 0
+    words = ["simulate", str(CONFIG / "scenes/clean.yaml"), "-n", "24", "-o", str(out), "--workers", "1", "--no-sheet"]
+    assert main([*words, "--json"]) == 0
     return out
 
 
-def test_train_and_evaluate(call, simulated, tmp_path) -> None:
-    words = ["train", RECIPES / "p2_srgan.yaml", f"data={simulated}", *TINY, *SHORT, "-o", tmp_path / "run"]
-    answer = call(*words, "--json")
+@pytest.fixture(scope="module")
+def run(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of `foretouch train`, with all four modalities."""
+    out = tmp_path_factory.mktemp("train") / "run"
+    words = ["train", str(CONFIG / "train/touchnet-v1.yaml"), f"data={simulated}", *SMALL, "-o", str(out), "--json"]
+    assert main([*words, "train.epochs=1", "train.batch_size=4", "name=tiny"]) == 0
+    return out
+
+
+@pytest.mark.slow
+def test_train_and_evaluate(call: Call, simulated: Path, tmp_path: Path) -> None:
+    short = ("model.channels=xyz", "srgan.points=64", "srgan.epochs=2", "srgan.batch_size=2")
+    recipe = CONFIG / "train/p2_srgan.yaml"
+    words = ["train", recipe, f"data={simulated}", *SMALL, *short, "-o", tmp_path / "run", "--json"]
+    answer = call(*words)
     assert answer.status == 0, answer.err
     *epochs, result = answer.records
     assert [record["epoch"] for record in epochs] == [0, 1]
@@ -36,17 +52,16 @@ def test_train_and_evaluate(call, simulated, tmp_path) -> None:
     assert set(record["PDC_TH"]) == {"rmse", "nrmse", "skill", "coverage90"}
     assert set(record["baselines"]) == {"training_mean", "object_mean", "object_time_trees", "geometry_trees"}
     assert record["same_data"] is True
-    by_folder = call("evaluate", tmp_path / "run", simulated, "--split", "labels/T50", "--json")
-    assert by_folder.records[0]["PDC_TH"] == record["PDC_TH"]
-    again = call(*words, "--json")
+    again = call(*words)
     assert again.status == 1
     assert "--resume" in again.err
-    assert call(*words, "--json", "--resume").records[-1]["scores"] == result["scores"]
+    assert call(*words, "--resume").records[-1]["scores"] == result["scores"]
 
 
-def test_people_get_a_table(call, simulated, tmp_path) -> None:
-    answer = call("train", RECIPES / "p2.yaml", f"data={simulated}", *TINY, "train.epochs=1", "train.batch_size=4",
-                  "model.n_points=64", "split=random/random 1", "-o", tmp_path / "run")  # fmt: skip
+@pytest.mark.slow
+def test_people_get_a_table(call: Call, simulated: Path, tmp_path: Path) -> None:
+    short = ("model.channels=xyz", "train.epochs=1", "train.batch_size=4", "split=random/random 1")
+    answer = call("train", CONFIG / "train/p2.yaml", f"data={simulated}", *SMALL, *short, "-o", tmp_path / "run")
     assert answer.status == 0, answer.err
     assert "geometry_trees" in answer.out
     assert "PDC_TH" in answer.out
@@ -55,24 +70,61 @@ def test_people_get_a_table(call, simulated, tmp_path) -> None:
     assert "E_MF" in scored.out
 
 
-def test_errors_are_one_line(call, simulated, tmp_path) -> None:
-    out = ["-o", tmp_path / "run"]
-    unknown = call("train", RECIPES / "p2.yaml", f"data={simulated}", "train.epoch=3", *out)
-    assert unknown.status == 1
-    assert "train.epoch: unknown setting; known: device, precision, epochs" in unknown.err
-    nothing = call("train", RECIPES / "p2.yaml", *out)
-    assert "data: is empty; give data=PATH" in nothing.err
-    absent = call("evaluate", "default", tmp_path / "none")
-    assert absent.status == 1
-    assert "does not exist" in absent.err
-    assert call("evaluate", tmp_path / "x.json", simulated).err.endswith("no such model card\n")
+def test_errors_are_one_line(call: Call, simulated: Path, tmp_path: Path) -> None:
+    recipe, out = CONFIG / "train/p2.yaml", ("-o", tmp_path / "run")
+    for words, line in (
+        (("train", recipe, f"data={simulated}", "train.epoch=3", *out), "train.epoch: unknown setting; known: device"),
+        (("train", recipe, *out), "data: is empty; give data=PATH"),
+        (("evaluate", "default", tmp_path / "none"), "does not exist"),
+        (("evaluate", tmp_path / "x.json", simulated), "no such model card"),
+    ):
+        answer = call(*words)
+        assert (answer.status, answer.err.count("\n")) == (1, 1)
+        assert line in answer.err
     assert not (tmp_path / "run").exists()
 
 
+def test_a_run_is_used_as_its_card(call: Call, run: Path, simulated: Path, files: Path) -> None:
+    (record,) = call("models", run, "--json").records
+    assert (record["status"], record["name"], record["sha256"]) == ("ok", "tiny", load_model(run).sha256)
+    assert "tiny.safetensors" in record["files"]
+    assert "state.safetensors" not in record["files"]
+    models = (run, run / "tiny.json")
+    by_run, by_card = (call("predict", files / "object.pcd", "--model", one, "--json").records[0] for one in models)
+    assert by_run["model"]["name"] == "tiny"
+    assert by_run["predictions"] == by_card["predictions"]
+    by_run, by_card = (call("evaluate", one, simulated, "--json").records[0] for one in models)
+    assert (by_run.pop("model"), by_card.pop("model")) == (str(run), str(run / "tiny.json"))
+    assert by_run == by_card
+
+
+@pytest.mark.ros
+def test_the_node_loads_the_model_of_a_run(run: Path) -> None:
+    pytest.importorskip("rclpy")
+    from foretouch.ros.touch.predictor import Predictor
+
+    predictor = Predictor(str(run))
+    assert predictor.fault == ""
+    assert predictor.model is not None
+    assert predictor.model.name == "tiny"
+
+
+def test_an_unfinished_run_is_refused_in_one_line(
+    call: Call, run: Path, simulated: Path, files: Path, tmp_path: Path
+) -> None:
+    for name in ("config.yaml", "log.jsonl", "state.safetensors"):
+        (tmp_path / name).write_bytes((run / name).read_bytes())
+    for words in (("predict", files / "object.pcd", "--model", tmp_path), ("evaluate", tmp_path, simulated)):
+        answer = call(*words)
+        assert (answer.status, answer.err.count("\n")) == (1, 1)
+        assert f"{tmp_path}: is an unfinished run without a model card" in answer.err
+    (record,) = call("models", tmp_path, "--json").records
+    assert f"{tmp_path}: is an unfinished run" in record["reason"]
+
+
 @pytest.mark.real_data
-def test_the_released_model_recognises_its_training_data(call, real_data) -> None:
-    folder = real_data / "vision2tactile"
-    answer = call("evaluate", "default", folder, "--json")
+def test_the_released_model_recognises_its_training_data(call: Call, real_data: Path) -> None:
+    answer = call("evaluate", "default", real_data / "vision2tactile", "--json")
     assert answer.status == 0, answer.err
     assert answer.records[0]["same_data"] is True
     assert answer.records[0]["PDC_TH"]["skill"] > 0.5  # training samples: its skill on held-out grasps is half of that

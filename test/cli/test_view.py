@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from PIL import Image
 from recording_builders import write_grasps
 
@@ -262,24 +263,26 @@ def test_a_hand_disappears_where_there_is_no_grasp(call: Call, files: Path, tmp_
     assert 1 in written.rows("/scene/objects", "Clear:is_recursive")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "line 1: is no JSON"),
-        ("[1]", "line 1: is no JSON object"),
-        ("", "holds no answers"),
-        ('{"played": 3}', "holds no answers"),
-    ],
-)
 @needs_rerun
-def test_a_bad_file_of_answers_is_refused_in_one_line(call: Call, tmp_path: Path, content: str, message: str) -> None:
+def test_a_bad_file_of_answers_is_refused_in_one_line(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    path.write_text(content)
-    answer = call("view", path, "--save", tmp_path / "v.rrd")
-    assert (answer.status, answer.out) == (1, "")
-    assert message in answer.err
-    assert answer.err.count("\n") == 1
-    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+    def check(content: str, message: str) -> None:
+        path.write_text(content)
+        answer = call("view", path, "--save", tmp_path / "v.rrd")
+        assert (answer.status, answer.out, answer.err.count("\n")) == (1, "", 1)
+        assert message in answer.err
+        assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+    every_case(
+        [
+            ("{", "line 1: is no JSON"),
+            ("[1]", "line 1: is no JSON object"),
+            ("", "holds no answers"),
+            ('{"played": 3}', "holds no answers"),
+        ],
+        check,
+    )
 
 
 @needs_rerun

@@ -13,8 +13,10 @@ from numpy.testing import assert_allclose
 sys.path.insert(0, str(Path(__file__).parents[1] / "simulation" / "contact"))
 from contact_builders import skin
 
-from foretouch.simulation.contact import Command, ContactConfig, ContactProblem, Layer
+from foretouch.simulation.contact import Command, ContactProblem, Layer
 from foretouch.simulation.contact import layer as layers
+
+LIMITS = layers.TOLERANCE, layers.MAX_ITERATIONS
 
 
 def test_they_take_the_same_steps(rng) -> None:
@@ -25,9 +27,9 @@ def test_they_take_the_same_steps(rng) -> None:
         x = np.linspace(-0.006, 0.006, n)
         gap = (x[:, None] ** 2 + x**2) / 0.02 + 1e-5 * rng.normal(size=(n, n))
         problem = ContactProblem(gap - gap.min(), float(x[1] - x[0]), (skin(), soft))
-        start = layers.expected_pressure(problem, command)
-        ours = layers._descend(problem, command, ContactConfig(), problem.gap, start)
-        plain = reference.descend(problem, command, ContactConfig(), problem.gap, start)
+        start = layers._expected_pressure(problem, command)
+        ours = layers._descend(problem, command, problem.gap, start, *LIMITS)
+        plain = reference.descend(problem, command, problem.gap, start, *LIMITS)
         assert ours.iterations == plain.iterations > 2
         assert_allclose(ours.pressure, plain.pressure, rtol=0.0, atol=1e-12 * plain.pressure.max())
         assert_allclose(ours.depth, plain.depth, rtol=1e-10)

@@ -21,9 +21,9 @@ from foretouch.types import Cloud, Float32
 def _with_references(cloud: Cloud, config: SegmentationConfig) -> Segmentation:
     with pytest.MonkeyPatch.context() as patch:
         for module, names in (
-            (segment_module, {"count_range": "count_range", "_every": "every", "label_organised": "label_organised"}),
+            (segment_module, {"_count_depths": "count_range", "_every": "every", "label_organised": "label_organised"}),
             (plane, {"_counts": "counts", "_near": "near", "_residuals": "residuals"}),
-            (clusters, {"heights": "heights"}),
+            (clusters, {"_plane_heights": "plane_heights"}),
             (objects, {"_segments": "segments", "_write_ids": "write_ids"}),
         ):
             for name, other in names.items():

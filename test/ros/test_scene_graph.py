@@ -17,7 +17,7 @@ from foretouch.errors import ConfigError
 from foretouch.ros.nodes.camera import CameraNodeConfig
 from foretouch.simulation.message_faults import FaultConfig
 from foretouch.simulation.scene_camera import FrameMaker
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch_msgs.msg import ExecutedGrasp, GraspArray
 
@@ -33,7 +33,7 @@ def write(folder, config):
 
 def test_the_hand_holds_what_the_camera_saw(graph, tmp_path):
     config = scene(CAN, camera={"width": 424, "height": 320})
-    show = ShowConfig(path=write(tmp_path, config), dwell_s=1.5, origin_ns=time.time_ns())
+    show = ScheduleConfig(path=write(tmp_path, config), dwell_s=1.5, origin_ns=time.time_ns())
     shown = {"scene__path": show.path, "scene__dwell_s": show.dwell_s, "scene__origin_ns": show.origin_ns}
     points, grasps = graph.listen(PointCloud2, "points", reliable=False), graph.listen(GraspArray, "grasps")
     reports = graph.listen(ExecutedGrasp, "executed_grasp")

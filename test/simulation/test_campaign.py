@@ -15,9 +15,11 @@ from foretouch.dataset.store import sample_digest
 from foretouch.errors import ConfigError, SimulationError
 from foretouch.simulation.campaign import Campaign, object_index
 from foretouch.simulation.execution import SimulatedHand
-from foretouch.simulation.scene import SceneConfig, load_scene
-from foretouch.simulation.simulate import SimulatedSample, Simulation, explain_scene, replay
+from foretouch.simulation.scene import CampaignConfig, SceneConfig, load_scene
+from foretouch.simulation.scene.campaign import CHANGE_S, GRASP_S, POWER_ON_S
+from foretouch.simulation.simulate import Simulation, explain_scene, replay
 from foretouch.simulation.world import SampleKey, World
+from foretouch.types import GraspSample
 
 SCENES = Path(__file__).parents[2] / "config" / "scenes"
 HELD = {"grasps": {"insertion_m": 0.01}}
@@ -29,61 +31,48 @@ NOW = np.zeros(1)
 
 def campaign(seed: int = 0, **settings: Any) -> Campaign:
     config = scene(CAN, BOX, SPONGE, seed=seed, campaign=settings)
-    found = Campaign.of(config, World.of(config))
-    assert found is not None
-    return found
+    return Campaign(CampaignConfig.from_mapping(settings), config, World.of(config).fingers)
 
 
-def made(config: SceneConfig, count: int, workers: int = 1) -> list[SimulatedSample]:
+def made(config: SceneConfig, count: int, workers: int = 1) -> list[GraspSample]:
     return list(Simulation(config).samples(count, workers))
 
 
-def drift_at(course: Campaign, *slots: int, load: float = 0.0) -> np.ndarray:
+def drift_at(found: Campaign, *slots: int, load: float = 0.0) -> np.ndarray:
     """(slots, 2, 25) counts."""
-    rows = [course.drift(course.moment(slot), np.zeros(1), np.array([load]))[0] for slot in slots]
+    rows = [found.drift(found.time_of(slot), np.zeros(1), np.array([load]))[0] for slot in slots]
     return np.stack(rows)
 
 
-# Off.
-
-
-def test_without_a_campaign_none_of_its_effects_runs() -> None:
+def test_without_a_campaign_none_of_its_effects_runs_and_one_without_effects_changes_no_reading() -> None:
     simulation = Simulation(scene(CAN, **HELD))
-    one = next(iter(simulation.samples(1))).sample
+    plain, dated = list(simulation.samples(2)), made(scene(CAN, campaign={}, **HELD), 2)
     assert [simulation.timings[name].calls for name in EFFECTS] == [0] * len(EFFECTS)
-    assert one.stamp_ns == 0
-    assert "session" not in one.extra
-    assert scene(CAN, **HELD).sha256() != scene(CAN, campaign={}, **HELD).sha256()
-
-
-def test_a_campaign_without_effects_changes_no_reading() -> None:
-    plain, dated = made(scene(CAN, **HELD), 2), made(scene(CAN, campaign={}, **HELD), 2)
-    for first, second in zip(plain, dated, strict=True):
-        one, other = first.sample, second.sample
-        assert one.touch is not None and other.touch is not None  # noqa: PT018
-        assert one.tare is not None and other.tare is not None  # noqa: PT018
+    for one, other in zip(plain, dated, strict=True):
+        assert one.stamp_ns == 0 < other.stamp_ns
+        assert "session" not in one.extra
         np.testing.assert_array_equal(one.cloud.xyz, other.cloud.xyz)
-        np.testing.assert_array_equal(one.touch.vector(), other.touch.vector())
-        np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())
-        assert other.stamp_ns > 0
+        np.testing.assert_array_equal(one.touch.vector(), other.touch.vector())  # type: ignore[union-attr]
+        np.testing.assert_array_equal(one.tare.vector(), other.tare.vector())  # type: ignore[union-attr]
 
 
 # The calendar.
 
 
 def test_sessions_start_when_they_are_due_and_grasps_follow_in_order() -> None:
-    config = {"days": [0, 1.5, 7], "objects": 2, "grasps": 3, "start_s": 1000, "power_on_s": 30, "change_s": [200, 200]}
-    course = campaign(**config, grasp_s=[50, 110])
-    moments = [course.moment(slot) for slot in range(18)]
-    seconds = np.array([moment.stamp_ns for moment in moments]) * 1e-9
-    np.testing.assert_allclose(seconds[::6] - 1000, np.array([0, 1.5, 7]) * 86400 + 30)
+    found = campaign(days=[0, 1.5, 7], objects=2, grasps=3)
+    times = [found.time_of(slot) for slot in range(18)]
+    seconds = np.array([time.stamp_ns for time in times]) * 1e-9
+    np.testing.assert_allclose(seconds[::6] - seconds[0], np.array([0, 1.5, 7]) * 86400)
+    assert {time.powered_s for time in times[::6]} == {POWER_ON_S}
     pauses = np.diff(seconds.reshape(3, 2, 3), axis=2)
-    assert ((pauses >= 50) & (pauses <= 110)).all()
-    assert ((seconds[3::6] - seconds[2::6] >= 250) & (seconds[3::6] - seconds[2::6] <= 310)).all()
-    assert [moment.session for moment in moments] == [0] * 6 + [1] * 6 + [2] * 6
-    assert [moment.visit for moment in moments] == np.repeat(range(6), 3).tolist()
+    assert ((pauses >= GRASP_S[0]) & (pauses <= GRASP_S[1])).all()
+    changes = seconds[3::6] - seconds[2::6]
+    assert ((changes >= GRASP_S[0] + CHANGE_S[0]) & (changes <= GRASP_S[1] + CHANGE_S[1])).all()
+    assert [time.session for time in times] == [0] * 6 + [1] * 6 + [2] * 6
+    assert [time.visit for time in times] == np.repeat(range(6), 3).tolist()
     with pytest.raises(SimulationError, match="slot 18: the campaign has 18 grasps"):
-        course.moment(18)
+        found.time_of(18)
 
 
 def test_objects_take_turns_by_visits_and_each_has_its_turn() -> None:
@@ -110,7 +99,7 @@ def test_an_object_keeps_its_surface_over_all_visits() -> None:
 
 def test_samples_carry_stamp_object_and_place_in_the_campaign() -> None:
     config = scene(CAN, BOX, campaign={"days": [0, 1], "objects": 2, "grasps": 2}, **HELD)
-    samples = [each.sample for each in made(config, 8)]
+    samples = made(config, 8)
     assert (np.diff([sample.stamp_ns for sample in samples]) > 40_000_000_000).all()
     assert [sample.extra["session"] for sample in samples] == [0, 0, 0, 0, 1, 1, 1, 1]
     assert [sample.extra["visit"] for sample in samples] == [0, 0, 1, 1, 2, 2, 3, 3]
@@ -169,19 +158,19 @@ def test_drift_is_a_function_of_time_and_seed_whatever_else_is_asked() -> None:
 def test_terms_add_up_and_one_in_contact_leaves_the_rest_alone() -> None:
     slow, fast = {"memory_days": 10}, {"memory_days": 0.05, "in_contact": True}
     both = campaign(**LONG, drift=[slow, fast])
-    alone = campaign(**LONG, drift=[slow])
-    np.testing.assert_array_equal(drift_at(both, 0, 3), drift_at(alone, 0, 3))
-    assert np.abs(drift_at(both, 3, load=1.0) - drift_at(alone, 3)).max() > 1.0
+    single = campaign(**LONG, drift=[slow])
+    np.testing.assert_array_equal(drift_at(both, 0, 3), drift_at(single, 0, 3))
+    assert np.abs(drift_at(both, 3, load=1.0) - drift_at(single, 3)).max() > 1.0
 
 
 # Warm-up, exchanges and tares.
 
 
 def test_warm_up_decays_after_each_power_on() -> None:
-    course = campaign(days=[0, 1], objects=2, grasps=20, warm_up={"warming_s": 500, "body_kelvin": 2})
-    moments = [course.moment(slot) for slot in range(80)]
-    rise = np.stack([course.warm_up(moment, NOW)[0, :, 1:] for moment in moments])
-    powered = np.array([moment.powered_s for moment in moments])
+    found = campaign(days=[0, 1], objects=2, grasps=20, warm_up={"warming_s": 500, "body_kelvin": 2})
+    times = [found.time_of(slot) for slot in range(80)]
+    rise = np.stack([found.warm_up(time, NOW)[0, :, 1:] for time in times])
+    powered = np.array([time.powered_s for time in times])
     np.testing.assert_allclose(24.0 - rise, np.broadcast_to(24.0 * np.exp(-powered / 500)[:, None, None], rise.shape))
     assert rise[39].min() > 23.0
     assert rise[40].max() < 6.0  # cold again
@@ -189,8 +178,8 @@ def test_warm_up_decays_after_each_power_on() -> None:
 
 def test_an_exchange_jumps_once_and_on_one_finger() -> None:
     exchange = {"session": 2, "finger": "thumb", "electrode_counts": -150, "pdc_counts": 40}
-    course = campaign(days=[0, 1, 2, 3, 4], objects=1, grasps=1, exchanges=[exchange])
-    mounted = [course.fingers(session) for session in range(5)]
+    found = campaign(days=[0, 1, 2, 3, 4], objects=1, grasps=1, exchanges=[exchange])
+    mounted = [found.fingers(session) for session in range(5)]
     levels = np.array([[finger.electrode_rest.mean() for finger in pair] for pair in mounted])
     np.testing.assert_allclose(np.diff(levels, axis=0), [[0, 0], [-150, 0], [0, 0], [0, 0]], atol=1e-9)
     np.testing.assert_allclose(np.diff([pair[0].pdc_rest for pair in mounted]), [0, 40, 0, 0])
@@ -223,21 +212,18 @@ def test_tare_and_touch_follow_the_state() -> None:
 def test_the_stated_rest_levels_are_those_of_the_tare() -> None:
     settings = {"days": [0, 1], "objects": 1, "grasps": 3, "warm_up": {}, "exchanges": [{"session": 1}]}
     settings["drift"] = [{}, {"memory_days": 0.05, "in_contact": True}]
-    for one in made(scene(CAN, campaign=settings, **HELD), 6):
-        sample = one.sample
+    for sample in made(scene(CAN, campaign=settings, **HELD), 6):
         assert sample.tare is not None
         assert sample.extra["rest_pdc_th"] == pytest.approx(sample.tare.pdc_th, abs=0.5)
         assert sample.extra["rest_e_th"] == pytest.approx(sample.tare.e_th.mean(), abs=0.5)
         assert sample.extra["rest_e_mf"] == pytest.approx(sample.tare.e_mf.mean(), abs=0.5)
 
 
-@pytest.mark.parametrize(
-    ("tares", "kept"), [("grasp", range(8)), ("object", (0, 2, 4, 6)), ("session", (0, 4)), ("none", ())]
-)
-def test_tares_are_recorded_where_it_is_stated(tares: str, kept: Any) -> None:
-    settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
-    samples = made(scene(CAN, campaign=settings, **HELD), 8)
-    assert [k for k, one in enumerate(samples) if one.sample.tare is not None] == list(kept)
+def test_tares_are_recorded_where_it_is_stated() -> None:
+    for tares, kept in {"grasp": [*range(8)], "object": [0, 2, 4, 6], "session": [0, 4], "none": []}.items():
+        settings = {"days": [0, 1], "objects": 2, "grasps": 2, "tares": tares}
+        samples = made(scene(CAN, campaign=settings, **HELD), 8)
+        assert [k for k, sample in enumerate(samples) if sample.tare is not None] == kept, tares
 
 
 # Runs.
@@ -255,14 +241,13 @@ FULL: dict[str, Any] = {
 
 def test_values_depend_neither_on_workers_nor_on_order() -> None:
     config = scene(CAN, BOX, campaign=FULL, fingers={"noise": {}}, **HELD)
-    alone, spread = made(config, 20), made(config, 20, workers=2)
-    assert [sample_digest(one.sample) for one in alone] == [sample_digest(one.sample) for one in spread]
-    for one in (alone[17], alone[2]):
-        again = replay(config, one.key)
-        np.testing.assert_array_equal(again.touch.vector(), one.sample.touch.vector())  # type: ignore[union-attr]
-        assert again.moment.stamp_ns == one.sample.stamp_ns
-    other = made(config.replace(seed=1), 3)
-    assert sample_digest(other[0].sample) != sample_digest(alone[0].sample)
+    single, spread = made(config, 20), made(config, 20, workers=2)
+    assert [sample_digest(one) for one in single] == [sample_digest(one) for one in spread]
+    for one in (single[17], single[2]):
+        again = replay(config, SampleKey(config.seed, int(one.extra["slot"]), int(one.extra["attempt"])))
+        np.testing.assert_array_equal(again.touch.vector(), one.touch.vector())  # type: ignore[union-attr]
+        assert again.campaign_time.stamp_ns == one.stamp_ns
+    assert sample_digest(made(config.replace(seed=1), 1)[0]) != sample_digest(single[0])
 
 
 def test_effects_are_named_with_what_calls_for_them() -> None:
@@ -280,22 +265,21 @@ def test_a_live_hand_passes_through_the_campaign_by_its_clock() -> None:
     """86.4 s are a day: on the second one the thumb is another, and sensors that stayed on are warm."""
     settings = FULL | {"live_speed": 1000.0}
     config = scene(CAN, BOX, campaign=settings, **HELD)
-    found = Campaign.of(config, World.of(config))
-    assert found is not None
+    found = Campaign(CampaignConfig.from_mapping(settings), config, World.of(config).fingers)
     hand = SimulatedHand(config)
     for elapsed in (0.0, 40.0, 90.0):
-        moment = found.live(elapsed)
-        assert moment.time_s == pytest.approx(1000.0 * elapsed)
-        assert moment.session == int(elapsed > 86.4)
-        level = found.drift(moment, np.zeros(1), np.zeros(1)) + found.warm_up(moment, np.zeros(1))
-        rest = np.array([np.append(f.pdc_rest, f.electrode_rest) for f in found.fingers(moment.session)])
+        now = found.live(elapsed)
+        assert now.time_s == pytest.approx(1000.0 * elapsed)
+        assert now.session == int(elapsed > 86.4)
+        level = found.drift(now, np.zeros(1), np.zeros(1)) + found.warm_up(now, np.zeros(1))
+        rest = np.array([np.append(f.pdc_rest, f.electrode_rest) for f in found.fingers(now.session)])
         np.testing.assert_allclose(hand.rest(1, elapsed_s=elapsed)[0], rest + level[0], atol=0.51)
     grasp = run(config, "grasp", slot=0).grasp
-    course = hand.execute(grasp, 0, elapsed_s=40.0)
-    assert course.success
-    np.testing.assert_array_equal(course.counts[0], hand.rest(1, elapsed_s=40.0)[0])
+    trajectory = hand.execute(grasp, 0, elapsed_s=40.0)
+    assert trajectory.success
+    np.testing.assert_array_equal(trajectory.counts[0], hand.rest(1, elapsed_s=40.0)[0])
     again = SimulatedHand(config).execute(grasp, 0, elapsed_s=40.0)  # after a restart
-    np.testing.assert_array_equal(again.counts, course.counts)
+    np.testing.assert_array_equal(again.counts, trajectory.counts)
 
 
 def test_a_data_set_holds_stamps_sessions_and_tares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -314,40 +298,14 @@ def test_a_data_set_holds_stamps_sessions_and_tares(tmp_path: Path, capsys: pyte
 
 def test_the_committed_campaign_is_as_promised() -> None:
     config = load_scene(SCENES / "campaign.yaml")
-    course = config.campaign
-    assert course is not None
+    found = config.campaign
+    assert found is not None
     assert len(config.objects) >= 30
-    assert len(course.days) == 12
-    assert course.days[-1] >= 20
-    assert len(course.exchanges) == 1
+    assert len(found.days) == 12
+    assert found.days[-1] >= 20
+    assert len(found.exchanges) == 1
     unseen = load_scene(SCENES / "unseen_objects.yaml")
     assert not {item.name for item in config.objects} & {item.name for item in unseen.objects}
     assert not {item.size_m for item in config.objects} & {item.size_m for item in unseen.objects}
-    key = SampleKey(config.seed, course.size - 1)
+    key = SampleKey(config.seed, found.size - 1)
     assert {object_index(config, slot) for slot in range(key.slot)} == set(range(len(config.objects)))
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"days": [1, 2]}, r"CampaignConfig.days: \[1.0, 2.0\] does not begin with 0"),
-        ({"days": [0, 2, 1]}, r"session 2 starts -1 days after session 1, which may take"),
-        ({"days": [0, 0.01]}, r"session 1 starts 0.01 days after session 0, which may take 0.0986 days"),
-        ({"exchanges": [{"session": 3}]}, r"exchanges\[0\].session: 3, but the last session is 0"),
-        ({"days": [0, 1], "exchanges": [{}, {}]}, r"exchanges\[1\]: the thumb is exchanged twice at session 1"),
-        ({"exchanges": [{"finger": "ring"}]}, r"finger: 'ring' is none of thumb, middle"),
-        ({"grasp_s": [60, 50]}, r"grasp_s: \[60.0, 50.0\] is not \[low, high\]"),
-        ({"drift": [{"memory_days": 0}]}, r"memory_days: 0.0 is below 0.05 days"),
-        ({"drift": [{"counts": 1}]}, r"campaign.drift\[0\].counts: unknown setting"),
-        ({"tares": "often"}, r"tares: 'often' is none of grasp, object, session, none"),
-    ],
-)
-def test_contradictions_are_named(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        scene(CAN, campaign=settings)
-
-
-@pytest.mark.parametrize(("name", "instead"), [("drift", "warm_up"), ("sessions", "drift")])
-def test_effects_with_times_of_their_own_are_refused(name: str, instead: str) -> None:
-    with pytest.raises(ConfigError, match=rf"fingers.{name}: draws .* give campaign.{instead} in its place"):
-        scene(CAN, campaign={}, fingers={name: {}})

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise by its statistics, shadows and flying pixels by hand-made images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,11 +14,11 @@ def _step(near: float = 0.5, far: float = 1.0) -> np.ndarray:
     return depth
 
 
-@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0])
-def test_noise_grows_with_the_square_of_the_depth(distance: float, rng: np.random.Generator) -> None:
-    noise = add_stereo_noise(np.full((300, 400), distance), 0.002, rng) - distance
-    assert noise.std() == pytest.approx(0.002 * distance**2, rel=0.05)
-    assert abs(noise.mean()) < 0.1 * noise.std()
+def test_noise_grows_with_the_square_of_the_depth(rng: np.random.Generator) -> None:
+    for distance in (0.5, 1.0, 2.0):
+        noise = add_stereo_noise(np.full((300, 400), distance), 0.002, rng) - distance
+        assert noise.std() == pytest.approx(0.002 * distance**2, rel=0.05)
+        assert abs(noise.mean()) < 0.1 * noise.std()
 
 
 def test_noise_is_correlated_over_the_matching_window_and_not_beyond(rng: np.random.Generator) -> None:
@@ -45,11 +43,8 @@ def test_flying_pixels_lie_between_both_sides_and_only_at_edges(rng: np.random.G
     assert (flying >= 0.5).all()
     assert (flying <= 1.0).all()
     assert flying[:, 39].std() > 0.1  # each pixel its own mixture
-
-
-def test_a_gentle_slope_has_no_flying_pixels(rng: np.random.Generator) -> None:
-    depth = np.tile(np.linspace(0.5, 1.0, 120), (30, 1))
-    assert np.array_equal(add_flying_pixels(depth, rng), depth)
+    slope = np.tile(np.linspace(0.5, 1.0, 120), (30, 1))
+    assert np.array_equal(add_flying_pixels(slope, rng), slope)
 
 
 def test_the_shadow_lies_left_of_the_near_thing_and_is_as_wide_as_the_disparities_differ() -> None:
@@ -57,12 +52,5 @@ def test_the_shadow_lies_left_of_the_near_thing_and_is_as_wide_as_the_disparitie
     hidden = stereo_shadow(_step(), focal_px=200.0, baseline_m=0.05)
     assert set(np.flatnonzero(hidden.all(axis=0))) == set(range(31, 40))
     assert not np.delete(hidden, range(30, 40), axis=1).any()
-
-
-def test_a_flat_wall_has_no_shadow() -> None:
-    assert not stereo_shadow(np.full((4, 50), 0.8), focal_px=600.0).any()
-
-
-def test_nothing_seen_casts_no_shadow() -> None:
-    depth = np.full((4, 50), np.inf)
-    assert not stereo_shadow(depth, focal_px=600.0).any()
+    for flat in (np.full((4, 50), 0.8), np.full((4, 50), np.inf)):
+        assert not stereo_shadow(flat, focal_px=600.0).any()

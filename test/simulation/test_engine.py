@@ -1,108 +1,151 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The order of effects, and whether each reads and writes what it declares."""
+
+import pickle
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from sim_builders import CAN, SPONGE, scene
+from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, scene
 
 from foretouch.errors import CloudError, SimulationError
-from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.effects import EFFECTS, place, view
 from foretouch.simulation.engine import Engine, explain, plan_chain
-from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene import ObjectConfig, SceneConfig, load_scene
 from foretouch.simulation.world import SampleKey
 
+SCENES = Path(__file__).parents[2] / "config" / "scenes"
 SCENE = scene()
-
-
-def never(_scene: SceneConfig, _item: ObjectConfig) -> str | None:
-    return None
+KEYS = set(SampleState.__annotations__)
 
 
 def effect(
     name: str,
     run: Callable[[Job, SampleState], None] = lambda _job, _state: None,
     *,
-    needed: Callable[[SceneConfig, ObjectConfig], str | None] | None = None,
     reads: str = "",
     writes: str = "",
-    modifies: str = "",
+    when: Callable[[SceneConfig, ObjectConfig], str | None] = lambda _scene, _item: "x",
 ) -> Effect:
-    declared = [keys(*names.split()) for names in (reads, writes, modifies)]
-    return Effect(name, run, needed or always("x"), "x", *declared)
+    return Effect(name, run, when, tuple(reads.split()), tuple(writes.split()), off="off")
 
 
 def names(effects: list[Effect], *outputs: str) -> list[str]:
     return [e.name for e in plan_chain(effects, SCENE, SCENE.objects[0], outputs)]
 
 
-def test_makers_run_before_changers_before_readers() -> None:
-    effects = [
-        effect("read", reads="depth", writes="cloud"),
-        effect("first change", modifies="depth"),
-        effect("second change", modifies="depth"),
-        effect("make", writes="depth"),
-    ]
-    assert names(effects, "cloud") == ["make", "first change", "second change", "read"]
-
-
-def test_only_what_the_outputs_lead_to_runs() -> None:
+def test_effects_run_in_the_order_of_their_list_where_their_result_leads_to_an_output() -> None:
+    off = effect("off", reads="normals depth", writes="depth", when=lambda _scene, _item: None)
     effects = [
         effect("make", writes="depth"),
         effect("normals", writes="normals"),
-        effect("holes", reads="normals", modifies="depth", needed=never),
+        effect("change", reads="depth", writes="depth"),
+        off,
         effect("apart", writes="labels"),
+        effect("read", reads="depth", writes="cloud"),
     ]
-    assert names(effects, "depth") == ["make"]
-    called_for = [*effects[:2], effect("holes", reads="normals", modifies="depth"), effects[3]]
-    assert names(called_for, "depth") == ["make", "normals", "holes"]
-
-
-def test_explain_tells_the_field_or_why_not() -> None:
-    effects = [
-        effect("make", writes="depth"),
-        effect("off", modifies="depth", needed=never),
-        effect("apart", writes="labels"),
+    assert names(effects, "cloud") == ["make", "change", "read"]
+    assert names([*effects[:3], replace(off, when=effects[0].when), *effects[4:]], "depth", "labels") == [
+        "make",
+        "normals",
+        "change",
+        "off",
+        "apart",
     ]
-    told = {p.name: (p.runs, p.reason) for p in explain(SCENE, effects, ["depth"])}
-    assert told == {"make": (True, "x"), "off": (False, "x"), "apart": (False, "nothing reads it")}
+    plans = {p.name: (p.runs, p.reason) for p in explain(SCENE, effects, ["cloud"])}
+    assert plans["make"] == (True, "x")
+    assert plans["off"] == (False, "off")
+    assert plans["apart"] == (False, "nothing reads it")
 
 
-def test_a_key_without_a_maker_is_named() -> None:
-    with pytest.raises(SimulationError, match=r"can: no effect of this scene makes depth"):
-        names([effect("read", reads="depth", writes="cloud")], "cloud")
+# Declarations.
 
 
-def test_two_makers_of_one_key_are_named() -> None:
-    with pytest.raises(SimulationError, match=r"depth: is made by a and by b"):
-        names([effect("a", writes="depth"), effect("b", writes="depth")], "depth")
+class Watched:
+    """A state that refuses what an effect does not declare."""
+
+    def __init__(self, state: SampleState, effect: Effect) -> None:
+        self.__dict__["inner"] = state, effect
+
+    def __getattr__(self, key: str) -> Any:
+        state, effect = self.inner
+        assert key in (*effect.reads, *effect.writes), f"{effect.name} reads {key}, which it does not declare"
+        return getattr(state, key)
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        state, effect = self.inner
+        assert key in effect.writes, f"{effect.name} writes {key}, which it does not declare"
+        setattr(state, key, value)
 
 
-def test_a_circle_is_named() -> None:
-    effects = [effect("a", reads="labels", writes="depth"), effect("b", reads="depth", writes="labels")]
-    with pytest.raises(SimulationError, match=r"needs .*: a circle"):
-        names(effects, "depth")
+def watched(effect: Effect) -> Effect:
+    """The effect, watched: also what it changes in place."""
+
+    def run(job: Job, state: SampleState) -> None:
+        before = {key: pickle.dumps(value) for key, value in vars(state).items() if key not in effect.writes}
+        effect.run(job, Watched(state, effect))  # type: ignore[arg-type]
+        changed = [key for key, value in before.items() if pickle.dumps(getattr(state, key)) != value]
+        assert not changed, f"{effect.name} changes {changed}, which it does not declare"
+        assert set(effect.writes) <= set(vars(state)), effect.name
+
+    return replace(effect, run=run)
 
 
-def test_a_key_that_the_state_lacks_is_refused() -> None:
-    with pytest.raises(SimulationError, match=r"has no key 'depths'"):
-        keys("depths")
+def made_before_read(effects: tuple[Effect, ...], config: SceneConfig, outputs: tuple[str, ...]) -> set[str]:
+    """The names of effects that run; each key has been written before it is read."""
+    ran = set()
+    for item in config.objects:
+        written: set[str] = set()
+        for one in plan_chain(effects, config, item, outputs):
+            assert set(one.reads) <= written, f"{one.name} reads {set(one.reads) - written} before it is written"
+            written |= set(one.writes)
+            ran.add(one.name)
+        assert set(outputs) <= written
+    return ran
 
 
-def reading(_job: Job, state: SampleState) -> None:
-    assert state.pixels is not None
+def test_each_effect_reads_and_writes_what_it_declares() -> None:
+    """With every effect, on every level of contact, and for whole images."""
+    loaded = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
+    common: dict[str, Any] = {"camera": EVERY_CAMERA_FAULT, "grasps": {"error": {}}}
+    full = scene(*loaded, **common, clutter={}, gravity={}, fingers=EVERY_FINGER_EFFECT | {"sessions": {}})
+    campaign = {"tares": "object", "warm_up": {}, "drift": [{}], "exchanges": [{"session": 1}], "days": [0, 1]}
+    configs = [full, scene(CAN, SPONGE, campaign=campaign, fingers={"noise": {}}), scene(fidelity="hertz")]
+    outputs = ("cloud", "grasp", "targets", "contacts", "touch", "tare")
+    ran = set()
+    for config in configs:
+        wanted = outputs if config.campaign is None else (*outputs, "campaign_time")
+        ran |= made_before_read(EFFECTS, config, wanted)
+        engine = Engine(config, [watched(one) for one in EFFECTS], wanted)
+        for slot in range(6):
+            try:
+                engine.run(SampleKey(0, slot))
+            except SimulationError as err:
+                assert err.reason in {"falls", "slips", "contact"}  # noqa: PT017
+    assert ran == {one.name for one in EFFECTS}
+    frames = (*place.EFFECTS, *view.FRAME_EFFECTS)
+    made_before_read(frames, full, ("depth", "labels", "normals"))
+    Engine(full, [watched(one) for one in frames], ("depth", "labels", "normals")).run(SampleKey(0, 0))
 
 
-def writing(_job: Job, state: SampleState) -> None:
-    state.labels = np.zeros((1, 1), np.int32)
+def test_declarations_name_keys_of_the_state_and_each_effect_has_a_name_of_its_own() -> None:
+    for one in EFFECTS:
+        assert {*one.reads, *one.writes} <= KEYS, one.name
+        assert one.writes, one.name
+    assert len({one.name for one in EFFECTS}) == len(EFFECTS)
 
 
-@pytest.mark.parametrize(
-    ("run", "message"), [(reading, "reads pixels, which it does not"), (writing, "writes labels, which it does not")]
-)
-def test_an_effect_cannot_touch_what_it_does_not_declare(run: Callable[[Job, SampleState], None], message: str) -> None:
-    engine = Engine(SCENE, [effect("sly", run, writes="depth")], ("depth",))
-    with pytest.raises(SimulationError, match=f"sly: {message}"):
-        engine.run(SampleKey(0, 0))
+def test_keys_are_made_before_they_are_read_in_every_scene_of_the_repository() -> None:
+    for path in sorted(SCENES.glob("*.yaml")):
+        config = load_scene(path)
+        made_before_read(EFFECTS, config, ("cloud", "grasp", "targets", "contacts", "touch", "tare"))
+
+
+# Runs.
 
 
 def test_calls_and_time_are_counted_also_of_failures() -> None:
@@ -122,27 +165,25 @@ def test_calls_and_time_are_counted_also_of_failures() -> None:
 
 def test_objects_take_turns_and_have_chains_of_their_own() -> None:
     both = scene(CAN, SPONGE)
-    soft = effect("soft", writes="relief", needed=lambda _s, item: None if item.rigid else "young_pa")
-    rigid = effect("rigid", writes="relief", needed=lambda _s, item: "rigid" if item.rigid else None)
+    soft = effect("soft", writes="relief", when=lambda _s, item: None if item.rigid else "young_pa")
+    rigid = effect("rigid", writes="relief", when=lambda _s, item: "rigid" if item.rigid else None)
     engine = Engine(both, [soft, rigid], ("relief",))
     for slot in range(5):
         engine.run(SampleKey(0, slot))
     assert (engine.timings["rigid"].calls, engine.timings["soft"].calls) == (3, 2)
-    assert {p.name: p.objects for p in explain(both, [soft, rigid], ["relief"])} == {
-        "soft": ("sponge",),
-        "rigid": ("can",),
-    }
+    objects = {p.name: p.objects for p in explain(both, [soft, rigid], ["relief"])}
+    assert objects == {"soft": ("sponge",), "rigid": ("can",)}
 
 
 def test_each_effect_has_its_own_stream() -> None:
     drawn: dict[str, float] = {}
 
     def draw(job: Job, _state: SampleState) -> None:
-        drawn[job.name] = job.rng().random()
+        drawn[job.effect.name] = job.rng().random()
 
-    alone = [effect("a", draw, writes="depth")]
-    Engine(SCENE, alone, ("depth",)).run(SampleKey(0, 0))
+    first = [effect("a", draw, writes="depth")]
+    Engine(SCENE, first, ("depth",)).run(SampleKey(0, 0))
     before = dict(drawn)
-    Engine(SCENE, [effect("b", draw, writes="labels"), *alone], ("labels", "depth")).run(SampleKey(0, 0))
+    Engine(SCENE, [effect("b", draw, writes="labels"), *first], ("labels", "depth")).run(SampleKey(0, 0))
     assert drawn["a"] == before["a"]
     assert drawn["b"] != drawn["a"]

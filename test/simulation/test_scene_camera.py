@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Frames of a scene, the times at which they are seen, and the motion of a synthetic scene."""
+
 import numpy as np
 import pytest
-from sim_builders import CAN, scene
+from sim_builders import CAN, EVERY_CAMERA_FAULT, run, scene
 
 from foretouch.camera import RealSenseConfig, open_camera
 from foretouch.camera.device import realsense
+from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.errors import MissingDependencyError
+from foretouch.simulation import random_scene
+from foretouch.simulation.depth_scene import FIRST_OBJECT
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.scene_camera import FrameMaker, SceneImages, scene_camera, swinging_frames
+from foretouch.simulation.schedule import ScheduleConfig
 
 START = 1_763_000_000_000_000_000
 SMALL = {"width": 212, "height": 160}
@@ -24,20 +29,20 @@ class Clock:
         return self.now_ns
 
 
-def images(config, **faults) -> tuple[SceneImages, Clock, ShowConfig]:
-    clock, show = Clock(), ShowConfig(dwell_s=2.0, origin_ns=START)
-    return SceneImages(config, show, MessageFaults(FaultConfig(**faults)), clock), clock, show
+def images(config, **faults) -> tuple[SceneImages, Clock, ScheduleConfig]:
+    clock, schedule = Clock(), ScheduleConfig(dwell_s=2.0, origin_ns=START)
+    return SceneImages(config, schedule, MessageFaults(FaultConfig(**faults)), clock), clock, schedule
 
 
 def test_what_is_seen_is_the_sample_of_its_stamp() -> None:
     config = scene(camera=SMALL)
-    camera, clock, show = images(config)
+    camera, clock, schedule = images(config)
     for number, seconds in enumerate((0.0, 1.9, 2.0, 5.0)):
         clock.now_ns = START + round(seconds * 1e9) + 123_456
         image = camera(number)
         stamp = camera.stamp_ns(number)
         assert stamp == clock.now_ns - 123_456, "stamps are whole milliseconds"
-        expected = FrameMaker(config).frame(show.slot(stamp))
+        expected = FrameMaker(config).frame(schedule.slot(stamp))
         np.testing.assert_array_equal(image.depth_mm, expected.depth_mm)
 
 
@@ -54,7 +59,7 @@ def test_noise_differs_from_image_to_image_and_the_object_stays() -> None:
 
 
 def test_a_sample_without_a_place_is_not_shown(caplog: pytest.LogCaptureFixture) -> None:
-    crowded = scene(camera=SMALL, clutter={"count": 20, "size_m": [0.3, 0.3], "distance_m": [0.1, 0.1]})
+    crowded = scene(camera=SMALL, clutter={"count": 20, "distance_m": [0.1, 0.1]})
     camera, _, _ = images(crowded)
     image = camera(0)
     assert not image.depth_mm.any()
@@ -63,20 +68,18 @@ def test_a_sample_without_a_place_is_not_shown(caplog: pytest.LogCaptureFixture)
 
 def test_a_faulty_clock_still_tells_which_sample_is_seen() -> None:
     config = scene(camera=SMALL)
-    camera, clock, show = images(config, jitter_s=0.02, skew_s=0.05)
+    camera, clock, schedule = images(config, jitter_s=0.02, skew_s=0.05)
     for number in range(40):
         clock.now_ns = START + 1_900_000_000 + number * 5_000_000
         image, stamp = camera(number), camera.stamp_ns(number)
         assert 0.029 <= (stamp - clock.now_ns) / 1e9 <= 0.07
-        np.testing.assert_array_equal(image.depth_mm, FrameMaker(config).frame(show.slot(stamp)).depth_mm)
-    assert camera.faults.moved == 40
+        np.testing.assert_array_equal(image.depth_mm, FrameMaker(config).frame(schedule.slot(stamp)).depth_mm)
 
 
-def test_lost_images_have_no_stamp_and_are_counted() -> None:
+def test_lost_images_have_no_stamp() -> None:
     camera, _, _ = images(scene(camera=SMALL), drop_share=0.5)
     stamps = [camera(number) and camera.stamp_ns(number) for number in range(100)]
-    assert stamps.count(None) == camera.faults.dropped
-    assert 25 <= camera.faults.dropped <= 75
+    assert 25 <= stamps.count(None) <= 75
 
 
 def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() -> None:
@@ -85,13 +88,60 @@ def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() 
     except MissingDependencyError as err:
         pytest.skip(str(err))
     config = scene(CAN, camera=SMALL)
-    show = ShowConfig(dwell_s=0.4)
+    schedule = ScheduleConfig(dwell_s=0.4)
     settings = RealSenseConfig(width=212, height=160, fps=30)
-    with scene_camera(config, show, 30) as device, open_camera(settings, device) as camera:
+    with scene_camera(config, schedule, 30) as device, open_camera(settings, device) as camera:
         seen = [cloud for cloud in (camera.read(2.0) for _ in range(20)) if cloud is not None]
     assert len(seen) == 20
-    slots = [show.slot(cloud.stamp_ns) for cloud in seen]
+    slots = [schedule.slot(cloud.stamp_ns) for cloud in seen]
     assert len(set(slots)) > 1
     for cloud, slot in zip(seen, slots, strict=True):
         expected = FrameMaker(config).frame(slot).cloud()
         np.testing.assert_allclose(cloud.xyz, expected.xyz, atol=1e-6)
+
+
+# Frames.
+
+
+def test_a_frame_shows_the_sample_of_its_slot() -> None:
+    config = scene(camera={"z_step_m": 0.001})
+    image = FrameMaker(config).frame(3)
+    state = run(config, "depth", "labels", "window", slot=3)
+    np.testing.assert_array_equal(image.labels[state.window], state.labels)
+    np.testing.assert_array_equal(image.depth_mm[state.window], np.rint(state.depth * 1000))
+    assert image.depth_mm.shape == (480, 640)
+    outside = image.labels.copy()
+    outside[state.window] = 0
+    assert (outside < FIRST_OBJECT).all()
+
+
+def test_the_segmentation_finds_the_object_in_a_faulty_frame() -> None:
+    config = scene(CAN | {"colour": [200, 0, 0]}, camera=EVERY_CAMERA_FAULT)
+    image = FrameMaker(config).frame(0)
+    found = segment(image.cloud(), SegmentationConfig())
+    assert found.status == "ok"
+    assert len(found.objects) == 1
+    mine, true = found.labels == found.objects[0].id, (image.labels == FIRST_OBJECT) & (image.depth_mm > 0)
+    assert (mine & true).sum() / (mine | true).sum() > 0.9
+    assert image.rgb[image.labels == FIRST_OBJECT][:, 0].max() > 190
+
+
+def test_frames_come_back() -> None:
+    config = scene(camera=EVERY_CAMERA_FAULT, clutter={})
+    first, again, other = FrameMaker(config).frame(1), FrameMaker(config).frame(1), FrameMaker(config).frame(2)
+    np.testing.assert_array_equal(first.depth_mm, again.depth_mm)
+    assert (first.depth_mm != other.depth_mm).mean() > 0.01
+
+
+def test_the_first_object_of_a_synthetic_scene_swings_and_the_others_rest() -> None:
+    swung = swinging_frames(random_scene(np.random.default_rng(0), 212, 120, 2), 8)
+    columns, others = ([float(np.argwhere(one.labels == label)[:, 1].mean()) for one in swung] for label in (2, 3))
+    assert np.argmax(columns) == 2  # a quarter of the period
+    assert np.argmin(columns) == 6
+    assert abs(columns[0] - columns[4]) < 0.2
+    assert len(set(others)) == 1
+    empty = random_scene(np.random.default_rng(0), 212, 120, 0)
+    one, other = swinging_frames(empty, 2)
+    assert np.array_equal(one.depth_mm, other.depth_mm)
+    one, other = swinging_frames(empty, 2, rng=np.random.default_rng(1), noise_m=0.002)
+    assert not np.array_equal(one.depth_mm, other.depth_mm)

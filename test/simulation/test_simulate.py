@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from sim_builders import CAN, EVERY_CAMERA_FAULT, EVERY_FINGER_EFFECT, SPONGE, run, scene
 
 from foretouch.dataset.store import sample_digest
 from foretouch.errors import SimulationError
 from foretouch.grasp import plan_grasps
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.simulate import SimulatedSample, Simulation, replay
+from foretouch.simulation.simulate import Simulation, replay
 from foretouch.simulation.world import SampleKey, World
 from foretouch.tactile import check_touch
 from foretouch.types import GraspSample
@@ -25,31 +27,25 @@ FULL = {
 LOADED = [CAN | {"mass_kg": 0.05, "colour": [200, 30, 30], "surface": {}}, SPONGE | {"mass_kg": 0.02}]
 
 
-def made(config: SceneConfig, count: int, workers: int = 1) -> list[SimulatedSample]:
+def made(config: SceneConfig, count: int, workers: int = 1) -> list[GraspSample]:
     return list(Simulation(config).samples(count, workers))
 
 
-def digest(samples: list[SimulatedSample]) -> str:
+def digest(samples: list[GraspSample]) -> str:
     content = hashlib.sha256()
     for one in samples:
-        content.update(sample_digest(one.sample))
+        content.update(sample_digest(one))
     return content.hexdigest()
 
 
 def test_samples_come_in_order_with_their_objects_in_turn() -> None:
     samples = made(scene(CAN, SPONGE), 5)
-    assert [s.sample.id for s in samples] == [
-        "can/000000",
-        "sponge/000001",
-        "can/000002",
-        "sponge/000003",
-        "can/000004",
-    ]
-    assert [s.key.slot for s in samples] == [0, 1, 2, 3, 4]
+    assert [s.id for s in samples] == ["can/000000", "sponge/000001", "can/000002", "sponge/000003", "can/000004"]
+    assert [s.extra["slot"] for s in samples] == [0, 1, 2, 3, 4]
 
 
 def test_a_sample_is_whole() -> None:
-    one: GraspSample = made(scene(), 1)[0].sample
+    (one,) = made(scene(), 1)
     assert one.touch is not None
     assert one.tare is not None
     assert check_touch(one.touch).valid
@@ -62,53 +58,39 @@ def test_a_sample_is_whole() -> None:
 
 def test_the_grasp_is_that_of_the_planner_on_the_samples_own_cloud() -> None:
     config = scene()
-    one = made(config, 1)[0].sample
+    (one,) = made(config, 1)
     plan = plan_grasps(one.cloud, World.of(config).plane, config.grasps.geograsp)
     np.testing.assert_array_equal(plan.grasps[0].g1, one.grasp.g1)
     np.testing.assert_array_equal(plan.grasps[0].rotation, one.grasp.rotation)
 
 
-def test_the_same_samples_on_one_worker_and_on_two() -> None:
+def test_the_same_samples_on_one_worker_and_on_two_and_in_a_longer_run() -> None:
     config = scene(*LOADED, **FULL)
-    alone = Simulation(config)
-    first = list(alone.samples(34, 1))
-    spread = Simulation(config)
-    second = list(spread.samples(34, 2))
+    single, spread = Simulation(config), Simulation(config)
+    first, second = list(single.samples(34, 1)), list(spread.samples(34, 2))
     assert digest(first) == digest(second) == digest(made(config, 34))
-    assert alone.failures_by_reason == spread.failures_by_reason
-    assert {n: t.calls for n, t in alone.timings.items()} == {n: t.calls for n, t in spread.timings.items()}
-
-
-def test_another_seed_gives_other_samples() -> None:
-    assert digest(made(scene(), 2)) != digest(made(scene(seed=1), 2))
-
-
-def test_a_longer_run_starts_with_the_shorter_one() -> None:
-    assert digest(made(scene(), 5)[:3]) == digest(made(scene(), 3))
-
-
-def test_a_rigid_scene_never_calls_the_layer_solver() -> None:
-    simulation = Simulation(scene())
-    list(simulation.samples(3))
-    assert simulation.timings["contact_layer"].calls == 0
-    assert simulation.timings["contact_winkler"].calls == 3
+    assert digest(first[:3]) == digest(made(config, 3))
+    assert single.failures_by_reason == spread.failures_by_reason
+    assert {n: t.calls for n, t in single.timings.items()} == {n: t.calls for n, t in spread.timings.items()}
+    assert digest(made(config.replace(seed=1), 3)) != digest(first[:3])
 
 
 def test_an_effect_that_is_off_costs_no_call() -> None:
     simulation = Simulation(scene())
     list(simulation.samples(2))
+    calls = {name: timing.calls for name, timing in simulation.timings.items()}
     off = ("clutter", "normals", "flying_pixels", "depth_noise", "stereo_shadow", "holes", "depth_steps", "colour")
     off += ("execution_error", "surface", "weight", "held", "timeline", "slip", "creep", "drift", "noise", "scan_hold")
-    assert {name: simulation.timings[name].calls for name in off} == dict.fromkeys(off, 0)
+    assert {name: calls[name] for name in (*off, "contact_layer")} == dict.fromkeys((*off, "contact_layer"), 0)
+    assert calls["contact_winkler"] == 2  # the scene is rigid
 
 
 CLOUD = ("cloud.xyz", "grasp.g1", "grasp.g2")
 TOUCH = ("touch.e_th", "touch.e_mf", "touch.pdc_th")
 
 
-@pytest.mark.parametrize(
-    ("groups", "kept"),
-    [
+def test_switching_an_effect_leaves_the_other_outputs_alone() -> None:
+    cases: list[tuple[dict[str, Any], tuple[str, ...]]] = [
         ({"fingers": {"noise": {}}}, (*CLOUD, "targets", "readings")),
         ({"fingers": {"drift": {}}}, (*CLOUD, "targets", "readings")),
         ({"fingers": {"timeline": {}}}, (*CLOUD, *TOUCH, "targets")),
@@ -118,16 +100,16 @@ TOUCH = ("touch.e_th", "touch.e_mf", "touch.pdc_th")
         ({"gravity": {}, "objects": [CAN | {"mass_kg": 0.05}]}, (*CLOUD, "depth", "relief", "targets")),
         ({"clutter": {"distance_m": [0.22, 0.25]}}, (*CLOUD, *TOUCH, "targets")),
         ({"camera": {"z_step_m": 0.001}}, ("exact_depth", "labels", "targets")),
-    ],
-)
-def test_switching_an_effect_leaves_the_other_outputs_alone(groups: dict[str, Any], kept: tuple[str, ...]) -> None:
-    outputs = {name.split(".")[0] for name in kept} | {"touch", "depth"}
-    plain, changed = run(scene(), *outputs), run(SceneConfig.from_mapping({"objects": [CAN], **groups}), *outputs)
-    for name in kept:
-        first, second = plain, changed
-        for part in name.split("."):
-            first, second = getattr(first, part), getattr(second, part)
-        np.testing.assert_array_equal(first, second, err_msg=name)
+    ]
+
+    def check(groups: dict[str, Any], kept: tuple[str, ...]) -> None:
+        outputs = {name.split(".")[0] for name in kept} | {"touch", "depth"}
+        plain, changed = run(scene(), *outputs), run(SceneConfig.from_mapping({"objects": [CAN], **groups}), *outputs)
+        for name in kept:
+            first, second = attrgetter(name)(plain), attrgetter(name)(changed)
+            np.testing.assert_array_equal(first, second, err_msg=name)
+
+    every_case(cases, check)
 
 
 def test_a_failure_is_counted_and_fails_again_when_replayed() -> None:
@@ -141,8 +123,9 @@ def test_a_failure_is_counted_and_fails_again_when_replayed() -> None:
     with pytest.raises(SimulationError, match="slope") as caught:
         replay(config, failure.key)
     assert str(caught.value) == failure.message
-    again = replay(config, samples[-1].key)
-    np.testing.assert_array_equal(again.touch.e_th, samples[-1].sample.touch.e_th)  # type: ignore[union-attr]
+    last = samples[-1]
+    again = replay(config, SampleKey(config.seed, int(last.extra["slot"]), int(last.extra["attempt"])))
+    np.testing.assert_array_equal(again.touch.e_th, last.touch.e_th)  # type: ignore[union-attr]
 
 
 def test_a_slot_that_always_fails_ends_the_run_by_name() -> None:

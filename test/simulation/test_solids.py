@@ -1,72 +1,168 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Rays against closed forms, meshes against solids, and solids against Open3D's ray caster."""
+
 import numpy as np
-import numpy.typing as npt
 import pytest
+from every_case import every_case
 from scipy.spatial import cKDTree
 
-from foretouch.simulation.solids import Body, Box, Cylinder, Primitive, Sphere
+from foretouch.libusb import ensure_libusb
+from foretouch.simulation.solids import Body, Box, Cylinder, Sphere, footprint_m
 
-ROTATION = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
-ROTATION = ROTATION * np.sign(np.linalg.det(ROTATION))
 POSITION = np.array([0.1, -0.2, 0.3])
 EYE = np.array([0.2, 0.1, 1.5])
+_QUARTER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # z along x
 
 
-def rays(count: int = 4000) -> npt.NDArray[np.float64]:
-    towards = POSITION + np.random.default_rng(0).uniform(-0.08, 0.08, (count, 3))
-    return (towards - EYE) * 0.7  # of any length
+@pytest.fixture
+def turn(rng):
+    q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    return q * np.sign(np.linalg.det(q))
 
 
-@pytest.mark.parametrize(
-    ("shape", "size", "solid", "tolerance_m"),
-    [
-        ("ball", (0.1, 0.1, 0.1), Sphere(position=POSITION, radius=0.05), 4e-5),
-        ("box", (0.1, 0.06, 0.12), Box(position=POSITION, rotation=ROTATION, size=np.array([0.1, 0.06, 0.12])), 1e-6),
-    ],
-)
-def test_rays_meet_a_mesh_where_they_meet_the_solid(
-    shape: str, size: tuple[float, ...], solid: Primitive, tolerance_m: float
-) -> None:
-    directions = rays()
-    found = Body(shape, 0, np.array(size), POSITION, ROTATION).cast(EYE, directions).t
-    exact = solid.cast(EYE, directions)
-    both = np.isfinite(found) & np.isfinite(exact)
-    assert both.sum() > 1000
-    off = np.abs(found[both] - exact[both]) * np.linalg.norm(directions[both], axis=1)
-    assert np.percentile(off, 90) < tolerance_m  # edges are rounded and silhouettes are made of facets
-    assert np.mean(np.isfinite(found) != np.isfinite(exact)) < 0.02  # the box is rounded
+@pytest.fixture
+def solids(turn):
+    return {
+        "sphere": Sphere(position=POSITION, radius=0.05),
+        "box": Box(position=POSITION, rotation=turn, size=np.array([0.1, 0.06, 0.12])),
+        "cylinder": Cylinder(position=POSITION, rotation=turn, radius=0.04, height=0.11),
+    }
 
 
-def test_a_stretched_ball_is_an_ellipsoid() -> None:
+def rays(rng, count=4000):
+    """Of any length, towards the solids."""
+    return (POSITION + rng.uniform(-0.08, 0.08, (count, 3)) - EYE) * rng.uniform(0.3, 3.0, (count, 1))
+
+
+# Solids in closed form.
+
+
+def test_rays_meet_solids_where_a_hand_calculation_says():
+    ball = Sphere(position=np.array([0.0, 0.0, 1.0]), radius=0.1)
+    t = ball.cast(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.5], [0.0, 0.2, 1.0], [0.0, 0.0, -1.0]]))
+    np.testing.assert_allclose(t, [0.9, 1.8, np.inf, np.inf], rtol=1e-15)
+    lying = Cylinder(position=np.array([0.0, 0.0, 1.0]), rotation=_QUARTER, radius=0.05, height=0.2)
+    t = lying.cast(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.09, 0.0, 1.0], [0.12, 0.0, 1.0]]))
+    np.testing.assert_allclose(t, [0.95, 0.95, np.inf], rtol=1e-12)
+    can = Cylinder(position=np.array([0.0, 0.0, 1.0]), radius=0.05, height=0.2)
+    for direction in ([0.0, 0.0, 1.0], [1e-17, 0.0, 1.0]):  # parallel to the axis only the cap counts
+        hits = [float(can.cast(np.array([x, 0.0, 0.0]), np.array(direction))) for x in (0.04, 0.06)]
+        np.testing.assert_allclose(hits, [0.9, np.inf], rtol=1e-12)
+    box = Box(position=np.array([0.0, 0.0, 1.0]), size=np.array([0.2, 0.2, 0.2]))
+    for x, expected in ((0.0, 0.9), (0.1, 0.9), (0.1000001, np.inf)):  # along a face: in or out, never NaN
+        assert float(box.cast(np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))) == pytest.approx(expected)
+
+
+def test_corners_and_footprint_of_a_box():
+    box = Box(position=np.array([1.0, 2.0, 3.0]), size=np.array([0.6, 0.8, 1.0]))
+    assert footprint_m(box) == pytest.approx(0.5)
+    np.testing.assert_allclose(box.corners().min(axis=0), [0.7, 1.6, 2.5])
+    np.testing.assert_allclose(box.corners().max(axis=0), [1.3, 2.4, 3.5])
+
+
+def test_hits_agree_with_open3d(solids, turn, rng):
+    ensure_libusb()
+    import open3d as o3d
+
+    make = o3d.geometry.TriangleMesh
+    meshes = {
+        "box": (make.create_box(0.1, 0.06, 0.12).translate((-0.05, -0.03, -0.06)), 1e-5),
+        "cylinder": (make.create_cylinder(0.04, 0.11, resolution=400, split=1), 1e-3),
+        "sphere": (make.create_sphere(0.05, resolution=200), 1e-3),
+    }
+    directions = rays(rng, 20_000)
+
+    def check(name, solid):
+        mesh, tolerance = meshes[name]
+        mesh.rotate(turn, (0.0, 0.0, 0.0)).translate(POSITION)
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+        both_ends = np.hstack([np.broadcast_to(EYE, directions.shape), directions]).astype(np.float32)
+        theirs = scene.cast_rays(o3d.core.Tensor(both_ends))["t_hit"].numpy()
+        ours = solid.cast(EYE, directions)
+        both = np.isfinite(ours) & np.isfinite(theirs)
+        assert both.sum() > 2000
+        assert (np.isfinite(ours) != np.isfinite(theirs)).mean() < 3e-3  # silhouettes: facets against the true curve
+        error = np.abs(ours[both] - theirs[both]) * np.linalg.norm(directions[both], axis=1)
+        assert np.quantile(error, 0.99) < tolerance  # grazing rays stretch a facet's sagitta
+
+    every_case(list(solids.items()), check)
+
+
+def test_moving_a_solid_and_the_eye_together_changes_nothing(solids, rng):
+    can, directions, offset = solids["cylinder"], rays(rng, 500), np.array([0.3, 0.2, -0.1])
+    moved = can.moved(offset).cast(EYE + offset, directions)
+    reach = can.cast(EYE, directions)
+    grazing = np.isfinite(moved) != np.isfinite(reach)
+    assert grazing.mean() < 0.01
+    np.testing.assert_allclose(moved[~grazing], reach[~grazing], rtol=1e-6)
+
+
+def test_the_distance_from_a_solid_is_that_from_its_visible_surface(solids, rng):
+    """Of points on the surface it is zero, and at the centre the least half extent."""
+    directions = rays(rng)
+
+    def check(_name, solid):
+        t = solid.cast(EYE, directions)
+        hits = EYE + t[np.isfinite(t), None] * directions[np.isfinite(t)]
+        assert np.abs(solid.surface_distance(hits)).max() < 1e-12
+        points = POSITION + rng.uniform(-0.15, 0.15, (200, 3))
+        eyes = POSITION + 2.0 * np.concatenate([np.eye(3), -np.eye(3)])
+        sampled = []
+        for eye in eyes:
+            towards = POSITION + rng.uniform(-0.08, 0.08, (60_000, 3)) - eye
+            sampled.append(eye + solid.cast(eye, towards)[:, None] * towards)
+        found = solid.surface_distance(points)
+        surface = np.concatenate(sampled)
+        nearest = cKDTree(surface[np.isfinite(surface).all(axis=1)]).query(points)[0]
+        assert (found <= nearest + 1e-9).all()
+        np.testing.assert_allclose(found, nearest, atol=2e-3)
+        assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid._half_extents.min())
+
+    every_case(list(solids.items()), check)
+
+
+# Meshes.
+
+
+def test_rays_meet_a_mesh_where_they_meet_the_solid(solids, turn, rng):
+    directions = rays(rng)
+
+    def check(shape, solid, size, tolerance_m):
+        found = Body(shape, 0, np.array(size), POSITION, turn).cast(EYE, directions).t
+        exact = solid.cast(EYE, directions)
+        both = np.isfinite(found) & np.isfinite(exact)
+        assert both.sum() > 1000
+        off = np.abs(found[both] - exact[both]) * np.linalg.norm(directions[both], axis=1)
+        assert np.percentile(off, 90) < tolerance_m  # edges are rounded and silhouettes are made of facets
+        assert np.mean(np.isfinite(found) != np.isfinite(exact)) < 0.02  # the box is rounded
+
+    every_case(
+        [("ball", solids["sphere"], (0.1, 0.1, 0.1), 4e-5), ("box", solids["box"], (0.1, 0.06, 0.12), 1e-6)], check
+    )
+
+
+def test_a_stretched_ball_is_an_ellipsoid_with_its_gradient_as_normals(turn, rng):
     size = np.array([0.06, 0.1, 0.14])
-    directions = rays()
-    hits = Body("ball", 0, size, POSITION, ROTATION).cast(EYE, directions)
-    seen = np.isfinite(hits.t)
-    local = (EYE + hits.t[seen, None] * directions[seen] - POSITION) @ ROTATION
-    np.testing.assert_allclose(((local / (size / 2)) ** 2).sum(axis=1), 1.0, atol=3e-3)
-
-
-def test_normals_of_a_stretched_ball_are_its_gradient() -> None:
-    size = np.array([0.06, 0.1, 0.14])
-    body = Body("ball", 0, size, POSITION, ROTATION)
-    directions = rays()
+    body, directions = Body("ball", 0, size, POSITION, turn), rays(rng)
     hits = body.cast(EYE, directions)
     seen = np.isfinite(hits.t)
-    local = (EYE + hits.t[seen, None] * directions[seen] - POSITION) @ ROTATION
-    gradient = (local / size**2) @ ROTATION.T
+    local = (EYE + hits.t[seen, None] * directions[seen] - POSITION) @ turn
+    np.testing.assert_allclose(((local / (size / 2)) ** 2).sum(axis=1), 1.0, atol=3e-3)
+    gradient = (local / size**2) @ turn.T
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
     normals = body.world_normals(hits.normal[seen])
     assert np.einsum("ij,ij->i", normals, gradient).min() > np.cos(0.05)  # a facet turns by 0.04 rad
 
 
-def test_origins_may_differ_from_ray_to_ray() -> None:
+def test_origins_may_differ_from_ray_to_ray():
     body = Body("ball", 0, np.full(3, 0.1), np.zeros(3), np.eye(3))
     starts = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
     t = body.cast(starts, np.array([[0.0, 0.0, -1.0], [0.0, -2.0, 0.0], [0.0, 0.0, -1.0]])).t
     np.testing.assert_allclose(t, [0.95, 0.475, np.inf], atol=2e-5)
 
 
-def test_the_lowest_point_of_a_tilted_cylinder() -> None:
+def test_the_lowest_point_of_a_tilted_cylinder():
     angle = 0.4
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]])
     can = Body("can", 0, np.array([0.08, 0.08, 0.1]), np.array([0.0, 0.0, 0.5]), tilt)
@@ -74,34 +170,3 @@ def test_the_lowest_point_of_a_tilted_cylinder() -> None:
     exact = 0.5 - 0.05 * np.cos(angle) - 0.04 * np.sin(angle)
     assert can.lowest() == pytest.approx(exact, abs=2e-3)  # the rim is bevelled
     assert can.lowest() >= solid.corners()[:, 2].min() - 1e-9
-
-
-@pytest.mark.parametrize(
-    "solid",
-    [
-        Sphere(position=POSITION, radius=0.05),
-        Box(position=POSITION, rotation=ROTATION, size=np.array([0.1, 0.06, 0.12])),
-        Cylinder(position=POSITION, rotation=ROTATION, radius=0.04, height=0.11),
-    ],
-)
-def test_the_distance_from_a_solid_is_that_from_its_visible_surface(solid: Primitive) -> None:
-    """Of points just in front of the surface; on the surface it is zero, and at the centre the least half extent."""
-    directions = rays()
-    t = solid.cast(EYE, directions)
-    hits = EYE + t[np.isfinite(t), None] * directions[np.isfinite(t)]
-    assert np.abs(solid.surface_distance(hits)).max() < 1e-12
-    rng = np.random.default_rng(1)
-    points = POSITION + rng.uniform(-0.15, 0.15, (200, 3))
-    sampled = np.concatenate(
-        [
-            eye + solid.cast(eye, towards)[:, None] * towards
-            for eye in POSITION + 2.0 * np.concatenate([np.eye(3), -np.eye(3)])
-            for towards in [POSITION + rng.uniform(-0.08, 0.08, (60_000, 3)) - eye]
-        ]
-    )
-    sampled = sampled[np.isfinite(sampled).all(axis=1)]
-    nearest = cKDTree(sampled).query(points)[0]
-    found = solid.surface_distance(points)
-    assert (found <= nearest + 1e-9).all()
-    np.testing.assert_allclose(found, nearest, atol=1.5e-3)
-    assert solid.surface_distance(POSITION[None])[0] == pytest.approx(solid.half_extents.min())

@@ -10,7 +10,7 @@ import pytest
 from sim_builders import CAN, SPONGE, run, scene
 
 from foretouch.errors import TactileError
-from foretouch.simulation.execution import CourseConfig, SimulatedHand
+from foretouch.simulation.execution import GraspTimingConfig, SimulatedHand
 from foretouch.tactile.contact_detector import (
     ContactConfig,
     ContactDetector,
@@ -33,7 +33,7 @@ def vectors(counts: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("slot", range(3))
 def test_onsets_of_simulated_grasps_are_found_within_50_ms_live_and_afterwards(item: dict, slot: int) -> None:
     config = scene(item, fingers={"timeline": {}, "noise": {}, "scan": {}, "drift": {}})
-    course = SimulatedHand(config, CourseConfig(rest_s=1.0)).execute(run(config, "grasp", slot=slot).grasp, slot)
+    course = SimulatedHand(config, GraspTimingConfig(rest_s=1.0)).execute(run(config, "grasp", slot=slot).grasp, slot)
     series = vectors(course.counts)
     stamps = np.arange(len(series)) * PERIOD
     for onset in find_contact(stamps, series, series[: course.start]):

@@ -153,9 +153,9 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Parameters of a hand and a camera for one scene, which starts now."""
-    from foretouch.simulation.show import ShowConfig, middle_of
+    from foretouch.simulation.schedule import ScheduleConfig, centre_of_objects
 
-    show = ShowConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
+    show = ScheduleConfig(path=str(Path(arguments.source).resolve()), origin_ns=time.time_ns())
     if arguments.dwell is not None:
         show = show.replace(dwell_s=arguments.dwell)
     scene = show.load()  # so that an error in it is reported before anything starts
@@ -163,7 +163,7 @@ def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     fps = _SCENE_FPS if arguments.rate is None else max(1, round(arguments.rate))
     nodes = {"hand": shown, "camera": {"source": "scene", "camera.fps": fps, **_TIMEOUTS, **shown}}
     if scene.clutter is not None:  # clutter has no tactile model, so only the object is grasped
-        point = middle_of(scene).tolist()
+        point = centre_of_objects(scene).tolist()
         nodes["segmentation"] = {"target.mode": "point", "target.point": point, "target.tolerance_m": _TOLERANCE_M}
     return nodes
 

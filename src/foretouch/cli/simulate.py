@@ -28,13 +28,17 @@ _SHEET_SAMPLES = 12
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The scene, how many samples, and where to."""
     parser.add_argument("scene", metavar="SCENE", help="scene file (YAML), such as config/scenes/rigid.yaml")
-    parser.add_argument("-n", "--count", type=positive_number, metavar="N", help="how many samples")
-    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="the data set; must not exist")
-    parser.add_argument("--seed", type=seed_number, help="in place of the scene's")
+    parser.add_argument("-n", "--count", type=positive_number, metavar="N", help="number of samples")
+    parser.add_argument("-o", "--out", type=Path, metavar="DIR", help="folder of the data set; must not exist")
+    parser.add_argument("--seed", type=seed_number, help="seed in place of the scene's")
     parser.add_argument(
-        "--workers", type=positive_number, help="processes (default: one a core); the samples do not depend on it"
+        "--workers",
+        type=positive_number,
+        help="number of processes (default: one a core); the samples do not depend on it",
     )
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting of the scene")
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting of the scene"
+    )
     parser.add_argument(
         "--explain",
         action="store_true",
@@ -111,8 +115,9 @@ def _replay(scene: SceneConfig, which: str, as_json: bool) -> int:
             "points": state.cloud.size,
             "plan": state.plan.status,
             "width_m": state.grasp.width_m,
+            "force_n": [contact.force_n for contact in state.contacts],
+            "touch": state.touch.vector(),
         }
-        record |= {"force_n": [contact.force_n for contact in state.contacts], "touch": state.touch.vector()}
     if as_json:
         print_json(record)
     else:
@@ -137,10 +142,10 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
         StoreWriter(arguments.out, about) as writer,
         progress_bar("simulating", arguments.count, hidden=arguments.json) as advance,
     ):
-        for made in simulation.samples(arguments.count, workers):
-            writer.write(made.sample)
+        for sample in simulation.samples(arguments.count, workers):
+            writer.write(sample)
             if len(shown) < _SHEET_SAMPLES:
-                shown.append(made.sample)
+                shown.append(sample)
             advance()
         writer.about["failures"] = [
             {"slot": f.key.slot, "attempt": f.key.attempt, "reason": f.reason, "message": f.message}
@@ -158,10 +163,10 @@ def _simulate(scene: SceneConfig, arguments: argparse.Namespace) -> int:
 def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, seconds: float) -> None:
     from foretouch.simulation.simulate import explain_scene
 
-    count, effects = arguments.count, []
-    for plan in explain_scene(simulation.scene):
-        timing = simulation.timings[plan.name]
-        effects.append(
+    count = arguments.count
+    timed = [(plan, simulation.timings[plan.name]) for plan in explain_scene(simulation.scene)]
+    if arguments.json:
+        effects = [
             {
                 "name": plan.name,
                 "ran": timing.calls > 0,
@@ -169,20 +174,20 @@ def _report(simulation: Simulation, sha256: str, arguments: argparse.Namespace, 
                 "reason": plan.reason,
                 "calls": timing.calls,
             }
-        )
-    record = {
-        "effects": effects,
-        "samples": count,
-        "samples_per_s": count / seconds,
-        "sha256": sha256,
-        "scene_sha256": simulation.scene.sha256(),
-        "failures": simulation.failures_by_reason,
-        "path": str(arguments.out),
-    }
-    if arguments.json:
+            for plan, timing in timed
+        ]
+        record = {
+            "effects": effects,
+            "samples": count,
+            "samples_per_s": count / seconds,
+            "sha256": sha256,
+            "scene_sha256": simulation.scene.sha256(),
+            "failures": simulation.failures_by_reason,
+            "path": str(arguments.out),
+        }
         print_json(record)
         return
-    rows = [[e["name"], str(e["calls"]), f"{e['ms_per_sample']:.2f}", e["reason"]] for e in effects]
+    rows = [[plan.name, str(t.calls), f"{1e3 * t.seconds / count:.2f}", plan.reason] for plan, t in timed]
     print_table("effects", ["effect", "calls", "ms a sample", "for"], rows)
     failures = ", ".join(f"{n} {reason}" for reason, n in simulation.failures_by_reason.items()) or "none"
     print(f"{count} samples in {arguments.out}, {count / seconds:.1f} a second; failed tries: {failures}")

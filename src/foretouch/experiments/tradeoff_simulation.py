@@ -208,7 +208,7 @@ def _relative(values: Float64, true: Float64) -> float:
 
 @lru_cache(maxsize=4)
 def _samples(scene: SceneConfig, count: int) -> list[GraspSample]:
-    return [made.sample for made in Simulation(scene).samples(count)]
+    return list(Simulation(scene).samples(count))
 
 
 @lru_cache(maxsize=4)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Labels the image of a cloud, for cloud/segmentation/organised_clusters.py; test/kernels/references/segmentation.py
+/* Labels the image of a cloud, for cloud/segmentation/clusters.py; test/kernels/references/segmentation.py
  * states each step in NumPy.
  *
  * `settings` are, in this order, float32 numbers but for the rays: */

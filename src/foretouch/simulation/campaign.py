@@ -8,25 +8,35 @@ a value.
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.fingertip import Finger, draw_finger, temperature_drift, wander, warming
+from foretouch.simulation.disturbances import ou_noise, temperature_drift
+from foretouch.simulation.fingertip import Finger, draw_finger
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.campaign import DAY_S, CampaignConfig, DriftTermConfig, ExchangeConfig
-from foretouch.simulation.world import SampleKey, World
+from foretouch.simulation.scene.campaign import (
+    CHANGE_S,
+    DAY_S,
+    GRASP_S,
+    POWER_ON_S,
+    CampaignConfig,
+    DriftTermConfig,
+    ExchangeConfig,
+)
+from foretouch.simulation.world import SampleKey
 from foretouch.tactile import FULL_SCALE
 from foretouch.types import ELECTRODES, Float64
 
 _FINGERS: Final = ("thumb", "middle")
 _CHANNELS: Final = 1 + ELECTRODES
+_START_S: Final = 1_767_603_600  # when the sensors are switched on for the first time, since 1970
 _KNOTS: Final = 50  # a memory; the path is linear in between, where its variance is at most 1 % lower
 
 
 @dataclass(frozen=True)
-class Moment:
+class CampaignTime:
     """When and at which point of the campaign a grasp is executed."""
 
     stamp_ns: int  # since 1970 [ns]
@@ -59,84 +69,74 @@ class Campaign:
     Args:
         config: Its settings.
         scene: The scene.
-        world: Of the scene, with the fingertips that are mounted at first.
+        fingers: Thumb and middle finger as they are mounted at first.
     """
 
-    def __init__(self, config: CampaignConfig, scene: SceneConfig, world: World) -> None:
-        self._config = config
+    def __init__(self, config: CampaignConfig, scene: SceneConfig, fingers: tuple[Finger, Finger]) -> None:
+        self.config = config
         self._scene = scene
-        self._world = world
+        self._first = fingers
 
-    @classmethod
-    def of(cls, scene: SceneConfig, world: World) -> Self | None:
-        """That of a scene; None where it has none."""
-        return None if scene.campaign is None else cls(scene.campaign, scene, world)
-
-    def moment(self, slot: int) -> Moment:
+    def time_of(self, slot: int) -> CampaignTime:
         """When the grasp of a slot is executed.
 
         Raises:
             SimulationError: If the slot is beyond the last session.
         """
-        config = self._config
+        config = self.config
         visit, grasp = divmod(slot, config.grasps)
         session, place = divmod(visit, config.objects)
         if session >= len(config.days):
             raise SimulationError(f"slot {slot}: the campaign has {config.size} grasps", "calendar")
         powered_s = float(self._powered_s[session][place, grasp])
-        return self._moment(session, powered_s, visit, grasp)
+        return self._time(session, powered_s, visit, grasp)
 
-    def live(self, elapsed_s: float) -> Moment:
-        """The moment of a live hand that was switched on some time ago [s], and stays on until the next session."""
-        time_s = self._config.live_speed * max(0.0, elapsed_s)
-        starts = np.asarray(self._config.days) * DAY_S
+    def live(self, elapsed_s: float) -> CampaignTime:
+        """The time of a live hand that was switched on some time ago [s], and stays on until the next session."""
+        time_s = self.config.live_speed * max(0.0, elapsed_s)
+        starts = np.asarray(self.config.days) * DAY_S
         session = max(0, int(np.searchsorted(starts, time_s, side="right")) - 1)
-        return replace(self._moment(session, time_s - float(starts[session])), speed=self._config.live_speed)
+        return replace(self._time(session, time_s - float(starts[session])), speed=self.config.live_speed)
 
     def fingers(self, session: int) -> tuple[Finger, Finger]:
         """Thumb and middle finger as they are mounted in a session."""
         thumb, middle = (self._sensors[k][self._exchanges_before(k, session)] for k in range(2))
         return thumb, middle
 
-    def drift(self, moment: Moment, times_s: Float64, load: Float64) -> Float64:
+    def drift(self, now: CampaignTime, times_s: Float64, load: Float64) -> Float64:
         """(T, 2, 25) float64 [counts]: how far PDC and electrodes of both fingers have drifted.
 
         Args:
-            moment: Of the grasp.
-            times_s: (T,) float64, of the messages after that moment [s].
+            now: Of the grasp.
+            times_s: (T,) float64, of the messages after that time [s].
             load: (T,) float64, 0 without contact and 1 in full contact.
         """
-        at_s = moment.time_s + moment.speed * times_s
+        at_s = now.time_s + now.speed * times_s
         total = np.zeros((len(at_s), 2, _CHANNELS))
-        for (hand, sensors), term in zip(self._paths, self._config.drift, strict=True):
+        for (hand, sensors), term in zip(self._paths, self.config.drift, strict=True):
             share = load if term.in_contact else np.ones(len(load))
             total[..., 1:] += (share[:, None] * term.hand_counts * _interpolated(hand, term, at_s))[:, None]
             for k in range(2):
-                pdc, shared, *alone = _interpolated(sensors[k][self._exchanges_before(k, moment.session)], term, at_s).T
+                pdc, shared, *single = _interpolated(sensors[k][self._exchanges_before(k, now.session)], term, at_s).T
                 total[:, k, 0] += share * term.pdc_counts * pdc
-                electrodes = term.finger_counts * shared + term.electrode_counts * np.array(alone)
+                electrodes = term.finger_counts * shared + term.electrode_counts * np.array(single)
                 total[:, k, 1:] += (share * electrodes).T
         return total
 
-    def warm_up(self, moment: Moment, times_s: Float64) -> Float64:
-        """(T, 2, 25) float64 [counts]: how far the sensors have warmed up since power-on; arguments as of `drift`."""
-        config = self._config.warm_up
-        total = np.zeros((len(times_s), 2, _CHANNELS))
-        if config is not None:
-            kelvin = warming(config, moment.powered_s + moment.speed * times_s)
-            pdc, electrodes = temperature_drift(config, kelvin)
-            total[..., 0] += pdc[:, None]
-            total[..., 1:] += electrodes[:, None, None]
-        return total
+    def warm_up(self, now: CampaignTime, times_s: Float64) -> Float64:
+        """(T, 1, 25) float64 [counts]: how far the sensors have warmed up since power-on; arguments as of `drift`."""
+        config = self.config.warm_up
+        assert config is not None  # noqa: S101  # the scene calls for it
+        return temperature_drift(config, now.powered_s + now.speed * times_s)[:, None]
 
-    def _moment(self, session: int, powered_s: float, visit: int = 0, grasp: int = 0) -> Moment:
-        time_s = self._config.days[session] * DAY_S + powered_s
-        stamp_ns = self._config.start_s * 1_000_000_000 + round(time_s * 1e9)
-        return Moment(stamp_ns, time_s, powered_s, session, visit, grasp)
+    def _time(self, session: int, powered_s: float, visit: int = 0, grasp: int = 0) -> CampaignTime:
+        time_s = self.config.days[session] * DAY_S + powered_s
+        stamp_ns = _START_S * 1_000_000_000 + round(time_s * 1e9)
+        return CampaignTime(stamp_ns, time_s, powered_s, session, visit, grasp)
 
     def _exchanges(self, finger: int) -> list[ExchangeConfig]:
         """Of one finger, in order of time."""
-        mine = [each for each in self._config.exchanges if each.finger == _FINGERS[finger]]
+        mine = [each for each in self.config.exchanges if each.finger == _FINGERS[finger]]
         return sorted(mine, key=lambda each: each.session)
 
     def _exchanges_before(self, finger: int, session: int) -> int:
@@ -145,19 +145,19 @@ class Campaign:
     @cached_property
     def _powered_s(self) -> list[Float64]:
         """Of each session (objects, grasps) float64: when each grasp is executed, since power-on [s]."""
-        config, sessions = self._config, []
+        config, sessions = self.config, []
         for session in range(len(config.days)):
             rng = SampleKey(self._scene.seed, session).stream("times of a session")
-            pauses = rng.uniform(config.grasp_s[0], config.grasp_s[1], (config.objects, config.grasps))
-            pauses[:, 0] += rng.uniform(config.change_s[0], config.change_s[1], config.objects)
-            pauses[0, 0] = config.power_on_s
+            pauses = rng.uniform(*GRASP_S, (config.objects, config.grasps))
+            pauses[:, 0] += rng.uniform(*CHANGE_S, config.objects)
+            pauses[0, 0] = POWER_ON_S
             sessions.append(np.cumsum(pauses).reshape(pauses.shape))
         return sessions
 
     @cached_property
     def _sensors(self) -> tuple[list[Finger], list[Finger]]:
         """Of both fingers the fingertips that are mounted one after the other."""
-        first, fingers = self._world.fingers, self._scene.fingers
+        first, fingers = self._first, self._scene.fingers
         thumbs, middles = [first[0]], [first[1]]
         for finger, (mounted, kind) in enumerate(((thumbs, fingers.thumb), (middles, fingers.middle))):
             for exchange in self._exchanges(finger):
@@ -177,22 +177,25 @@ class Campaign:
     @cached_property
     def _paths(self) -> list[tuple[Float64, list[list[Float64]]]]:
         """Of each term the path of the hand, and those of each finger's sensors, at unit variance and equal steps."""
-        config, seed = self._config, self._scene.seed
-        end_s = config.days[-1] * DAY_S + config.longest_session_s
-        paths = []
-        for number, term in enumerate(config.drift):
-            knots = int(np.ceil(end_s / _distance_s(term))) + 1
+        return [
+            (
+                self._path(term, number, "drift of the hand", 1),
+                [
+                    [
+                        self._path(term, number, f"drift of the {name}", _CHANNELS + 1, sensor)
+                        for sensor in range(1 + len(self._exchanges(finger)))
+                    ]
+                    for finger, name in enumerate(_FINGERS)
+                ],
+            )
+            for number, term in enumerate(self.config.drift)
+        ]
 
-            def path(name: str, channels: int, sensor: int = 0) -> Float64:
-                rng = SampleKey(seed, number, sensor).stream(name)  # noqa: B023  # is called within this turn
-                return wander(knots, channels, 1.0, 1.0, _KNOTS, rng)  # noqa: B023
-
-            sensors = [
-                [path(f"drift of the {name}", _CHANNELS + 1, k) for k in range(1 + len(self._exchanges(finger)))]
-                for finger, name in enumerate(_FINGERS)
-            ]
-            paths.append((path("drift of the hand", 1), sensors))
-        return paths
+    def _path(self, term: DriftTermConfig, number: int, name: str, channels: int, sensor: int = 0) -> Float64:
+        end_s = self.config.days[-1] * DAY_S + self.config.longest_session_s
+        knots = int(np.ceil(end_s / _distance_s(term))) + 1
+        rng = SampleKey(self._scene.seed, number, sensor).stream(name)
+        return ou_noise(knots, channels, 1.0, 1.0, _KNOTS, rng)
 
 
 def _distance_s(term: DriftTermConfig) -> float:

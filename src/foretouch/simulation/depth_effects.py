@@ -6,7 +6,10 @@ import numpy.typing as npt
 
 from foretouch.types import Float64
 
-D415_BASELINE_M = 0.055
+D415_BASELINE_M = 0.055  # distance of the imagers
+FLYING_SHARE = 0.5  # of the pixels of a depth edge that lie between both sides
+HOLE_SHARE = 0.01  # of the pixels that lie in random spots without depth
+GRAZING_DEG = 80.0  # angle between ray and surface normal beyond which there is no depth
 _MATCHING_WINDOW_PX = 9  # side of the block that stereo matching compares
 _EDGE_M = 0.02  # a 3x3 window that spans more than this holds a depth edge
 

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of random household-sized solids on a table, seen by a D415: exact depth, labels, plane, and camera effects.
-
-The solids stand or lie on the table, in view and apart from each other.
-"""
-
-from __future__ import annotations
+"""Scenes of random household-sized solids on a table, seen by a D415: exact depth, labels, plane, and camera effects."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,113 +10,25 @@ import numpy.typing as npt
 from foretouch.camera.deproject import Deprojector
 from foretouch.errors import ConfigError
 from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
-from foretouch.simulation.solids import Box, Cylinder, Primitive, Sphere
+from foretouch.simulation.solids import LYING, Box, Cylinder, Primitive, Sphere, about_z, footprint_m
 from foretouch.simulation.view import CameraView
 from foretouch.types import Cloud, Float64
 
-_ATTEMPTS = 200  # places tried for one object before all are thrown again
+TABLE: Final = 1  # label of the table; 0 is everything else
+FIRST_OBJECT: Final = 2  # label of the first object
+TABLE_M: Final = np.array([1.4, 1.0])
+"""Edges of the table top about the world's origin [m]."""
+
+_FLOOR_M = 0.75  # below the table top
+_ATTEMPTS = 200  # places tried for one object before all are placed anew
 _ROUNDS = 50
 _GAP_M = 0.03  # free table between two objects
 _MARGIN = 0.04  # of the image, free of objects on each side
-
-
-def random_objects(
-    rng: np.random.Generator, view: CameraView, count: int, table_size: Float64, *, may_occlude: bool = False
-) -> tuple[Primitive, ...]:
-    """Solids on the table, each wholly inside the image.
-
-    Args:
-        rng: Of shapes, sizes and places.
-        view: The camera.
-        count: How many.
-        table_size: (2,) float64, edge lengths of the table about the world's origin [m].
-        may_occlude: Whether one may hide a part of another from the camera.
-
-    Returns:
-        The solids, in the world.
-
-    Raises:
-        ConfigError: If so many find no place.
-    """
-    for _ in range(_ROUNDS):
-        placed: list[Primitive] = []
-        while len(placed) < count:
-            solid = _find_place(rng, view, placed, table_size, may_occlude)
-            if solid is None:
-                break
-            placed.append(solid)
-        else:
-            return tuple(placed)
-    raise ConfigError(f"n_objects: {count} find no place in a view of {view.width}x{view.height} pixels")
-
-
-def _find_place(
-    rng: np.random.Generator, view: CameraView, placed: list[Primitive], table_size: Float64, may_occlude: bool
-) -> Primitive | None:
-    for _ in range(_ATTEMPTS):
-        solid = _random_solid(rng)
-        solid = solid.moved(np.append(rng.uniform(-0.5, 0.5, 2) * table_size, 0.0))
-        if not _in_view(solid, view) or not _on_table(solid, table_size):
-            continue
-        if any(_touch(solid, other) for other in placed):
-            continue
-        if may_occlude or not any(_overlap_in_image(solid, other, view) for other in placed):
-            return solid
-    return None
-
-
-def _random_solid(rng: np.random.Generator) -> Primitive:
-    """A box, a can (standing or lying) or a ball that rests on z = 0 above the origin."""
-    kind = rng.integers(3)
-    turn = _about_z(rng.uniform(0.0, 2.0 * np.pi))
-    if kind == 0:
-        size = rng.uniform((0.04, 0.04, 0.04), (0.14, 0.12, 0.18))
-        return Box(position=np.array([0.0, 0.0, size[2] / 2.0]), rotation=turn, size=size)
-    if kind == 1:
-        radius, height = rng.uniform(0.025, 0.05), rng.uniform(0.06, 0.20)
-        if rng.random() < 0.5:
-            return Cylinder(position=np.array([0.0, 0.0, height / 2.0]), rotation=turn, radius=radius, height=height)
-        lying = turn @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # its z along the table
-        return Cylinder(position=np.array([0.0, 0.0, radius]), rotation=lying, radius=radius, height=height)
-    radius = rng.uniform(0.03, 0.08)
-    return Sphere(position=np.array([0.0, 0.0, radius]), radius=radius)
-
-
-def _about_z(angle: float) -> Float64:
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _in_view(solid: Primitive, view: CameraView) -> bool:
-    low, high = view.bounds(solid.corners())
-    size = np.array([view.width, view.height], np.float64)
-    return bool((low > _MARGIN * size).all() and (high < (1.0 - _MARGIN) * size).all())
-
-
-def _on_table(solid: Primitive, table_size: Float64) -> bool:
-    return bool((np.abs(solid.position[:2]) + solid.footprint_m() < table_size / 2.0).all())
-
-
-def _touch(one: Primitive, other: Primitive) -> bool:
-    distance = float(np.linalg.norm((one.position - other.position)[:2]))
-    return distance < one.footprint_m() + other.footprint_m() + _GAP_M
-
-
-def _overlap_in_image(one: Primitive, other: Primitive, view: CameraView) -> bool:
-    """Whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
-    (low_a, high_a), (low_b, high_b) = view.bounds(one.corners()), view.bounds(other.corners())
-    gap = 0.01 * view.width
-    return bool((low_a < high_b + gap).all() and (low_b < high_a + gap).all())
-
-
-TABLE = 1  # label of the table; 0 is everything else
-FIRST_OBJECT = 2  # label of the first object
 
 _COLOURS = np.array(
     [[60, 60, 66], [150, 140, 125], [196, 78, 62], [70, 130, 180], [226, 172, 63], [104, 159, 98], [150, 105, 175]],
     np.float32,
 )
-_FLOOR_M = 0.75  # below the table top
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,12 +61,10 @@ class DepthImage:
 
 @dataclass(frozen=True, eq=False)
 class DepthScene:
-    """Solids, a table and a camera."""
+    """Solids on a table above a floor, and a camera."""
 
     view: CameraView  # the camera
     objects: tuple[Primitive, ...]  # the solids; the k-th has the label 2 + k
-    table_size: Float64  # (2,) float64, edge lengths of the table about the world's origin [m]
-    floor_m: float | None = _FLOOR_M  # distance of the floor below the table top [m]; None for no floor
 
     def render(
         self,
@@ -192,8 +97,7 @@ class DepthScene:
             depth = add_stereo_noise(depth, noise_m, rng) if noise_m > 0.0 else depth
         if hidden is not None:
             depth = np.where(hidden, np.inf, depth)
-        depth_mm = _to_millimetres(depth)
-        return DepthImage(depth_mm, rgb, labels, self.view.matrix, self.view.table_plane())
+        return DepthImage(to_millimetres(depth), rgb, labels, self.view.matrix, self.view.table_plane())
 
     def cast(self) -> tuple[Float64, npt.NDArray[np.int32]]:
         """Exact depth and labels.
@@ -201,7 +105,10 @@ class DepthScene:
         Returns:
             (H, W) float64 [m] along the optical axis, inf where a ray meets nothing; (H, W) int32.
         """
-        depth, labels = self._background()
+        rays = self.view.directions()
+        table = table_depth(self.view, rays)
+        labels = np.where(np.isfinite(table), TABLE, 0).astype(np.int32)
+        depth = np.where(np.isfinite(table), table, -(self.view.eye[2] + _FLOOR_M) / _downwards(rays))
         for label, solid in enumerate(self.objects, FIRST_OBJECT):
             window = self.view.window(solid.corners())
             hit = solid.cast(self.view.eye, self.view.directions(window))
@@ -210,22 +117,11 @@ class DepthScene:
             labels[window][nearer] = label
         return depth, labels
 
-    def moved(self, index: int, offset: Float64) -> DepthScene:
+    def moved(self, index: int, offset: Float64) -> Self:
         """The scene with one object shifted by (3,) in the world [m]."""
         objects = list(self.objects)
         objects[index] = objects[index].moved(offset)
         return replace(self, objects=tuple(objects))
-
-    def _background(self) -> tuple[Float64, npt.NDArray[np.int32]]:
-        rays = self.view.directions()
-        down = np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
-        table = -self.view.eye[2] / down
-        at = self.view.eye[:2] + table[..., None] * rays[..., :2]
-        on_table = (np.abs(at) <= self.table_size / 2.0).all(axis=-1)
-        below = np.full(table.shape, np.inf)
-        if self.floor_m is not None:
-            below = -(self.view.eye[2] + self.floor_m) / down
-        return np.where(on_table, table, below), np.where(on_table, TABLE, 0).astype(np.int32)
 
     def _colours(self, depth: Float64, labels: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
         """A colour per label, darker where the surface turns away, by the slope of the depth."""
@@ -247,10 +143,10 @@ def random_scene(
     view: Literal["any", "oblique", "top"] = "any",
     may_occlude: bool = False,
 ) -> DepthScene:
-    """Boxes, cans and balls on a table; they do not touch and lie wholly inside the image.
+    """Boxes, cans and balls that stand or lie on a table; they do not touch and are wholly inside the image.
 
     Args:
-        rng: Decides all.
+        rng: Generator of everything.
         width: [px]
         height: [px]
         n_objects: How many; 0 is an empty table.
@@ -263,12 +159,79 @@ def random_scene(
     top = view == "top" or (view == "any" and rng.random() < 0.25)
     tilt = 0.0 if top else np.radians(rng.uniform(30.0, 55.0))
     camera = CameraView.towards_table(width, height, rng.uniform(0.8, 1.2), tilt)
-    table = np.array([1.4, 1.0])
-    objects = random_objects(rng, camera, n_objects, table, may_occlude=may_occlude)
-    return DepthScene(camera, objects, table)
+    for _ in range(_ROUNDS):
+        placed: list[Primitive] = []
+        while len(placed) < n_objects:
+            solid = _find_place(rng, camera, placed, may_occlude)
+            if solid is None:
+                break
+            placed.append(solid)
+        else:
+            return DepthScene(camera, tuple(placed))
+    raise ConfigError(f"n_objects: {n_objects} find no place in a view of {width}x{height} pixels")
 
 
-def _to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
-    """[m] to whole millimetres as uint16, 0 where there is none or it does not fit."""
+def table_depth(view: CameraView, rays: Float64) -> Float64:
+    """Depth of the table along rays (..., 3) of a view, inf beside it [m]."""
+    depth = -view.eye[2] / _downwards(rays)
+    at = view.eye[:2] + depth[..., None] * rays[..., :2]
+    return np.where((np.abs(at) <= TABLE_M / 2.0).all(axis=-1), depth, np.inf)
+
+
+def to_millimetres(depth: Float64) -> npt.NDArray[np.uint16]:
+    """[m] to whole millimetres, 0 where there is none or it does not fit."""
     rounded = np.rint(depth * 1000.0)
     return np.where((rounded > 0.0) & (rounded < 65536.0), rounded, 0.0).astype(np.uint16)
+
+
+def _downwards(rays: Float64) -> Float64:
+    return np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
+
+
+def _find_place(
+    rng: np.random.Generator, view: CameraView, placed: list[Primitive], may_occlude: bool
+) -> Primitive | None:
+    for _ in range(_ATTEMPTS):
+        solid = _random_solid(rng)
+        solid = solid.moved(np.append(rng.uniform(-0.5, 0.5, 2) * TABLE_M, 0.0))
+        if not _in_view(solid, view) or (np.abs(solid.position[:2]) + footprint_m(solid) >= TABLE_M / 2.0).any():
+            continue
+        if any(_collide(solid, other) for other in placed):
+            continue
+        if may_occlude or not any(_overlap_in_image(solid, other, view) for other in placed):
+            return solid
+    return None
+
+
+def _random_solid(rng: np.random.Generator) -> Primitive:
+    """A box, a can (standing or lying) or a ball that rests on z = 0 above the origin."""
+    kind = rng.integers(3)
+    turn = about_z(rng.uniform(0.0, 2.0 * np.pi))
+    if kind == 0:
+        size = rng.uniform((0.04, 0.04, 0.04), (0.14, 0.12, 0.18))
+        return Box(position=np.array([0.0, 0.0, size[2] / 2.0]), rotation=turn, size=size)
+    if kind == 1:
+        radius, height = rng.uniform(0.025, 0.05), rng.uniform(0.06, 0.20)
+        if rng.random() < 0.5:
+            return Cylinder(position=np.array([0.0, 0.0, height / 2.0]), rotation=turn, radius=radius, height=height)
+        return Cylinder(position=np.array([0.0, 0.0, radius]), rotation=turn @ LYING, radius=radius, height=height)
+    radius = rng.uniform(0.03, 0.08)
+    return Sphere(position=np.array([0.0, 0.0, radius]), radius=radius)
+
+
+def _in_view(solid: Primitive, view: CameraView) -> bool:
+    low, high = view.bounds(solid.corners())
+    size = np.array([view.width, view.height], np.float64)
+    return bool((low > _MARGIN * size).all() and (high < (1.0 - _MARGIN) * size).all())
+
+
+def _collide(one: Primitive, other: Primitive) -> bool:
+    distance = float(np.linalg.norm((one.position - other.position)[:2]))
+    return distance < footprint_m(one) + footprint_m(other) + _GAP_M
+
+
+def _overlap_in_image(one: Primitive, other: Primitive, view: CameraView) -> bool:
+    """Whether the rectangles around both, one pixel in a hundred apart, share a pixel."""
+    (low_a, high_a), (low_b, high_b) = view.bounds(one.corners()), view.bounds(other.corners())
+    gap = 0.01 * view.width
+    return bool((low_a < high_b + gap).all() and (low_b < high_a + gap).all())

@@ -1,87 +1,57 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated hand that executes grasps on the objects of a scene: the readings of its fingertips, message by message.
 
-The contact of a grasp is solved once, for the object as it lay when the grasp was planned; the course of time only
-scales it. The same effects run as in a data set, and only those that the scene calls for. Between grasps,
-`RestingFingers` generates the readings of fingertips that touch nothing.
+The contact of a grasp is solved once, for the object as it lay when the grasp was planned; time only scales it. The same
+effects run as in a data set, and only those that the scene calls for. Between grasps, `RestingFingers` generates the
+readings of fingertips that touch nothing.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.config import Settings, setting
+from foretouch.config import setting
 from foretouch.errors import SimulationError
-from foretouch.simulation.effect import Effect, Job, SampleState, always, keys
-from foretouch.simulation.effects import campaign, contact, grasp, meeting, place, reading
+from foretouch.simulation.disturbances import temperature_drift
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.finger_contact import FingerFrame
-from foretouch.simulation.fingertip import quantise, temperature_drift, warming
+from foretouch.simulation.fingertip import quantise
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.scene.fingers import TimelineConfig
+from foretouch.simulation.scene.fingers import DriftConfig, TimelineConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
 _BLOCK = 200  # messages that are made at a time
 _STREAMS = 1 << 20  # apart from the numbers by which grasps are repeated
-
-
-class RestingFingers:
-    """Readings without contact, each new.
-
-    Args:
-        hand: Whose fingers; nobody else may use it at the same time.
-        stream: Two with another number have noise of their own.
-    """
-
-    def __init__(self, hand: SimulatedHand, stream: int = 0) -> None:
-        self._hand = hand
-        self._repeat = _STREAMS * (stream + 1)
-        self._rows: npt.NDArray[np.int16] = np.empty((0, 2, 25), np.int16)
-        self._next = 0
-
-    def read(self, elapsed_s: float) -> npt.NDArray[np.int16]:
-        """(2, 25) int16 counts: thumb and middle finger, PDC then electrodes.
-
-        Args:
-            elapsed_s: Time since the hand was switched on [s].
-        """
-        if self._next == len(self._rows):
-            self._rows, self._next = self._hand.rest(_BLOCK, self._repeat, elapsed_s), 0
-            self._repeat += 1
-        self._next += 1
-        return np.asarray(self._rows[self._next - 1], np.int16)
-
+_NOT_LIVE = ("sessions", "tares")  # one hand, one day; a tare is found in the rest
+_NOT_AT_REST = (*_NOT_LIVE, "fingertip", "timeline", "slip")
 
 Counts = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CourseConfig(Settings):
-    """A grasp in time. Whoever wants a tare finds it in the rest."""
+class GraspTimingConfig(TimelineConfig):
+    """The phases of a live grasp. Whoever wants a tare finds it in the rest."""
 
-    rate_hz: float = setting(100.0, "Messages a second", unit="Hz", minimum=1.0, maximum=1000.0, read_only=True)
-    rest_s: float = setting(0.5, "Before the hand moves", unit="s", minimum=0.02, maximum=600.0, read_only=True)
-    approach_s: float = setting(0.3, "From there to first touch", unit="s", minimum=0.0, maximum=60.0, read_only=True)
-    close_s: float = setting(
-        0.2, "From first touch to steady contact, and back", unit="s", minimum=0.0, maximum=60.0, read_only=True
+    rest_s: float = setting(
+        0.5,
+        "Time before the hand moves, and again after release",
+        unit="s",
+        minimum=0.02,
+        maximum=600.0,
+        read_only=True,
     )
-    hold_s: float = setting(0.5, "Of steady contact", unit="s", minimum=0.02, maximum=600.0, read_only=True)
-
-    @property
-    def timeline(self) -> TimelineConfig:
-        """The same in a scene's words."""
-        return TimelineConfig(
-            rate_hz=self.rate_hz, rest_s=self.rest_s + self.approach_s, close_s=self.close_s, hold_s=self.hold_s
-        )
+    approach_s: float = setting(
+        0.3, "Time from there to first touch", unit="s", minimum=0.0, maximum=60.0, read_only=True
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class GraspTrajectory:
     """One executed grasp."""
 
     counts: Counts  # (T, 2, 25) int16: thumb and middle finger, PDC then electrodes, as the sensor sends them
@@ -101,7 +71,7 @@ class Course:
         return not self.reason
 
     def phase(self, row: int) -> str:
-        """What the hand does: `rest`, `approach`, `contact`, `hold` or `release`."""
+        """Phase of a row: `rest`, `approach`, `contact`, `hold` or `release`."""
         if row < self.start:
             return "rest"
         if self.onset is None or row < self.onset:
@@ -119,29 +89,32 @@ class SimulatedHand:
         config: Timing of a grasp.
     """
 
-    def __init__(self, scene: SceneConfig, config: CourseConfig | None = None) -> None:
-        self.config = CourseConfig() if config is None else config
-        self.scene = scene.replace(fingers=scene.fingers.replace(timeline=self.config.timeline))
-        self._world = World.of(self.scene)
+    def __init__(self, scene: SceneConfig, config: GraspTimingConfig | None = None) -> None:
+        config = GraspTimingConfig() if config is None else config
+        self.config = config
+        timeline = TimelineConfig(
+            rate_hz=config.rate_hz,
+            rest_s=config.rest_s + config.approach_s,
+            close_s=config.close_s,
+            hold_s=config.hold_s,
+        )
+        self.scene = scene.replace(fingers=scene.fingers.replace(timeline=timeline))
         self._grasp: Grasp | None = None
         self._idle_rows = 0
         self._elapsed_s = 0.0
-        own = {"drift": self._drift(), "calendar": self._clock()}
-        not_live = {"sessions", "tares"}  # one hand, one day; a tare is found in the rest
-        recorded = [effect for effect in (*campaign.EFFECTS, *reading.EFFECTS) if effect.name not in not_live]
-        sensor = tuple(own.get(effect.name, effect) for effect in recorded)
-        closing = tuple(self._given() if effect.name == "grasp" else effect for effect in grasp.EFFECTS)
-        # What a resting fingertip does by itself: all that changes its readings and asks for no contact.
-        by_itself = keys("series", "level", "sensors", "moment")
-        alone = [effect for effect in sensor if effect.modifies | effect.writes <= by_itself and effect.name != "slip"]
-        self._executing = Engine(
-            self.scene,
-            (*place.EFFECTS, *closing, *meeting.EFFECTS, *contact.EFFECTS, *sensor),
-            ("series", "load", "fingers", "contacts"),
-        )
-        self._resting = Engine(self.scene, (self._rest(), *alone), ("series",))
+        live = {"grasp": self._given_grasp, "drift": self._drift, "calendar": self._calendar}
+        reads = {"grasp": (), "drift": ("series", "times")}
+        effects = [
+            replace(e, run=live.get(e.name, e.run), reads=reads.get(e.name, e.reads))
+            for e in EFFECTS
+            if e.name not in _NOT_LIVE
+        ]
+        self._executing = Engine(self.scene, effects, ("series", "load", "fingers", "contacts"))
+        at_rest = Effect("rest", self._no_contact, "fingers", reads=("sensors",), writes=("series", "times", "load"))
+        effects = [at_rest if e.name == "moments" else e for e in effects if e.name not in _NOT_AT_REST]
+        self._resting = Engine(self.scene, effects, ("series",))
 
-    def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> Course:
+    def execute(self, grasp: Grasp, slot: int, repeat: int = 0, elapsed_s: float = 0.0) -> GraspTrajectory:
         """Take an object.
 
         Args:
@@ -151,20 +124,23 @@ class SimulatedHand:
             elapsed_s: Time since the hand was switched on, for what drifts [s].
 
         Returns:
-            The course; where the grasp comes to nothing, that of a hand that closes without touching.
+            The trajectory; where the grasp comes to nothing, that of a hand that closes without touching.
         """
         self._grasp, self._elapsed_s = grasp, elapsed_s
+        start = round(self.config.rest_s * self.config.rate_hz)
         try:
             state = self._executing.run(self._key(slot, repeat))
         except SimulationError as err:
-            if err.reason == "effect":
-                raise  # a mistake in the program, not in the grasp
-            return self._missed(grasp, err, repeat, elapsed_s)
+            config = self.config
+            length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
+            counts = self.rest(round(length_s * config.rate_hz), repeat, elapsed_s)
+            pose = grasp.midpoint, grasp.rotation
+            return GraspTrajectory(counts, start, None, None, None, *pose, reason=err.reason, message=str(err))
         steady = np.flatnonzero(state.load == 1.0)
-        midpoint, rotation = _achieved(state.fingers, grasp, self._world)
-        return Course(
-            counts=self._counts(state),
-            start=self._start,
+        midpoint, rotation = _achieved(state.fingers, grasp, self._executing.world)
+        return GraspTrajectory(
+            counts=quantise(state.series).astype(np.int16),
+            start=start,
             onset=int(np.argmax(state.load > 0.0)),
             contact=int(steady[0]),
             release=int(steady[-1]) + 1,
@@ -174,95 +150,68 @@ class SimulatedHand:
         )
 
     def rest(self, rows: int, repeat: int = 0, elapsed_s: float = 0.0) -> Counts:
-        """(rows, 2, 25) int16: what both fingertips send while nothing touches them.
-
-        Args:
-            rows: Messages.
-            repeat: As in `execute`.
-            elapsed_s: As in `execute`.
-        """
+        """(rows, 2, 25) int16: what both fingertips send while nothing touches them; arguments as of `execute`."""
         self._idle_rows, self._elapsed_s = rows, elapsed_s
-        return self._counts(self._resting.run(self._key(0, repeat)))
-
-    @property
-    def _start(self) -> int:
-        return round(self.config.rest_s * self.config.rate_hz)
+        return quantise(self._resting.run(self._key(0, repeat)).series).astype(np.int16)
 
     def _key(self, slot: int, repeat: int) -> SampleKey:
         return SampleKey(self.scene.seed, slot, 0, repeat)
 
-    def _counts(self, state: SampleState) -> Counts:
-        pdc, electrodes = quantise(self.scene.fingers.fingertip, state.series[..., 0], state.series[..., 1:])
-        return np.concatenate([pdc[..., None], electrodes], axis=-1).astype(np.int16)
+    # Effects of a live hand.
 
-    def _missed(self, grasp: Grasp, err: SimulationError, repeat: int, elapsed_s: float) -> Course:
-        config = self.config
-        length_s = 2.0 * (config.rest_s + config.approach_s + config.close_s) + config.hold_s
-        return Course(
-            counts=self.rest(round(length_s * config.rate_hz), repeat, elapsed_s),
-            start=self._start,
-            onset=None,
-            contact=None,
-            release=None,
-            midpoint=grasp.midpoint,
-            rotation=grasp.rotation,
-            reason=err.reason,
-            message=str(err),
-        )
-
-    # Effects that run for an execution only.
-
-    def _given(self) -> Effect:
+    def _given_grasp(self, job: Job, state: SampleState) -> None:
         """In place of planning: the grasp that was asked for."""
+        grasp, widest = self._grasp, job.scene.grasps.max_width_m
+        assert grasp is not None  # noqa: S101  # set by execute
+        if grasp.width_m > widest:
+            raise SimulationError(
+                f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {widest:g} m", "too_wide"
+            )
+        state.grasp = replace(grasp, object_id=job.item.name)
 
-        def run(job: Job, state: SampleState) -> None:
-            grasp, widest = self._grasp, job.scene.grasps.max_width_m
-            if grasp is None:
-                raise SimulationError("hand: no grasp was given", "effect")
-            if grasp.width_m > widest:
-                raise SimulationError(
-                    f"{job.item.name}: a grasp of {grasp.width_m:.3f} m, the hand opens {widest:g} m", "too_wide"
-                )
-            state.grasp = replace(grasp, object_id=job.item.name)
+    def _no_contact(self, _job: Job, state: SampleState) -> None:
+        low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
+        state.series = np.repeat(low[None], self._idle_rows, axis=0)
+        state.times = np.arange(self._idle_rows) / self.config.rate_hz
+        state.load = np.zeros(self._idle_rows)
 
-        return Effect("given_grasp", run, always("the hand"), writes=keys("grasp"))
+    def _calendar(self, job: Job, state: SampleState) -> None:
+        """The campaign passes with the time since the hand was switched on."""
+        assert job.campaign is not None  # noqa: S101  # the scene calls for this with a campaign only
+        state.campaign_time = job.campaign.live(self._elapsed_s)
 
-    def _rest(self) -> Effect:
-        """In place of contact: nothing."""
-
-        def run(_job: Job, state: SampleState) -> None:
-            low = np.array([np.append(finger.pdc_rest, finger.electrode_rest) for finger in state.sensors])
-            state.series = np.repeat(low[None], self._idle_rows, axis=0)
-            state.times = np.arange(self._idle_rows) / self.config.rate_hz
-            state.load = np.zeros(self._idle_rows)
-
-        return Effect("rest", run, always("the hand"), reads=keys("sensors"), writes=keys("series", "times", "load"))
-
-    def _clock(self) -> Effect:
-        """In place of the calendar: the campaign passes with the time since the hand was switched on."""
-
-        def run(job: Job, state: SampleState) -> None:
-            if job.campaign is not None:
-                state.moment = job.campaign.live(self._elapsed_s)
-
-        original = next(effect for effect in campaign.EFFECTS if effect.name == "calendar")
-        return replace(original, run=run)
-
-    def _drift(self) -> Effect:
+    def _drift(self, job: Job, state: SampleState) -> None:
         """In place of a tare of a drawn age: the liquid warms on as long as the hand is on."""
+        config: DriftConfig = job.settings
+        before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
+        state.series += temperature_drift(config.temperature, before + self._elapsed_s + state.times)[:, None]
 
-        def run(job: Job, state: SampleState) -> None:
-            config = job.scene.fingers.drift
-            if config is None:
-                return
-            before = draw(SampleKey(job.scene.seed, 0).stream("session of the hand"), config.session_s)
-            kelvin = warming(config.temperature, before + self._elapsed_s + state.times)
-            pdc, electrodes = temperature_drift(config.temperature, kelvin)
-            state.series[..., 0] += pdc[:, None]
-            state.series[..., 1:] += electrodes[:, None, None]
 
-        original = next(effect for effect in reading.EFFECTS if effect.name == "drift")
-        return replace(original, run=run, reads=keys("times"))
+class RestingFingers:
+    """Readings without contact, each new.
+
+    Args:
+        hand: Whose fingers; nobody else may use it at the same time.
+        stream: Two with another number have noise of their own.
+    """
+
+    def __init__(self, hand: SimulatedHand, stream: int = 0) -> None:
+        self._hand = hand
+        self._repeat = _STREAMS * (stream + 1)
+        self._rows: Counts = np.empty((0, 2, 25), np.int16)
+        self._next = 0
+
+    def read(self, elapsed_s: float) -> Counts:
+        """(2, 25) int16 counts: thumb and middle finger, PDC then electrodes.
+
+        Args:
+            elapsed_s: Time since the hand was switched on [s].
+        """
+        if self._next == len(self._rows):
+            self._rows, self._next = self._hand.rest(_BLOCK, self._repeat, elapsed_s), 0
+            self._repeat += 1
+        self._next += 1
+        return np.asarray(self._rows[self._next - 1], np.int16)
 
 
 def _achieved(fingers: tuple[FingerFrame, FingerFrame], grasp: Grasp, world: World) -> tuple[Float64, Float64]:

@@ -8,6 +8,7 @@ import numpy as np
 from foretouch.errors import ContactError, ConvergenceError, SimulationError
 from foretouch.simulation.contact import Command, ContactProblem, Layer, PadConfig, PadWindow, gap_field
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
+from foretouch.simulation.scene.objects import POISSON
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
 
@@ -63,7 +64,7 @@ def layers_of(scene: SceneConfig, item: ObjectConfig) -> tuple[Layer, ...]:
     pad = scene.fingers.pad.layer
     if item.young_pa is None or item.thickness_m is None:
         return (pad,)
-    return pad, Layer(modulus_pa=item.young_pa, poisson=item.poisson, thickness_m=item.thickness_m)
+    return pad, Layer(modulus_pa=item.young_pa, poisson=POISSON, thickness_m=item.thickness_m)
 
 
 def command_of(scene: SceneConfig, target: float) -> Command:

@@ -17,22 +17,21 @@ class FaultConfig(Settings):
         0.0, "How much the sensor's clock is ahead of the robot's", unit="s", minimum=-3600.0, maximum=3600.0
     )
     drop_share: float = setting(0.0, "Part of the messages that are not sent", minimum=0.0, maximum=1.0)
-    seed: int = setting(0, "Decides which stamps and messages are hit", minimum=0, read_only=True)
 
 
 class MessageFaults:
     """Spoils stamps and takes messages away, and counts both.
 
     Attributes:
-        config: May be replaced at any time; the seed counts at the beginning only.
+        config: May be replaced at any time.
         passed: Messages that were let through.
         dropped: Messages that were taken away.
         moved: Messages let through whose stamp is not the true one.
     """
 
-    def __init__(self, config: FaultConfig) -> None:
+    def __init__(self, config: FaultConfig, seed: int = 0) -> None:
         self.config = config
-        self._rng = np.random.default_rng(config.seed)
+        self._rng = np.random.default_rng(seed)
         self.passed = self.dropped = self.moved = 0
 
     def stamp(self, true_ns: int) -> int | None:

@@ -1,32 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene as a camera: whole images of its samples, fed to librealsense's software device.
 
-From there on the code is that of a real camera. `swinging` moves the objects a little, so that no two images in a row
-are equal.
+From there on the code is that of a real camera. `swinging_frames` moves the objects a little, so that no two images in a
+row are equal.
 """
 
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from foretouch.camera import SyntheticCamera
 from foretouch.errors import SimulationError
 from foretouch.simulation.campaign import object_index
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene
+from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, DepthImage, DepthScene, to_millimetres
 from foretouch.simulation.effects import place, view
 from foretouch.simulation.engine import Engine
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
 from foretouch.simulation.scene import SceneConfig
-from foretouch.simulation.show import ShowConfig
-from foretouch.simulation.world import SampleKey, World
+from foretouch.simulation.schedule import ScheduleConfig
+from foretouch.simulation.world import SampleKey
 
 _REACH_M = 0.015  # half the free table that random scenes leave between objects, so that nothing collides
+_GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
+_LOG = logging.getLogger(__name__)
+_MS_NS = 1_000_000
+_VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
 
 
-def swinging(
+def swinging_frames(
     scene: DepthScene, count: int, *, rng: np.random.Generator | None = None, noise_m: float = 0.0
 ) -> list[DepthImage]:
     """Frames of one period in which the first object swings to and fro along x.
@@ -44,9 +47,6 @@ def swinging(
     return images
 
 
-_GREY = np.array([[60, 60, 66], [150, 140, 125], [196, 140, 90]], np.float64)  # floor, table, and what has no colour
-
-
 class FrameMaker:
     """Makes images of a scene; slot k shows the scene of sample k, with independent camera noise.
 
@@ -56,9 +56,7 @@ class FrameMaker:
 
     def __init__(self, scene: SceneConfig) -> None:
         self.scene = scene
-        self._world = World.of(scene)
-        seeing = [replace(effect, again=True) for effect in view.FRAME_EFFECTS]
-        self._engine = Engine(scene, (*place.EFFECTS, *seeing), ("depth", "labels", "normals"))
+        self._engine = Engine(scene, (*place.EFFECTS, *view.FRAME_EFFECTS), ("depth", "labels", "normals"))
 
     def frame(self, slot: int, attempt: int = 0, repeat: int = 0) -> DepthImage:
         """One image.
@@ -72,28 +70,21 @@ class FrameMaker:
             SimulationError: If clutter finds no place.
         """
         state = self._engine.run(SampleKey(self.scene.seed, slot, attempt, repeat))
-        millimetres = np.where(np.isfinite(state.depth), np.rint(state.depth * 1000.0), 0.0)
-        depth_mm = np.where((millimetres > 0.0) & (millimetres < 65536.0), millimetres, 0.0).astype(np.uint16)
         colours = _GREY[np.minimum(state.labels, FIRST_OBJECT)]
         item = self.scene.objects[object_index(self.scene, slot)]
         if item.colour is not None:
             colours[state.labels == FIRST_OBJECT] = item.colour
-        shade = np.where(state.labels > TABLE, 0.35 + 0.65 * np.abs(state.normals[..., 2]), 1.0)
+        shade = np.where(state.labels > TABLE, view.light(state.normals), 1.0)
         rgb = (colours * shade[..., None]).astype(np.uint8)
-        view_ = self._world.view
-        return DepthImage(depth_mm, rgb, state.labels, view_.matrix, self._world.plane.coefficients)
+        world = self._engine.world
+        return DepthImage(to_millimetres(state.depth), rgb, state.labels, world.view.matrix, world.plane.coefficients)
 
     def nothing(self) -> DepthImage:
         """An image without depth, and black."""
-        view_ = self._world.view
-        depth = np.zeros((view_.height, view_.width), np.uint16)
+        world = self._engine.world
+        depth = np.zeros((world.view.height, world.view.width), np.uint16)
         rgb, labels = np.zeros((*depth.shape, 3), np.uint8), np.zeros(depth.shape, np.int32)
-        return DepthImage(depth, rgb, labels, view_.matrix, self._world.plane.coefficients)
-
-
-_LOG = logging.getLogger(__name__)
-_MS_NS = 1_000_000
-_VIEWS = 4  # of one sample, each with independent noise; rendering takes most of a core
+        return DepthImage(depth, rgb, labels, world.view.matrix, world.plane.coefficients)
 
 
 class SceneImages:
@@ -102,12 +93,9 @@ class SceneImages:
     A sample is rendered when it is first seen, and up to four times where the camera's noise differs from image to
     image; these are then shown in turn. One that the scene has no place for is not shown: the camera measures nothing.
 
-    Attributes:
-        faults: With its counts.
-
     Args:
         scene: The scene.
-        show: Which sample is on the table when.
+        schedule: Which sample is on the table when.
         faults: Of the camera's clock, and images that get lost. The camera's clock alone
             decides which sample is on the table, so that a stamp identifies the sample in spite of the faults.
         clock_ns: Time of day [ns].
@@ -116,27 +104,27 @@ class SceneImages:
     def __init__(
         self,
         scene: SceneConfig,
-        show: ShowConfig,
+        schedule: ScheduleConfig,
         faults: MessageFaults | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._maker = FrameMaker(scene)
-        self._show = show
+        self._schedule = schedule
+        self._faults = faults or MessageFaults(FaultConfig())
         self._clock_ns = clock_ns
         noisy = (scene.camera.noise, scene.camera.flying_pixels, scene.camera.holes)
         self._views = _VIEWS if any(effect is not None for effect in noisy) else 1
         self._slot: int | None = None
         self._images: list[DepthImage] = []
         self._taken_ns: int | None = None
-        self.faults = faults or MessageFaults(FaultConfig())
 
     def __call__(self, number: int) -> DepthImage:
         """The image with this number."""
         now_ns = self._clock_ns()
-        stamp_ns = self.faults.stamp(now_ns)
+        stamp_ns = self._faults.stamp(now_ns)
         # Whole milliseconds come back from the library's double-precision stamps as they went in.
         self._taken_ns = None if stamp_ns is None else stamp_ns // _MS_NS * _MS_NS
-        slot = self._show.slot(now_ns if self._taken_ns is None else self._taken_ns)
+        slot = self._schedule.slot(now_ns if self._taken_ns is None else self._taken_ns)
         if slot != self._slot:
             self._images, self._slot = [], slot
         if len(self._images) < self._views:
@@ -152,22 +140,20 @@ class SceneImages:
         try:
             return self._maker.frame(slot, repeat=repeat)
         except SimulationError as err:
-            if err.reason == "effect":
-                raise  # a mistake in the program, not in the sample
             _LOG.warning("scene: sample %d is not shown: %s", slot, err)
             return self._maker.nothing()
 
 
 def scene_camera(
-    scene: SceneConfig, show: ShowConfig, fps: int, faults: MessageFaults | None = None
+    scene: SceneConfig, schedule: ScheduleConfig, fps: int, faults: MessageFaults | None = None
 ) -> SyntheticCamera:
     """A device that streams a scene, not yet started.
 
     Args:
         scene: The scene; its camera decides size and lens.
-        show: Which sample is on the table when.
+        schedule: Which sample is on the table when.
         fps: Images a second, as far as rendering keeps up [Hz].
         faults: Of stamps and images; their settings may be replaced while it streams.
     """
-    images = SceneImages(scene, show, faults)
+    images = SceneImages(scene, schedule, faults)
     return SyntheticCamera(images, fps, serial="scene", stamp_ns=images.stamp_ns)

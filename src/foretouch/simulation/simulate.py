@@ -41,42 +41,25 @@ class Failure:
     message: str  # what happened
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedSample:
-    """A sample and how to make it again.
-
-    Attributes:
-        sample: The sample; its id is `<object>/<slot>`, and `extra` holds targets and contacts of both fingers.
-        key: Which one it is.
-        failures: The tries before it.
-    """
-
-    sample: GraspSample
-    key: SampleKey
-    failures: tuple[Failure, ...] = ()
-
-
 @dataclass
 class Simulation:
-    """A run over a scene; iterate `samples` once.
+    """A run over a scene; iterate `samples` once."""
 
-    Attributes:
-        scene: The scene.
-        timings: By effect, over all tries so far.
-        failures: Tries that came to nothing, so far.
-    """
-
-    scene: SceneConfig
+    scene: SceneConfig  # the scene
     timings: dict[str, EffectTiming] = field(default_factory=lambda: {e.name: EffectTiming() for e in EFFECTS})
-    failures: list[Failure] = field(default_factory=list)
+    # by effect, over all tries so far
+    failures: list[Failure] = field(default_factory=list)  # tries that came to nothing, so far
 
     @property
     def failures_by_reason(self) -> dict[str, int]:
         """How many tries came to nothing, by reason, the most frequent first."""
         return dict(Counter(failure.reason for failure in self.failures).most_common())
 
-    def samples(self, count: int, workers: int = 1) -> Iterator[SimulatedSample]:
-        """The first `count` samples, in the order of their slots.
+    def samples(self, count: int, workers: int = 1) -> Iterator[GraspSample]:
+        """The first samples, in the order of their slots.
+
+        The id of a sample is `<object>/<slot>`. Its `extra` holds the slot and the attempt that made it, which `replay`
+        takes, and targets and contacts of both fingers.
 
         Args:
             count: How many.
@@ -93,20 +76,15 @@ class Simulation:
                 f"objects, {campaign.grasps} grasps each)"
             )
         blocks = (range(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
-        if workers == 1:
-            maker = _Maker(self.scene)
-            results: Iterator[_Block] = (maker.block(slots) for slots in blocks)
-        else:
-            results = _spread(self.scene, blocks, workers)
-        for samples, timings, broken in results:
+        results = _in_turn(self.scene, blocks) if workers == 1 else _spread(self.scene, blocks, workers)
+        for samples, timings, failures, given_up in results:
             for name, timing in timings.items():
-                self.timings[name].add(timing)
-            for sample in samples:
-                self.failures.extend(sample.failures)
-                yield sample
-            if broken is not None:
-                self.failures.extend(broken)
-                raise _given_up(broken)
+                self.timings[name].calls += timing.calls
+                self.timings[name].seconds += timing.seconds
+            self.failures.extend(failures)
+            yield from samples
+            if given_up:
+                raise _given_up(failures[-self.scene.max_attempts :])
 
 
 def explain_scene(scene: SceneConfig) -> list[EffectPlan]:
@@ -125,49 +103,34 @@ def replay(scene: SceneConfig, key: SampleKey) -> SampleState:
 
 def _keys(scene: SceneConfig) -> tuple[str, ...]:
     """Of the state that a sample of this scene is made of."""
-    return SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "moment")
+    return SAMPLE_KEYS if scene.campaign is None else (*SAMPLE_KEYS, "campaign_time")
 
 
-_Block = tuple[list[SimulatedSample], dict[str, EffectTiming], "list[Failure] | None"]
+_Block = tuple[list[GraspSample], dict[str, EffectTiming], list[Failure], bool]
+"""Samples, time by effect, failures, and whether they end with a slot that is given up."""
 
 
-class _Maker:
-    """Makes blocks of slots; one in each process."""
+def _make_block(engine: Engine, slots: range) -> _Block:
+    from threadpoolctl import threadpool_limits
 
-    def __init__(self, scene: SceneConfig) -> None:
-        self._scene = scene
-        self._engine = Engine(scene, EFFECTS, _keys(scene))
-
-    def block(self, slots: range) -> _Block:
-        """The samples of some slots, the time they took and, where one is given up, its failures."""
-        from threadpoolctl import threadpool_limits
-
-        self._engine.timings.update({effect.name: EffectTiming() for effect in EFFECTS})
-        samples: list[SimulatedSample] = []
-        with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
-            for slot in slots:
-                made = self._slot(slot)
-                if isinstance(made, list):
-                    return samples, self._ran(), made
-                samples.append(made)
-        return samples, self._ran(), None
-
-    def _slot(self, slot: int) -> SimulatedSample | list[Failure]:
-        failures: list[Failure] = []
-        for attempt in range(self._scene.max_attempts):
-            key = SampleKey(self._scene.seed, slot, attempt)
-            try:
-                state = self._engine.run(key)
-            except SimulationError as err:
-                if err.reason == "effect":
-                    raise  # a mistake in the program, not in the sample
-                failures.append(Failure(key, err.reason, str(err)))
+    scene = engine.scene
+    engine.timings = {effect.name: EffectTiming() for effect in EFFECTS}
+    samples: list[GraspSample] = []
+    failures: list[Failure] = []
+    with threadpool_limits(1):  # sums of threaded BLAS depend on the number of threads
+        for slot in slots:
+            for attempt in range(scene.max_attempts):
+                key = SampleKey(scene.seed, slot, attempt)
+                try:
+                    state = engine.run(key)
+                except SimulationError as err:
+                    failures.append(Failure(key, err.reason, str(err)))
+                else:
+                    samples.append(_sample(scene, key, state))
+                    break
             else:
-                return SimulatedSample(_sample(self._scene, key, state), key, tuple(failures))
-        return failures
-
-    def _ran(self) -> dict[str, EffectTiming]:
-        return {name: timing for name, timing in self._engine.timings.items() if timing.calls}
+                return samples, engine.timings, failures, True
+    return samples, engine.timings, failures, False
 
 
 def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSample:
@@ -179,7 +142,7 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
         extra[f"depth_{finger}_m"] = float(contact.depth_m)
         extra[f"area_{finger}_m2"] = float(contact.area_m2)
     if scene.campaign is not None:
-        extra |= _course(state)
+        extra |= _campaign_values(state)
     return GraspSample(
         id=f"{item.name}/{key.slot:06d}",
         object=item.name,
@@ -187,20 +150,20 @@ def _sample(scene: SceneConfig, key: SampleKey, state: SampleState) -> GraspSamp
         grasp=state.grasp,
         touch=state.touch,
         tare=state.tare,
-        stamp_ns=0 if scene.campaign is None else state.moment.stamp_ns,
+        stamp_ns=0 if scene.campaign is None else state.campaign_time.stamp_ns,
         extra=extra,
     )
 
 
-def _course(state: SampleState) -> dict[str, float]:
+def _campaign_values(state: SampleState) -> dict[str, float]:
     """Where in the campaign a sample is, and its true rest levels: PDC, and the mean of the electrodes [counts]."""
-    moment = state.moment
-    course = {"session": float(moment.session), "visit": float(moment.visit), "powered_s": moment.powered_s}
+    now = state.campaign_time
+    values = {"session": float(now.session), "visit": float(now.visit), "powered_s": now.powered_s}
     level = state.level[0] if hasattr(state, "level") else np.zeros((2, 1 + ELECTRODES))
     for finger, sensor, moved in zip(("th", "mf"), state.sensors, level, strict=True):
-        course[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
-        course[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
-    return course
+        values[f"rest_pdc_{finger}"] = float(sensor.pdc_rest + moved[0])
+        values[f"rest_e_{finger}"] = float(np.mean(sensor.electrode_rest + moved[1:]))
+    return values
 
 
 def _given_up(failures: list[Failure]) -> SimulationError:
@@ -212,18 +175,22 @@ def _given_up(failures: list[Failure]) -> SimulationError:
     )
 
 
-_maker: _Maker | None = None  # of a worker process
+_engine: Engine | None = None  # of a worker process
 
 
 def _start_worker(scene: SceneConfig) -> None:
-    global _maker  # noqa: PLW0603  # a worker process has one scene all its life
-    _maker = _Maker(scene)
+    global _engine  # noqa: PLW0603  # a worker process has one scene all its life
+    _engine = Engine(scene, EFFECTS, _keys(scene))
 
 
 def _work(slots: range) -> _Block:
-    if _maker is None:
-        raise SimulationError("worker: has no scene", "effect")
-    return _maker.block(slots)
+    assert _engine is not None  # noqa: S101  # _start_worker made it
+    return _make_block(_engine, slots)
+
+
+def _in_turn(scene: SceneConfig, blocks: Iterator[range]) -> Iterator[_Block]:
+    engine = Engine(scene, EFFECTS, _keys(scene))
+    return (_make_block(engine, slots) for slots in blocks)
 
 
 def _spread(scene: SceneConfig, blocks: Iterator[range], workers: int) -> Iterator[_Block]:

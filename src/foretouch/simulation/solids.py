@@ -22,6 +22,21 @@ from foretouch.types import Float32, Float64
 _MISS = 1e30  # embree answers 1e37 where a ray meets nothing
 
 
+LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Rotation of a body that lies on its side: its z along the table."""
+
+
+def about_z(angle: float) -> Float64:
+    """(3, 3) rotation about the vertical by an angle [rad]."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def footprint_m(solid: "Body | Primitive") -> float:
+    """Radius of a vertical cylinder about a solid's middle that holds it [m]."""
+    return float(np.linalg.norm((solid.corners() - solid.position)[:, :2], axis=1).max())
+
+
 @dataclass(frozen=True, eq=False)
 class Hits:
     """Where rays first meet a body."""
@@ -98,7 +113,7 @@ class Primitive(ABC):
 
     @property
     @abstractmethod
-    def half_extents(self) -> Float64:
+    def _half_extents(self) -> Float64:
         """(3,) float64, half of the bounding box along its own axes [m]."""
 
     @abstractmethod
@@ -132,11 +147,7 @@ class Primitive(ABC):
     def corners(self) -> Float64:
         """(8, 3) float64, corners of its oriented bounding box, world [m]."""
         signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return self.position + (signs * self.half_extents) @ self.rotation.T
-
-    def footprint_m(self) -> float:
-        """Radius of a vertical cylinder about its centre that holds it [m]."""
-        return float(np.linalg.norm((self.corners() - self.position)[:, :2], axis=1).max())
+        return self.position + (signs * self._half_extents) @ self.rotation.T
 
     def moved(self, offset: Float64) -> Self:
         """The same solid, shifted by (3,) in the world [m]."""
@@ -150,16 +161,16 @@ class Box(Primitive):
     size: Float64  # (3,) float64, full edge lengths [m]
 
     @property
-    def half_extents(self) -> Float64:
+    def _half_extents(self) -> Float64:
         """(3,) float64 [m]."""
         return np.asarray(self.size) / 2.0
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin, directions, self.half_extents)
+        near, far = _slab(origin, directions, self._half_extents)
         return _first(near.max(axis=1), far.min(axis=1))
 
     def _beyond(self, points: Float64) -> Float64:
-        return np.asarray(np.abs(points) - self.half_extents, np.float64)
+        return np.asarray(np.abs(points) - self._half_extents, np.float64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -170,12 +181,12 @@ class Cylinder(Primitive):
     height: float  # [m]
 
     @property
-    def half_extents(self) -> Float64:
+    def _half_extents(self) -> Float64:
         """(3,) float64 [m]."""
         return np.array([self.radius, self.radius, self.height / 2.0])
 
     def _cast(self, origin: Float64, directions: Float64) -> Float64:
-        near, far = _slab(origin[2:], directions[:, 2:], self.half_extents[2:])  # between the caps
+        near, far = _slab(origin[2:], directions[:, 2:], self._half_extents[2:])  # between the caps
         side_near, side_far = _ball(origin[:2], directions[:, :2], self.radius)  # within the mantle
         return _first(np.maximum(near[:, 0], side_near), np.minimum(far[:, 0], side_far))
 
@@ -191,7 +202,7 @@ class Sphere(Primitive):
     radius: float  # [m]
 
     @property
-    def half_extents(self) -> Float64:
+    def _half_extents(self) -> Float64:
         """(3,) float64 [m]."""
         return np.full(3, self.radius)
 

@@ -28,20 +28,23 @@ class CameraView:
     R_world_camera: Float64  # (3, 3) float64, its axes as columns in the world
 
     @classmethod
-    def towards_table(cls, width: int, height: int, distance_m: float, tilt_rad: float) -> CameraView:
-        """A D415 (65 degrees) that looks at the origin of the world.
+    def towards_table(
+        cls, width: int, height: int, distance_m: float, tilt_rad: float, hfov_deg: float = 65.0
+    ) -> CameraView:
+        """A camera that looks at the origin of the world.
 
         Args:
             width: [px]
             height: [px]
             distance_m: From the origin [m].
             tilt_rad: Between its axis and the vertical; 0 looks straight down [rad].
+            hfov_deg: Horizontal field of view [deg]; by default that of a D415.
         """
         sine, cosine = np.sin(tilt_rad), np.cos(tilt_rad)
         forward = np.array([0.0, sine, -cosine])
         right = np.array([1.0, 0.0, 0.0])
         rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        return cls(width, height, pinhole_matrix(width, height), -distance_m * forward, rotation)
+        return cls(width, height, pinhole_matrix(width, height, hfov_deg), -distance_m * forward, rotation)
 
     def directions(self, window: Window = (slice(None), slice(None))) -> Float64:
         """(h, w, 3) float64 ray of each pixel in the world, one metre deep in the camera frame."""

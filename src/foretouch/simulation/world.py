@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all samples of a scene share (camera rays, table, fingers), and the random streams of each sample.
+"""What all samples of a scene share (camera, fingers), and the random streams of each sample.
 
 Each effect of each sample draws from a random stream of its own, so that adding an effect, or drawing more in one,
 changes the numbers of no other effect, and a sample can be generated again alone on any worker.
@@ -55,7 +55,6 @@ class World:
     view: CameraView  # the camera
     rays: Float64  # (H, W, 3) float64, ray of each pixel in the world, one metre deep along the optical axis
     plane: Plane  # the table top in the camera frame, its normal towards the camera
-    table_size: Float64  # (2,) float64, edges of the table top about the world's origin [m]
     fingers: tuple[Finger, Finger]  # thumb and middle finger: one pair a scene, drawn from its seed
 
     @classmethod
@@ -65,7 +64,7 @@ class World:
         plane = Plane.from_coefficients(view.table_plane())
         hand = SampleKey(scene.seed, 0).stream("fingers of the scene")
         fingers = draw_finger(scene.fingers.thumb, hand), draw_finger(scene.fingers.middle, hand)
-        return cls(view, view.directions(), plane, np.asarray(scene.table.size_m, np.float64), fingers)
+        return cls(view, view.directions(), plane, fingers)
 
     @property
     def focal_px(self) -> float:

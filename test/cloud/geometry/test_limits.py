@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What no camera sees and no hand holds is refused by name; every recorded object is accepted."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.cloud.geometry.limits import ObjectLimits, check_object, check_table
 from foretouch.errors import CloudError, ConfigError
@@ -18,29 +20,30 @@ def _ball(radius_m: float, distance_m: float) -> np.ndarray:
     return (points + np.array([0.0, 0.0, distance_m])).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("radius_m", "distance_m", "reason"),
-    [
-        (0.04, 100.0, "100 m away, more than max_range_m 10"),
-        (0.04, 1e30, "away, more than max_range_m 10"),
-        (0.04, 0.1, "m away, less than min_range_m 0.16"),
-        (1e-9, 1e-6, "e-09 m, less than min_extent_m 0.005"),
-        (1e-42, 1e-41, "less than min_extent_m 0.005"),
-        (5.0, 6.0, "m, more than max_extent_m 0.6"),
-    ],
-)
-def test_objects_out_of_the_limits_are_named(radius_m: float, distance_m: float, reason: str) -> None:
-    with pytest.raises(CloudError, match=reason):
-        check_object(_ball(radius_m, distance_m))
+def test_objects_out_of_the_limits_are_named() -> None:
+    def check(reason: str, radius_m: float, distance_m: float) -> None:
+        with pytest.raises(CloudError, match=reason):
+            check_object(_ball(radius_m, distance_m))
+
+    cases = [
+        ("100 m away, more than max_range_m 10", 0.04, 100.0),
+        ("away, more than max_range_m 10", 0.04, 1e30),
+        ("m away, less than min_range_m 0.16", 0.04, 0.1),
+        ("e-09 m, less than min_extent_m 0.005", 1e-9, 1e-6),
+        ("less than min_extent_m 0.005", 1e-42, 1e-41),
+        ("m, more than max_extent_m 0.6", 5.0, 6.0),
+    ]
+    every_case(cases, check)
 
 
-@pytest.mark.parametrize("distance_m", [0.2, 1.2, 9.9])
-@pytest.mark.parametrize("radius_m", [0.003, 0.04, 0.29])
-def test_objects_within_the_limits_are_accepted(radius_m: float, distance_m: float) -> None:
-    xyz = _ball(radius_m, distance_m)
-    xyz[::7] = np.nan
-    check_object(xyz)
-    check_object(xyz.reshape(100, 5, 3))
+def test_objects_within_the_limits_are_accepted() -> None:
+    def check(radius_m: float, distance_m: float) -> None:
+        xyz = _ball(radius_m, distance_m)
+        xyz[::7] = np.nan
+        check_object(xyz)
+        check_object(xyz.reshape(100, 5, 3))
+
+    every_case(product([0.003, 0.04, 0.29], [0.2, 1.2, 9.9]), check)
 
 
 def test_the_limits_are_settings() -> None:
@@ -49,34 +52,20 @@ def test_the_limits_are_settings() -> None:
         ObjectLimits(min_extent_m=0.7)
 
 
-@pytest.mark.parametrize(
-    ("coefficients", "reason"),
-    [
-        ((0.0, 0.0, 1.0, 1.27), "behind the camera"),
-        ((0.0, 0.0, -1.0, -1.27), "behind the camera"),
-        ((0.1, 0.1, 1.0, 0.5), "behind the camera"),
-        ((0.0, 0.0, 1.0, -1e9), r"1e\+09 m away, more than max_range_m 10"),
-    ],
-)
-def test_tables_that_no_camera_sees_are_named(coefficients: tuple[float, ...], reason: str) -> None:
-    with pytest.raises(CloudError, match=f"plane: .*{reason}"):
-        check_table(Plane.from_coefficients(coefficients))
+def test_tables_that_no_camera_sees_are_named() -> None:
+    def check(reason: str, coefficients: tuple[float, ...]) -> None:
+        with pytest.raises(CloudError, match=f"plane: .*{reason}"):
+            check_table(Plane.from_coefficients(coefficients))
 
-
-@pytest.mark.parametrize(
-    "coefficients",
-    [
-        (0, 0, 1, -1.27),
-        (0, 0, -1, 1.27),
-        (0, 1, 0, 0),
-        (1, 0, 0, 0),
-        (0, -1, 0, 0.4),
-        (0, 1, 0, 0.4),
-        (0, -0.9, -0.4, 1.2),
-    ],
-)
-def test_tables_in_view_are_accepted(coefficients: tuple[float, ...]) -> None:
-    check_table(Plane.from_coefficients(coefficients))
+    cases = [
+        ("behind the camera", (0.0, 0.0, 1.0, 1.27)),
+        ("behind the camera", (0.0, 0.0, -1.0, -1.27)),
+        ("behind the camera", (0.1, 0.1, 1.0, 0.5)),
+        (r"1e\+09 m away, more than max_range_m 10", (0.0, 0.0, 1.0, -1e9)),
+    ]
+    every_case(cases, check)
+    seen = [(0, 0, 1, -1.27), (0, 0, -1, 1.27), (0, 1, 0, 0), (1, 0, 0, 0), (0, -1, 0, 0.4), (0, 1, 0, 0.4)]
+    every_case([*seen, (0, -0.9, -0.4, 1.2)], lambda *one: check_table(Plane.from_coefficients(one)))
 
 
 @pytest.mark.real_data

@@ -2,7 +2,8 @@
 import numpy as np
 import pytest
 
-from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
+from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.segment import _count_depths
 from foretouch.errors import ConfigError
 
 
@@ -11,6 +12,6 @@ def test_the_range_includes_its_ends() -> None:
     np.testing.assert_array_equal(np.flatnonzero(in_range(z, CropConfig())), [1, 2, 3])
     xyz = np.zeros((len(z), 3), np.float32)
     xyz[:, 2] = z
-    assert count_range(xyz, CropConfig()) == (6, 3)
+    assert _count_depths(xyz, CropConfig()) == (6, 3)
     with pytest.raises(ConfigError, match=r"min_range_m: 1\.5 is not below max_range_m 1\.0"):
         CropConfig(min_range_m=1.5, max_range_m=1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.cloud.segmentation.objects import ObjectSegment, TargetConfig, select_targets
 from foretouch.errors import ConfigError
@@ -22,67 +23,56 @@ def _object(number: int, centre: tuple[float, float, float], n: int) -> ObjectSe
 OBJECTS = [_object(1, (0.0, 0.0, 0.8), 500), _object(2, (0.2, 0.0, 0.9), 1000), _object(3, (-0.2, 0.1, 1.1), 300)]
 
 
-@pytest.mark.parametrize(
-    ("config", "ids"),
-    [
+def test_the_rule_decides() -> None:
+    def check(config: TargetConfig, ids: list[int]) -> None:
+        chosen, reason = select_targets(OBJECTS, config)
+        assert [obj.id for obj in chosen] == ids
+        assert reason == ""
+
+    cases = [
         (TargetConfig(), [1]),
         (TargetConfig(mode="largest"), [2]),
         (TargetConfig(mode="all"), [1, 2, 3]),
         (TargetConfig(mode="point", point=(-0.2, 0.1, 1.1)), [3]),
         (TargetConfig(mode="point", point=(0.24, 0.0, 0.9)), [2]),
-    ],
-)
-def test_the_rule_decides(config: TargetConfig, ids: list[int]) -> None:
-    chosen, reason = select_targets(OBJECTS, config)
-    assert [obj.id for obj in chosen] == ids
-    assert reason == ""
+    ]
+    every_case(cases, check)
 
 
-@pytest.mark.parametrize(
-    ("objects", "config", "reason"),
-    [
-        ([], TargetConfig(), "there is no object"),
-        ([], TargetConfig(mode="all"), "there is no object"),
+def test_no_target_is_explained() -> None:
+    assert select_targets([], TargetConfig()) == ([], "there is no object")
+    assert select_targets([], TargetConfig(mode="all")) == ([], "there is no object")
+    far = "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away"
+    assert select_targets(OBJECTS, TargetConfig(mode="point", point=(0.0, 0.0, 1.0))) == ([], far)
+
+
+def test_of_equal_objects_the_most_central_is_selected_and_named() -> None:
+    def check(reason: str, objects: list[ObjectSegment], config: TargetConfig, chosen: int) -> None:
+        found, why = select_targets(objects, config)
+        assert [obj.id for obj in found] == [chosen]
+        assert why == f"ambiguous_target: {reason}; object {chosen} is nearest to the optical axis"
+
+    cases = [
         (
-            OBJECTS,
-            TargetConfig(mode="point", point=(0.0, 0.0, 1.0)),
-            "no object within 0.03 m of the point (0, 0, 1): the nearest is 0.200 m away",
-        ),
-    ],
-)
-def test_no_target_is_explained(objects: list[ObjectSegment], config: TargetConfig, reason: str) -> None:
-    assert select_targets(objects, config) == ([], reason)
-
-
-@pytest.mark.parametrize(
-    ("objects", "config", "chosen", "reason"),
-    [
-        (
+            "objects 1 and 2 are equally near to the point (0.025, 0, 0.8), 0.005 and 0.005 m",
             [OBJECTS[0], _object(2, (0.05, 0.0, 0.8), 500)],
             TargetConfig(mode="point", point=(0.025, 0.0, 0.8)),
             1,
-            "objects 1 and 2 are equally near to the point (0.025, 0, 0.8), 0.005 and 0.005 m",
         ),
         (
+            "objects 1 and 2 are equally near to the camera, 0.802 and 0.802 m",
             [_object(1, (0.05, 0.0, 0.8), 500), _object(2, (0.0, 0.0, 0.802), 500)],
             TargetConfig(),
             2,
-            "objects 1 and 2 are equally near to the camera, 0.802 and 0.802 m",
         ),
         (
+            "objects 2 and 1 are equally large, 510 and 500 points",
             [OBJECTS[0], _object(2, (0.05, 0.0, 0.9), 510)],
             TargetConfig(mode="largest"),
             1,
-            "objects 2 and 1 are equally large, 510 and 500 points",
         ),
-    ],
-)
-def test_of_equal_objects_the_most_central_is_selected_and_named(
-    objects: list[ObjectSegment], config: TargetConfig, chosen: int, reason: str
-) -> None:
-    found, why = select_targets(objects, config)
-    assert [obj.id for obj in found] == [chosen]
-    assert why == f"ambiguous_target: {reason}; object {chosen} is nearest to the optical axis"
+    ]
+    every_case(cases, check)
 
 
 def test_of_equally_central_objects_the_leftmost_is_selected() -> None:

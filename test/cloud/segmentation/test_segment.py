@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from every_case import every_case
 
 from foretouch.cloud.segmentation.clusters import ClusterConfig
 from foretouch.cloud.segmentation.segment import Segmentation, SegmentationConfig, segment
 from foretouch.simulation.depth_scene import DepthImage, random_scene
 from foretouch.types import Cloud
-
-N_SCENES = 50
 
 
 def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: int = 2) -> list[float]:
@@ -23,8 +23,7 @@ def _overlaps(segmentation: Segmentation, truth: npt.NDArray[np.int_], first: in
     result = []
     for label in range(first, int(truth.max()) + 1):
         true = truth == label
-        covered = np.bincount(segmentation.labels[true], minlength=2)
-        best = 1 + int(covered[1:].argmax())
+        best = 1 + int(np.bincount(segmentation.labels[true], minlength=2)[1:].argmax())
         found = segmentation.labels == best
         result.append(float((true & found).sum() / (true | found).sum()))
     return result
@@ -35,8 +34,9 @@ def _image(seed: int, *, noise_m: float = 0.001, flying_pixels: bool = False, **
     return random_scene(rng, **changes).render(rng, noise_m, flying_pixels)
 
 
-def _check_consistency(cloud: Cloud, segmentation: Segmentation) -> None:
-    """Invariants of every result."""
+def _checked(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
+    """A segmentation, with the invariants of every result."""
+    segmentation = segment(cloud, config)
     counts = segmentation.counts
     parts = ("not_finite", "out_of_range", "off_ray", "background", "rejected", "flying", "objects")
     assert counts["received"] == cloud.size == sum(counts[name] for name in parts)
@@ -57,67 +57,55 @@ def _check_consistency(cloud: Cloud, segmentation: Segmentation) -> None:
         np.testing.assert_array_equal(obj.bounds, [obj.cloud.xyz.min(axis=0), obj.cloud.xyz.max(axis=0)])
     distances = [obj.distance_m for obj in segmentation.objects]
     assert distances == sorted(distances)
+    return segmentation
 
 
-@pytest.mark.parametrize(
-    ("effects", "least"),
-    [
+def test_all_objects_and_no_others_on_50_scenes() -> None:
+    every_effect = [
         ({"noise_m": 0.0}, 0.95),
         ({"noise_m": 0.001}, 0.95),
         ({"noise_m": 0.002}, 0.95),
         ({"noise_m": 0.001, "flying_pixels": True}, 0.92),
-    ],
-)
-@pytest.mark.parametrize("seed", range(N_SCENES))
-def test_all_objects_and_no_others_on_50_scenes(seed: int, effects: dict, least: float) -> None:
-    image = _image(seed, **effects)
-    cloud = image.cloud()
-    segmentation = segment(cloud)
-    _check_consistency(cloud, segmentation)
-    assert len(segmentation.objects) == 3
-    assert min(_overlaps(segmentation, image.labels)) >= least
-    np.testing.assert_allclose(segmentation.plane.coefficients, image.plane, atol=2e-3)
+    ]
+
+    def check(seed: int, effects: dict, least: float) -> None:
+        image = _image(seed, **effects)
+        segmentation = _checked(image.cloud())
+        assert len(segmentation.objects) == 3
+        assert min(_overlaps(segmentation, image.labels)) >= least
+        np.testing.assert_allclose(segmentation.plane.coefficients, image.plane, atol=2e-3)
+
+    cases = {seed: every_effect[seed % len(every_effect)] for seed in range(50)}
+    every_case({f"{seed} {effects}": (seed, effects, least) for seed, (effects, least) in cases.items()}, check)
 
 
-@pytest.mark.parametrize("seed", range(0, N_SCENES, 5))
-def test_an_object_before_another_is_not_merged_with_it(seed: int) -> None:
-    image = _image(seed, flying_pixels=True, may_occlude=True)
-    segmentation = segment(image.cloud())
-    assert len(segmentation.objects) == 3
-    assert min(_overlaps(segmentation, image.labels)) >= 0.9
+def test_objects_before_others_and_clouds_without_order() -> None:
+    def check(seed: int) -> None:
+        image = _image(seed, flying_pixels=True, may_occlude=True)
+        segmentation = segment(image.cloud())
+        assert len(segmentation.objects) == 3
+        assert min(_overlaps(segmentation, image.labels)) >= 0.9
+        image = _image(seed)
+        keep = image.depth_mm.reshape(-1) > 0
+        segmentation = _checked(Cloud(image.cloud().xyz.reshape(-1, 3)[keep]))
+        assert len(segmentation.objects) == 3
+        assert min(_overlaps(segmentation, image.labels.reshape(-1)[keep])) >= 0.9
+
+    every_case(range(0, 50, 5), check)
 
 
-@pytest.mark.parametrize("seed", range(0, N_SCENES, 5))
-def test_clouds_without_order_give_the_same_objects(seed: int) -> None:
-    image = _image(seed)
-    keep = image.depth_mm.reshape(-1) > 0
-    cloud = Cloud(image.cloud().xyz.reshape(-1, 3)[keep])
-    segmentation = segment(cloud)
-    _check_consistency(cloud, segmentation)
-    assert len(segmentation.objects) == 3
-    assert min(_overlaps(segmentation, image.labels.reshape(-1)[keep])) >= 0.9
+def test_other_resolutions() -> None:
+    def check(width: int, height: int) -> None:
+        image = _image(1, width=width, height=height)
+        segmentation = segment(image.cloud())
+        assert len(segmentation.objects) == 3
+        assert min(_overlaps(segmentation, image.labels)) >= 0.93
 
-
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (640, 480), (424, 240)])
-def test_other_resolutions(width: int, height: int) -> None:
-    image = _image(1, width=width, height=height)
-    segmentation = segment(image.cloud())
-    assert len(segmentation.objects) == 3
-    assert min(_overlaps(segmentation, image.labels)) >= 0.93
-
-
-def test_a_coarser_grid_finds_the_same_objects_with_poorer_outlines() -> None:
+    every_case([(1280, 720), (640, 480), (424, 240)], check)
     image = _image(2, flying_pixels=True)
     coarse, shipped = (segment(image.cloud(), SegmentationConfig(grid_rows=rows)) for rows in (60, 120))
     assert len(coarse.objects) == len(shipped.objects) == 3
     assert 0.9 < np.mean(_overlaps(coarse, image.labels)) < np.mean(_overlaps(shipped, image.labels))
-
-
-def test_the_same_input_gives_the_same_bits() -> None:
-    cloud = _image(3).cloud()
-    first, second = segment(cloud), segment(cloud)
-    np.testing.assert_array_equal(first.labels, second.labels)
-    np.testing.assert_array_equal(first.plane.coefficients, second.plane.coefficients)
 
 
 def test_strides_colours_frame_and_stamp_do_not_matter_or_are_kept(rng: np.random.Generator) -> None:
@@ -125,31 +113,21 @@ def test_strides_colours_frame_and_stamp_do_not_matter_or_are_kept(rng: np.rando
     padded = np.zeros((xyz.shape[0], xyz.shape[1] + 3, 4), np.float32)
     padded[:, :-3, :3] = xyz
     rgb = rng.integers(0, 256, xyz.shape, dtype=np.uint8)
-    view = Cloud(padded[:, :-3, :3], rgb, "camera", 42)
-    plain, strided = segment(Cloud(xyz)), segment(view)
+    plain, strided = segment(Cloud(xyz)), segment(Cloud(padded[:, :-3, :3], rgb, "camera", 42))
     np.testing.assert_array_equal(plain.labels, strided.labels)
+    np.testing.assert_array_equal(plain.plane.coefficients, strided.plane.coefficients)
     for obj in strided.objects:
         np.testing.assert_array_equal(obj.cloud.rgb, rgb.reshape(-1, 3)[obj.pixels])
         assert (obj.cloud.frame_id, obj.cloud.stamp_ns) == ("camera", 42)
 
 
-def test_speckled_depth_keeps_objects_whole(rng: np.random.Generator) -> None:
-    image = _image(1)
-    cloud = image.cloud()
-    cloud.xyz[rng.random(cloud.xyz.shape[:2]) < 0.2] = np.nan
-    segmentation = segment(cloud)
-    _check_consistency(cloud, segmentation)
-    assert len(segmentation.objects) == 3
-
-
-def test_infinite_and_partly_missing_coordinates_are_ignored(rng: np.random.Generator) -> None:
-    cloud = _image(1).cloud()
-    bad = rng.random(cloud.xyz.shape[:2]) < 0.02
-    cloud.xyz[bad, rng.integers(0, 3, bad.sum())] = rng.choice([np.nan, np.inf, -np.inf], bad.sum())
-    for arranged in (cloud, Cloud(cloud.xyz.reshape(-1, 3))):
-        segmentation = segment(arranged)
-        _check_consistency(arranged, segmentation)
-        assert len(segmentation.objects) == 3
+def test_missing_and_infinite_coordinates_are_ignored(rng: np.random.Generator) -> None:
+    speckled, damaged = _image(1).cloud(), _image(1).cloud()
+    speckled.xyz[rng.random(speckled.xyz.shape[:2]) < 0.2] = np.nan
+    bad = rng.random(damaged.xyz.shape[:2]) < 0.02
+    damaged.xyz[bad, rng.integers(0, 3, bad.sum())] = rng.choice([np.nan, np.inf, -np.inf], bad.sum())
+    for cloud in (speckled, damaged, Cloud(damaged.xyz.reshape(-1, 3))):
+        assert len(_checked(cloud).objects) == 3
 
 
 def _table(rng: np.random.Generator, n: int = 20_000) -> npt.NDArray[np.float32]:
@@ -157,9 +135,8 @@ def _table(rng: np.random.Generator, n: int = 20_000) -> npt.NDArray[np.float32]
     return (points + rng.normal(0.0, 0.0005, points.shape)).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("points", "status", "reason"),
-    [
+def test_clouds_without_a_scene_have_a_reason() -> None:
+    cases = [
         (np.empty((0, 3)), "empty_cloud", "holds no point"),
         (np.full((10, 20, 3), np.nan), "empty_cloud", "none of 200 points is finite"),
         (np.full((500, 3), np.inf), "empty_cloud", "none of 500 points is finite"),
@@ -167,49 +144,41 @@ def _table(rng: np.random.Generator, n: int = 20_000) -> npt.NDArray[np.float32]
         (np.full((99, 3), 1.0), "too_few_points", "99 points in range, fewer than 100"),
         (np.full((5000, 3), 1.0), "no_plane", "coincide or are collinear"),
         (np.linspace((0, 0, 1), (0.5, 0.2, 1.2), 5000), "no_plane", "coincide or are collinear|narrow"),
-    ],
-)
-@pytest.mark.parametrize("organised", [False, True])
-def test_clouds_without_a_scene_have_a_reason(points, status: str, reason: str, organised: bool) -> None:
-    xyz = np.asarray(points, np.float32)
-    if organised and xyz.ndim == 2:
-        xyz = xyz.reshape(1, -1, 3)
-    cloud = Cloud(xyz)
-    segmentation = segment(cloud)
-    _check_consistency(cloud, segmentation)
-    assert segmentation.status == status
-    assert re.search(reason, segmentation.reason)
+    ]
+
+    def check(points: np.ndarray, status: str, reason: str) -> None:
+        xyz = np.asarray(points, np.float32)
+        for cloud in (Cloud(xyz), Cloud(xyz if xyz.ndim == 3 else xyz.reshape(1, -1, 3))):
+            segmentation = _checked(cloud)
+            assert segmentation.status == status
+            assert re.search(reason, segmentation.reason)
+
+    every_case(cases, check)
 
 
-@pytest.mark.parametrize("radius", [0.01, 0.03, 0.1, 0.4])
-@pytest.mark.parametrize("gaussian", [False, True])
-def test_a_blob_is_no_table(rng: np.random.Generator, radius: float, gaussian: bool) -> None:
-    points = rng.normal(size=(20_000, 3))
-    if not gaussian:
-        points *= (rng.random(len(points)) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
-    segmentation = segment(Cloud((radius * points + [0.0, 0.0, 1.0]).astype(np.float32)))
-    assert segmentation.status == "no_plane"
+def test_a_blob_is_no_table(rng: np.random.Generator) -> None:
+    def check(radius: float, gaussian: bool) -> None:
+        points = rng.normal(size=(20_000, 3))
+        if not gaussian:
+            points *= (rng.random(len(points)) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
+        segmentation = segment(Cloud((radius * points + [0.0, 0.0, 1.0]).astype(np.float32)))
+        assert segmentation.status == "no_plane"
+
+    every_case(product([0.01, 0.03, 0.1, 0.4], [False, True]), check)
 
 
-def test_a_bare_table_holds_no_object(rng: np.random.Generator) -> None:
-    segmentation = segment(Cloud(_table(rng)))
-    assert segmentation.status == "no_object"
-    assert "nothing stands more than 4 mm above the table" in segmentation.reason
-    np.testing.assert_allclose(segmentation.plane.coefficients, [0, 0, -1, 1], atol=1e-3)  # towards the camera
-    image = random_scene(rng, n_objects=0).render(rng, 0.002)
-    assert segment(image.cloud()).status == "no_object"
-
-
-def test_clusters_of_a_wrong_size_are_counted_and_named(rng: np.random.Generator) -> None:
+def test_without_a_plausible_object_the_reason_is_named(rng: np.random.Generator) -> None:
+    bare = segment(Cloud(_table(rng)))
+    assert bare.status == "no_object"
+    assert "nothing stands more than 4 mm above the table" in bare.reason
+    np.testing.assert_allclose(bare.plane.coefficients, [0, 0, -1, 1], atol=1e-3)  # towards the camera
+    assert segment(random_scene(rng, n_objects=0).render(rng, 0.002).cloud()).status == "no_object"
     crumb = rng.uniform((0.0, 0.0, 0.97), (0.02, 0.02, 0.98), (100, 3)).astype(np.float32)
     wall = rng.uniform((-0.4, 0.29, 0.6), (0.4, 0.3, 0.98), (4000, 3)).astype(np.float32)
-    segmentation = segment(Cloud(np.concatenate([_table(rng), crumb, wall])))
-    assert segmentation.status == "no_object"
-    assert segmentation.counts["n_rejected"] >= 2
-    assert "none with 150 points" in segmentation.reason
-
-
-def test_the_height_threshold_is_a_setting(rng: np.random.Generator) -> None:
+    rejected = segment(Cloud(np.concatenate([_table(rng), crumb, wall])))
+    assert rejected.status == "no_object"
+    assert rejected.counts["n_rejected"] >= 2
+    assert "none with 150 points" in rejected.reason
     slab = rng.uniform((0.0, 0.0, 0.98), (0.1, 0.1, 0.98), (3000, 3)).astype(np.float32)  # 2 cm high
     cloud = Cloud(np.concatenate([_table(rng), slab]))
     assert len(segment(cloud).objects) == 1
@@ -218,14 +187,14 @@ def test_the_height_threshold_is_a_setting(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize("name", ["oblique_848x480", "oblique_1280x720"])
-def test_shared_scenes(real_data: Path, name: str) -> None:
-    with np.load(real_data / "scenes" / f"{name}.npz") as scene:
-        xyz, truth, plane = scene["xyz"], scene["labels"].astype(np.int32), scene["plane"]
-    segmentation = segment(Cloud(xyz))
-    assert len(segmentation.objects) == 3
-    assert min(_overlaps(segmentation, truth)) >= 0.98
-    np.testing.assert_allclose(segmentation.plane.coefficients, plane, atol=5e-4)
+def test_shared_scenes(real_data: Path) -> None:
+    for name in ("oblique_848x480", "oblique_1280x720"):
+        with np.load(real_data / "scenes" / f"{name}.npz") as scene:
+            xyz, truth, plane = scene["xyz"], scene["labels"].astype(np.int32), scene["plane"]
+        segmentation = segment(Cloud(xyz))
+        assert len(segmentation.objects) == 3
+        assert min(_overlaps(segmentation, truth)) >= 0.98
+        np.testing.assert_allclose(segmentation.plane.coefficients, plane, atol=5e-4)
 
 
 @pytest.mark.real_data
@@ -233,5 +202,4 @@ def test_real_object_clouds_have_a_status(real_data: Path) -> None:
     from foretouch.cloud.io.files import read_cloud
 
     for path in sorted(real_data.glob("vision2tactile/*/*/cloud-object.pcd"))[::10]:
-        cloud = read_cloud(path)
-        _check_consistency(cloud, segment(cloud))
+        _checked(read_cloud(path))

@@ -44,7 +44,7 @@ def test_touch_and_tare_are_those_of_hold_and_rest() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_jitter_skew_and_drops_within_the_tolerance_change_nothing(seed: int) -> None:
-    faults = FaultConfig(jitter_s=0.02, skew_s=0.05, drop_share=0.05, seed=seed)
+    faults = FaultConfig(jitter_s=0.02, skew_s=0.05, drop_share=0.05)
     buffer = filled(stream(6, faults, seed))
     assert buffer.anomalies["out_of_order"] > 100
     for number in range(6):

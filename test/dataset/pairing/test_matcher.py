@@ -30,8 +30,8 @@ CONFIG = PairingConfig(wait_s=1.0)
 class World:
     """A matcher with its buffers."""
 
-    def __init__(self, grasps: int, faults: FaultConfig | None = None, **options: object) -> None:
-        self.readings = stream(grasps, faults)
+    def __init__(self, grasps: int, faults: FaultConfig | None = None, seed: int = 0, **options: object) -> None:
+        self.readings = stream(grasps, faults, seed)
         self.buffer = TouchBuffer(kept_s=1e6)
         self.clouds = CloudBuffer(60.0, 100.0)
         self.matcher = GraspTouchMatcher(self.buffer, self.clouds, CONFIG, **options)  # type: ignore[arg-type]
@@ -66,7 +66,7 @@ def test_no_pair_is_wrong_however_messages_come(seed: int) -> None:
     """Jitter of 20 ms, skew of 50 ms, 5 % of the readings lost, clouds and reports lost and in any order."""
     rng = np.random.default_rng(seed)
     count = 20
-    world = World(count, FaultConfig(jitter_s=0.02, skew_s=0.05, drop_share=0.05, seed=seed))
+    world = World(count, FaultConfig(jitter_s=0.02, skew_s=0.05, drop_share=0.05), seed)
     world.feel()
     known = [number for number in range(count) if rng.random() > 0.2]
     for number in rng.permutation(known):

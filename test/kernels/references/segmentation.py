@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from foretouch.cloud.segmentation.clusters import Clusters
+from foretouch.cloud.segmentation.clusters import Clusters, _pixel_pitch
 from foretouch.cloud.segmentation.crop import in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment
-from foretouch.cloud.segmentation.organised_clusters import _pixel_pitch
 from foretouch.types import Cloud
 
 Array = np.ndarray[Any, Any]
@@ -42,8 +41,13 @@ def residuals(points, along, offset, reach, depth_m) -> tuple[Array, Array, int]
     return residual[inside], scaled[inside], np.count_nonzero(np.abs(residual) < 3.0 * reach)
 
 
-def heights(plane, xyz) -> Array:
-    a, b, c, d = plane.coefficients.astype(np.float32)
+def plane_heights(xyz, count: int, plane, found) -> None:
+    assert count == len(xyz)
+    found[:] = _heights(plane, xyz)
+
+
+def _heights(plane, xyz) -> Array:
+    a, b, c, d = plane
     return xyz[..., 0] * a + xyz[..., 1] * b + xyz[..., 2] * c + d
 
 
@@ -58,7 +62,11 @@ def segments(flat, window, width: int, plane) -> Iterator[tuple[int, ObjectSegme
             columns = part.xyz.T.astype(np.float64, order="C")
             bounds = np.stack([columns.min(axis=1), columns.max(axis=1)])
             cloud = Cloud(part.xyz, part.rgb, flat.frame_id, flat.stamp_ns)
-            yield label, ObjectSegment(0, cloud, pixels, columns.mean(axis=1), bounds), heights(plane, part.xyz).max()
+            yield (
+                label,
+                ObjectSegment(0, cloud, pixels, columns.mean(axis=1), bounds),
+                _heights(plane.coefficients.astype(np.float32), part.xyz).max(),
+            )
 
 
 def write_ids(image, window, ids) -> int:
@@ -93,7 +101,7 @@ def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> 
             height, above = _measure(points, threshold, crop)
             z = points[..., 2]
             nodes = above[::stride, ::stride] & (patches[rows, columns] == number)
-            below = height <= threshold.at(z)
+            below = height <= _least(threshold, z)
             nodes = _label_nodes(nodes, z, below, stride, lambda z: step(z, config.max_slope))
             nodes = _kept(nodes, min_nodes)
             labels = _grow(nodes, z, above, stride)
@@ -106,8 +114,12 @@ def label_organised(xyz, coarse, stride, crop, threshold, config, rays=None) -> 
 
 
 def _measure(xyz, threshold, crop) -> tuple[Array, Array]:
-    height, z = heights(threshold.plane, xyz), xyz[..., 2]
-    return height, (height > threshold.at(z)) & (height < np.float32(threshold.high_m)) & in_range(z, crop)
+    height, z = _heights(threshold.plane.coefficients.astype(np.float32), xyz), xyz[..., 2]
+    return height, (height > _least(threshold, z)) & (height < np.float32(threshold.high_m)) & in_range(z, crop)
+
+
+def _least(threshold, z) -> Array:
+    return np.maximum(z * np.float32(threshold.noise_per_m) * z, np.float32(threshold.low_m))
 
 
 def _drop_beside(xyz, chosen, rays, top: int, left: int, stride: int, width: int) -> Array:
@@ -115,7 +127,7 @@ def _drop_beside(xyz, chosen, rays, top: int, left: int, stride: int, width: int
     if rays is None:
         return np.zeros_like(chosen)
     rows, columns = top + stride * np.arange(xyz.shape[0])[:, None], left + stride * np.arange(xyz.shape[1])
-    beside = rays.beside(xyz, xyz[..., 2], rows, columns)
+    beside = rays.beside(xyz, rows, columns)
     rays.record((rows * width + columns)[beside & chosen])
     chosen &= ~beside
     return beside
@@ -182,7 +194,7 @@ def _refine(labels, z, height, above, threshold, step: Callable[[Array], Array])
     solid = (labels > 0) & ~flying
     around = _around(labels * solid, 0)
     labels[flying & ~(around == labels).any(axis=0)] = 0
-    low = ~above & (height > threshold.at(z) * np.float32(1 / 3)) & (height <= threshold.at(z))
+    low = ~above & (height > _least(threshold, z) * np.float32(1 / 3)) & (height <= _least(threshold, z))
     owner = np.zeros_like(labels)
     for neighbour, distance in zip(around, np.abs(apart), strict=True):
         owner = np.where(low & (neighbour > 0) & (distance <= near), neighbour, owner)

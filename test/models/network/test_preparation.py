@@ -23,7 +23,7 @@ def test_cloud_and_grasp_move_together(can, small, make_grasps) -> None:
     fed = prepare_grasps(grasps, prepared.frame, small)
     assert fed.shape == (3, 15)
     for row, grasp in zip(fed, grasps, strict=True):
-        back = prepared.frame.invert_points(row[:6].reshape(2, 3).astype(np.float64))
+        back = row[:6].reshape(2, 3).astype(np.float64) * prepared.frame.scale + prepared.frame.centre
         assert_allclose(back, [grasp.g1, grasp.g2], atol=1e-7)
         assert_allclose(row[6:15], grasp.rotation.ravel())
 

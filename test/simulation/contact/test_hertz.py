@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from every_case import every_case
 from numpy.testing import assert_allclose
 
 sys.path.insert(0, str(Path(__file__).parent))
 from contact_builders import RADIUS, grid, half_space, paraboloid
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import Command, ContactConfig, ContactProblem, solve_hertz, solve_layer
+from foretouch.simulation.contact import Command, ContactProblem, solve_hertz, solve_layer
 
 
 def test_sphere_is_the_closed_form():
@@ -26,61 +25,49 @@ def test_sphere_is_the_closed_form():
     assert_allclose(solution.displacement[0].max(), depth, rtol=1e-6)
 
 
-def test_force_and_depth_are_inverse():
+def test_force_and_depth_are_inverse_and_a_footprint_below_a_cell_keeps_its_force():
     problem = paraboloid(24, 0.006, ratio=4.0)
     depth = solve_hertz(problem, Command(force_n=0.7)).depth_m
     assert_allclose(solve_hertz(problem, Command(depth_m=depth)).force_n, 0.7, rtol=1e-9)
+    assert_allclose(solve_hertz(problem, Command(force_n=1e-7)).pressure.sum() * problem.cell_m2, 1e-7, rtol=1e-12)
 
 
-@pytest.mark.parametrize("ratio", [1.0, 2.0, 8.0])
-def test_ellipse_agrees_with_the_elastic_half_space(ratio):
-    problem = paraboloid(96, 0.0036, ratio=ratio)
+def test_ellipse_agrees_with_the_elastic_half_space():
     depth = 8e-5
-    closed = solve_hertz(problem, Command(depth_m=depth))
-    solved = solve_layer(problem, Command(depth_m=depth), ContactConfig(tolerance=1e-6))
-    assert_allclose(closed.force_n, solved.force_n, rtol=0.006)
-    assert_allclose(closed.area_m2, solved.area_m2, rtol=0.03)
-    assert np.abs(closed.pressure - solved.pressure).sum() < 0.02 * solved.pressure.sum()
+    for ratio in (1.0, 2.0, 8.0):
+        problem = paraboloid(96, 0.0036, ratio=ratio)
+        closed = solve_hertz(problem, Command(depth_m=depth))
+        solved = solve_layer(problem, Command(depth_m=depth), tolerance=1e-6)
+        assert_allclose(closed.force_n, solved.force_n, rtol=0.006)
+        assert_allclose(closed.area_m2, solved.area_m2, rtol=0.03)
+        assert np.abs(closed.pressure - solved.pressure).sum() < 0.02 * solved.pressure.sum()
 
 
-def test_displacement_beside_the_contact_agrees_with_the_half_space():
+def test_displacement_beside_the_contact_agrees_with_the_half_space_and_with_a_point_load():
     problem = paraboloid(96, 0.006)
     closed = solve_hertz(problem, Command(depth_m=1e-4)).displacement
-    solved = solve_layer(problem, Command(depth_m=1e-4)).displacement
-    assert_allclose(closed, solved, atol=0.01 * 1e-4)
+    assert_allclose(closed, solve_layer(problem, Command(depth_m=1e-4)).displacement, atol=0.01 * 1e-4)
+    x, y, step = grid(25, 0.006)
+    away = np.hypot(x, y) > 1.5 * step
+    for force in (1e-12, 1e-20, 1e-29):
+        displacement = solve_hertz(paraboloid(25, 0.006), Command(force_n=force)).displacement[0]
+        point_load = force / (math.pi * half_space().plane_modulus_pa * np.hypot(x, y)[away])  # Johnson, eq. 3.22b
+        assert_allclose(displacement[away], point_load, rtol=1e-5)
 
 
-def test_footprint_smaller_than_a_cell_keeps_its_force():
-    problem = paraboloid(24, 0.012)
-    solution = solve_hertz(problem, Command(force_n=1e-7))
-    assert_allclose(solution.pressure.sum() * problem.cell_m2, 1e-7, rtol=1e-12)
+def test_what_is_no_paraboloid_is_refused():
+    x, y, step = grid(25, 0.012)
+    round_gap = paraboloid(25, 0.012).gap
+    gaps = [
+        (x**2, r"flat or hollow|too close to the window's border"),
+        (x**2 - 0.5 * y**2, r"flat or hollow|too close to the window's border"),
+        (np.where(x > 1e-3, np.inf, round_gap), "an edge cuts the surface"),
+        (paraboloid(25, 0.012, ratio=1e4).gap, "a line rather than an ellipse"),
+        ((x + 0.01) ** 2 + y**2, "too close to the window's border"),
+    ]
 
-
-def test_saddle_and_plane_are_refused():
-    for ratio in (0.0, -0.5):
-        x, y, step = grid(24, 0.012)
-        gap = x**2 + ratio * y**2
-        with pytest.raises(ContactError, match=r"flat or hollow|too close to the window's border"):
+    def check(gap, message):
+        with pytest.raises(ContactError, match=message):
             solve_hertz(ContactProblem(gap - gap.min(), step, (half_space(),)), Command(force_n=1.0))
 
-
-def test_edge_through_first_touch_is_refused():
-    problem = paraboloid(25, 0.012)
-    gap = np.where(grid(25, 0.012)[0] > 1e-3, np.inf, problem.gap)
-    with pytest.raises(ContactError, match="an edge cuts the surface"):
-        solve_hertz(ContactProblem(gap, problem.step_m, problem.layers), Command(force_n=1.0))
-
-
-def test_line_contact_is_refused():
-    with pytest.raises(ContactError, match="a line rather than an ellipse"):
-        solve_hertz(paraboloid(25, 0.012, ratio=1e4), Command(force_n=1.0))
-
-
-@pytest.mark.parametrize("force", [1e-12, 1e-20, 1e-29])
-def test_beside_a_tiny_footprint_the_surface_moves_as_under_a_point_load(force):
-    x, y, step = grid(25, 0.006)
-    problem = paraboloid(25, 0.006)
-    displacement = solve_hertz(problem, Command(force_n=force)).displacement[0]
-    away = np.hypot(x, y) > 1.5 * step
-    point_load = force / (math.pi * half_space().plane_modulus_pa * np.hypot(x, y)[away])  # Johnson 1985, eq. 3.22b
-    assert_allclose(displacement[away], point_load, rtol=1e-5)
+    every_case(gaps, check)

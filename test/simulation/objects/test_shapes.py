@@ -3,43 +3,35 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.errors import SimulationError
 from foretouch.simulation.objects import SHAPES, TriangleMesh, unit_mesh
-from foretouch.simulation.objects.mesh import revolved, rounded_box, star_shaped
+from foretouch.simulation.objects.mesh import revolved, rounded_box, sphere_directions, star_shaped
 
 MEMBERS = [(shape, 0) for shape in SHAPES] + [("random", k) for k in range(1, 12)]
 
 
-@pytest.mark.parametrize(("shape", "variant"), MEMBERS)
-def test_every_edge_lies_in_two_faces(shape: str, variant: int) -> None:
-    faces = unit_mesh(shape, variant).faces
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    shared = Counter(map(tuple, np.sort(edges, axis=1).tolist()))  # counted here, not by the code under test
-    assert set(shared.values()) == {2}
+def test_a_unit_mesh_is_closed_in_one_piece_and_fills_its_box() -> None:
+    def check(shape: str, variant: int) -> None:
+        mesh = unit_mesh(shape, variant)
+        faces = mesh.faces
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        shared = Counter(map(tuple, np.sort(edges, axis=1).tolist()))  # counted here, not by the code under test
+        assert set(shared.values()) == {2}
+        assert len(mesh.vertices) - len(shared) + len(faces) == 2  # Euler: a sphere's topology
+        assert len(np.unique(faces)) == len(mesh.vertices)  # no vertex without a face
+        np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[-0.5] * 3, [0.5] * 3])
+        assert 0.2 < mesh.volume() < 1.0
 
-
-@pytest.mark.parametrize(("shape", "variant"), MEMBERS)
-def test_a_unit_mesh_fills_its_box_and_has_volume(shape: str, variant: int) -> None:
-    mesh = unit_mesh(shape, variant)
-    np.testing.assert_allclose(mesh.bounds, [[-0.5] * 3, [0.5] * 3], atol=1e-12)
-    assert 0.2 < mesh.volume() < 1.0
-    assert len(np.unique(mesh.faces)) == len(mesh.vertices)  # no vertex without a face
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_solid_is_one_piece(shape: str) -> None:
-    mesh = unit_mesh(shape)
-    used = len(mesh.vertices)
-    edges = len(mesh.faces) * 3 // 2
-    assert used - edges + len(mesh.faces) == 2  # Euler: a sphere's topology
+    every_case(MEMBERS, check)
 
 
 def test_volumes_of_known_solids() -> None:
-    sphere = star_shaped(lambda d: np.full(len(d), 0.05))
+    sphere = star_shaped(np.full(len(sphere_directions()), 0.05))
     assert sphere.volume() == pytest.approx(4.0 / 3.0 * np.pi * 0.05**3, rel=2e-3)
     half_disc = np.linspace(0.0, np.pi, 65)
-    turned = revolved(np.stack([0.05 * np.sin(half_disc), -0.05 * np.cos(half_disc)], axis=1) * (1.0, 1.0))
+    turned = revolved(np.stack([0.05 * np.sin(half_disc), -0.05 * np.cos(half_disc)], axis=1))
     assert turned.volume() == pytest.approx(4.0 / 3.0 * np.pi * 0.05**3, rel=2e-3)
     box = rounded_box((0.1, 0.2, 0.3), 0.001)
     assert box.volume() == pytest.approx(0.006, rel=1e-3)
@@ -59,14 +51,11 @@ def test_members_of_the_family_differ_and_come_back() -> None:
     assert {round(unit_mesh("random", k).volume(), 6) for k in range(12)} == volumes
 
 
-def test_a_hole_is_refused_by_name() -> None:
+def test_what_is_no_solid_is_refused_by_name() -> None:
     mesh = unit_mesh("can")
     with pytest.raises(SimulationError, match=r"tin: the mesh has an edge"):
-        TriangleMesh(mesh.vertices, mesh.faces[1:]).require_closed("tin")
+        TriangleMesh(mesh.vertices, mesh.faces[1:]).closed("tin")
     with pytest.raises(SimulationError, match=r"tin: the mesh encloses -"):
-        TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]).require_closed("tin")
-
-
-def test_an_unknown_shape_names_the_known_ones() -> None:
+        TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]).closed("tin")
     with pytest.raises(SimulationError, match=r"'cube' is none of ball, box, can"):
         unit_mesh("cube")

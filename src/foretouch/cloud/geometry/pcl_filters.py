@@ -36,14 +36,7 @@ class VoxelGrid:
     leaf_m: float  # edge of a cell [m]
 
     def mean(self, values: npt.NDArray[np.floating]) -> Float64:
-        """Mean over the points of each cell.
-
-        Args:
-            values: (N, C) floating. A NaN propagates to its whole cell, in its column only.
-
-        Returns:
-            (M, C) float64.
-        """
+        """(M, C) float64 means of (N, C) values over the points of each cell; a NaN propagates within its column."""
         means = np.empty((len(self.counts), values.shape[1]))
         values = np.ascontiguousarray(values, np.float64)
         _cell_means(values, *values.shape, self.cell, self.counts, len(self.counts), means)
@@ -178,17 +171,14 @@ def _fit(sums: Float64, points: Float32) -> tuple[Float64, Float64]:
 
 
 def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> npt.NDArray[np.bool_]:
-    """Inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
+    """(N,) bool, inliers of statistical outlier removal: mean neighbour distance <= mean + deviations · std over the cloud.
 
     The standard deviation is that of a sample (n - 1). A single point is an inlier.
 
     Args:
         xyz: (N, 3) float32 [m], finite. N may be 0.
-        neighbours: Number of nearest neighbours averaged for each point, excluding itself.
+        neighbours: As `k` of `mean_neighbour_distance`.
         deviations: Standard deviations above the mean that are still kept.
-
-    Returns:
-        (N,) bool.
     """
     if len(xyz) < 2:
         return np.ones(len(xyz), np.bool_)
@@ -197,14 +187,9 @@ def inlier_mask(xyz: Float32, neighbours: int = 50, deviations: float = 1.0) -> 
 
 
 def mean_neighbour_distance(xyz: Float32, k: int) -> Float32:
-    """Mean distance from each point to its k nearest neighbours, excluding itself.
+    """(N,) float32 [m]: mean distance from each of (N, 3) finite points to its k nearest neighbours, excluding itself.
 
-    Args:
-        xyz: (N, 3) float32 [m], finite.
-        k: Number of neighbours; all other points if there are fewer.
-
-    Returns:
-        (N,) float32 [m]; zero for a single point.
+    All other points if there are fewer; zero for a single point.
     """
     k = min(k, len(xyz) - 1)
     if k < 1:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Input of the touch models: a fixed number of points, moved and scaled to the unit sphere."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from foretouch.cloud.geometry.columns import centred_columns, distances
 from foretouch.errors import CloudError
-from foretouch.types import Float64, Grasp
+from foretouch.types import Float64
 
 SAMPLERS = ("random", "voxel", "farthest")
 _VOXEL_HALVINGS = 20  # of the voxel's edge: 21 bits hold a cell's index, and float32 resolves little more
@@ -99,7 +99,7 @@ def _one_per_voxel(xyz: npt.NDArray[np.floating], n: int, rng: np.random.Generat
 
 @dataclass(frozen=True, eq=False)
 class UnitSphereFrame:
-    """Transforms a cloud and its grasps to the unit sphere and back (P1, section III.A)."""
+    """Moves and scales a cloud to the unit sphere (P1, section III.A)."""
 
     centre: Float64  # (3,) float64 [m], centroid of the cloud
     scale: float  # distance of its farthest point from the centroid [m]
@@ -130,15 +130,3 @@ class UnitSphereFrame:
     def apply_points(self, points: npt.NDArray[np.floating]) -> Float64:
         """(..., 3) [m] to the unit sphere, float64."""
         return (np.asarray(points, np.float64) - self.centre) / self.scale
-
-    def invert_points(self, points: npt.NDArray[np.floating]) -> Float64:
-        """(..., 3) of the unit sphere back to [m], float64."""
-        return np.asarray(points, np.float64) * self.scale + self.centre
-
-    def apply_grasp(self, grasp: Grasp) -> Grasp:
-        """The grasp in the unit sphere: contacts move; the axes of the frames are parallel, so R stays."""
-        return replace(grasp, g1=self.apply_points(grasp.g1), g2=self.apply_points(grasp.g2))
-
-    def invert_grasp(self, grasp: Grasp) -> Grasp:
-        """The inverse of `apply_grasp`."""
-        return replace(grasp, g1=self.invert_points(grasp.g1), g2=self.invert_points(grasp.g2))

@@ -1,22 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds in files: `.pcd`, `.ply`, `.npz` and `.npy`, by their ending.
 
-Nothing is read that could run code: NumPy files are opened without pickle.
+Nothing is read that could run code: NumPy files are opened without pickle, and by parts, since `numpy.load` takes the
+memory that a header asks for, and passes on whatever the parsers below it raise.
 """
 
+import io
+import math
+import struct
+import tokenize
+import zipfile
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.io.numpy_files import read_archive, read_array
+from foretouch.checked_files import read_bytes
 from foretouch.cloud.io.pcd import read_pcd, write_pcd
 from foretouch.cloud.io.ply import read_ply, write_ply
+from foretouch.cloud.io.records import SIZE_LIMIT, check_unpacked
 from foretouch.errors import CloudError, FileError
 from foretouch.types import Cloud
 
-_FRAME_LIMIT = 256  # characters of a frame's name
+_FRAME_LIMIT: Final = 256  # characters of a frame's name
+_NPY_HEADER_LIMIT: Final = 2000  # bytes; Python parses deeper brackets than that for seconds
+_MAX_AXES: Final = 8
+_DAMAGE: Final = (
+    *(ValueError, SyntaxError, TypeError, KeyError, IndexError, EOFError, OverflowError, RuntimeError, OSError),
+    *(MemoryError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+)  # the parsers below NumPy raise any of these on damaged bytes
 
 
 def read_cloud(path: str | Path) -> Cloud:
@@ -66,9 +80,18 @@ def write_cloud(path: str | Path, cloud: Cloud) -> None:
 
 
 def _read_npz(path: Path) -> Cloud:
-    arrays, names = read_archive(path, ("xyz", "rgb", "frame_id", "stamp_ns"))
+    content = read_bytes(path, SIZE_LIMIT)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+            wanted = [name for name in ("xyz", "rgb", "frame_id", "stamp_ns") if name in members]
+            arrays = {
+                name: _array(path, _unpacked(path, archive, members[name], len(content)), name) for name in wanted
+            }
+    except _DAMAGE as err:
+        raise FileError(path, f"is damaged or no .npz archive: {' '.join(str(err).split())}") from err
     if "xyz" not in arrays:
-        raise FileError(path, f"is missing; there are: {', '.join(names) or 'none'}", field="xyz")
+        raise FileError(path, f"is missing; there are: {', '.join(members) or 'none'}", field="xyz")
     frame_id, stamp = arrays.get("frame_id", np.array("")), arrays.get("stamp_ns", np.array(0))
     if frame_id.shape or frame_id.dtype.kind != "U":
         raise FileError(path, "is not one text", field="frame_id")
@@ -85,7 +108,41 @@ def _read_npz(path: Path) -> Cloud:
 
 
 def _read_npy(path: Path) -> Cloud:
-    return Cloud(_coordinates(path, read_array(path)))
+    return Cloud(_coordinates(path, _array(path, read_bytes(path, SIZE_LIMIT))))
+
+
+def _unpacked(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, size: int) -> bytes:
+    if member.flag_bits & 1:
+        raise FileError(path, "is encrypted", field=member.filename)
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FileError(path, f"compression {member.compress_type} is not deflate", field=member.filename)
+    check_unpacked(path, member.file_size, size, member.filename)
+    return archive.read(member)
+
+
+def _array(path: Path, content: bytes, field: str | None = None) -> npt.NDArray[Any]:
+    stream = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+            (3, 0): np.lib.format.read_array_header_2_0,
+        }[version]
+        shape, by_columns, dtype = read_header(stream, _NPY_HEADER_LIMIT)
+    except _DAMAGE as err:
+        rule = f"is damaged or no .npy array: {type(err).__name__}: {' '.join(str(err).split())}"
+        raise FileError(path, rule, field=field) from err
+    if dtype.hasobject or dtype.itemsize == 0:
+        raise FileError(path, f"is damaged or contains objects: dtype {dtype}", field=field)
+    if len(shape) > _MAX_AXES or any(type(size) is not int or not 0 <= size < 2**31 for size in shape):
+        raise FileError(path, f"shape {shape} is none of an array", field=field)
+    count, body = math.prod(shape), stream.read()
+    if count * dtype.itemsize > len(body):
+        rule = f"shape {shape} of {dtype} needs {count * dtype.itemsize} bytes, {len(body)} follow"
+        raise FileError(path, rule, field=field)
+    flat = np.frombuffer(body, dtype, count)
+    return (flat.reshape(shape[::-1]).T if by_columns else flat.reshape(shape)).copy("K")
 
 
 def _coordinates(path: Path, xyz: npt.NDArray[Any]) -> npt.NDArray[np.float32]:

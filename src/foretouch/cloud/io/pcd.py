@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from foretouch.checked_files import read_bytes
-from foretouch.cloud.io.numpy_files import check_unpacked
 from foretouch.cloud.io.records import (
     HEADER_LIMIT,
     SIZE_LIMIT,
     Records,
     ascii_records,
     binary_records,
+    check_unpacked,
     to_cloud,
     unique_names,
     whole_number,

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +21,7 @@ import numpy.typing as npt
 from foretouch.errors import CloudError
 from foretouch.types import Cloud, Float32, UInt8
 
-__all__ = ["DATATYPES", "PointArrays", "PointBytes", "PointCloud2Layout", "PointField", "decode", "encode"]
-
-PointBytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | npt.NDArray[np.uint8]"
+_Bytes: TypeAlias = "bytes | bytearray | memoryview | array.array[int] | npt.NDArray[np.uint8]"
 
 # Codes of sensor_msgs/PointField.
 DATATYPES: dict[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -41,18 +39,6 @@ class PointField:
     offset: int  # offset from the start of the point [bytes]
     datatype: int  # key of `DATATYPES`
     count: int = 1  # number of elements
-
-    @property
-    def end(self) -> int:
-        """Offset of the first byte after the field."""
-        return self.offset + self.count * int(DATATYPES[self.datatype][1])
-
-
-class PointArrays(NamedTuple):
-    """Contents of a message."""
-
-    xyz: Float32  # (N, 3), or (H, W, 3) if the height is above 1, float32 [m], read-only; a view where possible
-    rgb: UInt8 | None  # the same leading shape, uint8, read-only, or None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,28 +68,65 @@ class PointCloud2Layout:
         _check_fields(self.fields, self.point_step)
 
     @property
-    def organised(self) -> bool:
-        """Whether the points form an image."""
-        return self.height > 1
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(N,), or (H, W) if organised; (0,) if there is no point."""
+    def _shape(self) -> tuple[int, ...]:
+        """(N,), or (H, W) if there are several rows; (0,) if there is no point."""
         if self.height * self.width == 0:
             return (0,)
-        return (self.height, self.width) if self.organised else (self.width,)
+        return (self.height, self.width) if self.height > 1 else (self.width,)
 
-    @property
-    def strides(self) -> tuple[int, ...]:
-        """Strides of `shape` [bytes]."""
-        return (self.row_step, self.point_step) if len(self.shape) == 2 else (self.point_step,)
-
-    def field(self, name: str) -> PointField | None:
-        """The field of that name, or None."""
+    def _field(self, name: str) -> PointField | None:
         return next((field for field in self.fields if field.name == name), None)
 
+    def _view(self, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None) -> npt.NDArray[Any]:
+        """One number of each point, or `last` = (count, stride in bytes) of them, without a copy."""
+        shape = self._shape
+        strides = (self.row_step, self.point_step)[2 - len(shape) :]
+        if last is not None:
+            shape, strides = (*shape, last[0]), (*strides, last[1])
+        if 0 in shape:
+            return np.empty(shape, dtype)
+        return np.ndarray(shape, dtype, buffer=data, offset=offset, strides=strides)
 
-def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
+    def _xyz(self, data: UInt8) -> Float32:
+        fields = []
+        for name in "xyz":
+            field = self._field(name)
+            if field is None:
+                known = ", ".join(f.name for f in self.fields) or "none"
+                raise CloudError(f"fields: {name} is missing; there are: {known}")
+            if field.datatype not in (_FLOAT32, _FLOAT64):
+                raise CloudError(f"{name}: datatype {_NAMES[field.datatype]} is neither FLOAT32 nor FLOAT64")
+            if field.count != 1:
+                raise CloudError(f"{name}: count {field.count} is not 1")
+            fields.append(field)
+        x, y, z = fields
+        native = self.is_bigendian == _HOST_IS_BIGENDIAN
+        spacing = y.offset - x.offset
+        if native and spacing == z.offset - y.offset and all(f.datatype == _FLOAT32 for f in fields):
+            return self._view(data, "f4", x.offset, (3, spacing))
+        xyz = np.empty((*self._shape, 3), np.float32)
+        # Beyond float32 becomes infinite, and a signalling NaN quiet: no point.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for i, field in enumerate(fields):
+                order = ">" if self.is_bigendian else "<"
+                xyz[..., i] = self._view(data, order + DATATYPES[field.datatype], field.offset)
+        return xyz
+
+    def _rgb(self, data: UInt8) -> UInt8 | None:
+        packed = self._field("rgb") or self._field("rgba")
+        if packed is not None:
+            if packed.datatype not in _PACKED_COLOUR or packed.count != 1:
+                what = f"{packed.count} x {_NAMES[packed.datatype]}"
+                raise CloudError(f"{packed.name}: {what} is not one FLOAT32, UINT32 or INT32")
+            # In memory: blue, green, red, alpha, or the reverse where big-endian.
+            first, step = (packed.offset + 1, 1) if self.is_bigendian else (packed.offset + 2, -1)
+            return self._view(data, "u1", first, (3, step))
+        channels = [self._field(name) for name in "rgb"]
+        offsets = [one.offset for one in channels if one is not None and one.datatype == _UINT8 and one.count == 1]
+        return np.stack([self._view(data, "u1", offset) for offset in offsets], axis=-1) if len(offsets) == 3 else None
+
+
+def decode(layout: PointCloud2Layout, data: _Bytes) -> tuple[Float32, UInt8 | None]:
     """Coordinates and colours of a message.
 
     Args:
@@ -112,8 +135,9 @@ def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
             they must stay unchanged as long as it is used.
 
     Returns:
-        `PointArrays`; points without depth keep their NaN or infinity. Colours come from `rgb` or `rgba`
-        (blue in the lowest byte, as PCL packs them) or from `r`, `g`, `b` of UINT8; others are ignored.
+        (N, 3), or (H, W, 3) if the height is above 1, float32 [m], and colours of the same shape, uint8, or None. Both
+        are read-only, and views where possible. Points without depth keep their NaN or infinity. Colours come from
+        `rgb` or `rgba` (blue in the lowest byte, as PCL packs them) or from `r`, `g`, `b` of UINT8; others are ignored.
 
     Raises:
         CloudError: If the sizes do not match, x, y or z is missing, or has a wrong datatype.
@@ -127,12 +151,12 @@ def decode(layout: PointCloud2Layout, data: PointBytes) -> PointArrays:
         raise CloudError(
             f"data: {bytes_.size} bytes are not row_step {layout.row_step} x height {layout.height} = {expected}"
         )
-    xyz = _coordinates(layout, bytes_)
-    rgb = _colours(layout, bytes_)
+    xyz = layout._xyz(bytes_)  # noqa: SLF001  of this module
+    rgb = layout._rgb(bytes_)  # noqa: SLF001
     for result in (xyz, rgb):
         if result is not None:
             result.flags.writeable = False
-    return PointArrays(xyz, rgb)
+    return xyz, rgb
 
 
 def encode(cloud: Cloud) -> tuple[PointCloud2Layout, array.array[int]]:
@@ -181,6 +205,7 @@ def _with_colour(xyz: npt.NDArray[np.float32], rgb: UInt8) -> npt.NDArray[np.flo
 def _check_fields(fields: Sequence[PointField], point_step: int) -> None:
     """Check datatypes, unique names, and that fields lie within the point without overlap."""
     seen: set[str] = set()
+    solid = []
     for field in fields:
         if field.name in seen:
             raise CloudError(f"fields: {field.name} occurs twice")
@@ -189,73 +214,11 @@ def _check_fields(fields: Sequence[PointField], point_step: int) -> None:
             raise CloudError(f"{field.name}: datatype {field.datatype} is none of 1 to 8")
         if field.offset < 0 or field.count < 0:
             raise CloudError(f"{field.name}: offset {field.offset} or count {field.count} is negative")
-        if field.end > point_step:
-            raise CloudError(f"{field.name}: ends at byte {field.end}, beyond point_step {point_step}")
-    solid = sorted((field for field in fields if field.count), key=lambda field: field.offset)
-    for before, after in pairwise(solid):
-        if after.offset < before.end:
-            raise CloudError(
-                f"{after.name}: offset {after.offset} lies within {before.name}, which ends at {before.end}"
-            )
-
-
-def _coordinates(layout: PointCloud2Layout, data: UInt8) -> Float32:
-    fields = []
-    for name in "xyz":
-        field = layout.field(name)
-        if field is None:
-            known = ", ".join(f.name for f in layout.fields) or "none"
-            raise CloudError(f"fields: {name} is missing; there are: {known}")
-        if field.datatype not in (_FLOAT32, _FLOAT64):
-            raise CloudError(f"{name}: datatype {_NAMES[field.datatype]} is neither FLOAT32 nor FLOAT64")
-        if field.count != 1:
-            raise CloudError(f"{name}: count {field.count} is not 1")
-        fields.append(field)
-    x, y, z = fields
-    native = layout.is_bigendian == _HOST_IS_BIGENDIAN
-    spacing = y.offset - x.offset
-    if native and spacing == z.offset - y.offset and all(f.datatype == _FLOAT32 for f in fields):
-        return _view(layout, data, "f4", x.offset, (3, spacing))
-    columns = [_view(layout, data, _dtype(layout, field), field.offset) for field in fields]
-    xyz = np.empty((*layout.shape, 3), np.float32)
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # beyond float32 becomes infinite, and a signalling NaN quiet: no point
-        for i, column in enumerate(columns):
-            xyz[..., i] = column
-    return xyz
-
-
-def _colours(layout: PointCloud2Layout, data: UInt8) -> UInt8 | None:
-    packed = layout.field("rgb") or layout.field("rgba")
-    if packed is not None:
-        if packed.datatype not in _PACKED_COLOUR or packed.count != 1:
-            raise CloudError(
-                f"{packed.name}: {packed.count} x {_NAMES[packed.datatype]} is not one FLOAT32, UINT32 or INT32"
-            )
-        # In memory: blue, green, red, alpha, or the reverse where big-endian.
-        first, step = (packed.offset + 1, 1) if layout.is_bigendian else (packed.offset + 2, -1)
-        return _view(layout, data, "u1", first, (3, step))
-    channels = [layout.field(name) for name in "rgb"]
-    if not all(field is not None and field.datatype == _UINT8 and field.count == 1 for field in channels):
-        return None
-    offsets = [field.offset for field in channels if field is not None]
-    if offsets[1] - offsets[0] == offsets[2] - offsets[1]:
-        return _view(layout, data, "u1", offsets[0], (3, offsets[1] - offsets[0]))
-    return np.stack([_view(layout, data, "u1", offset) for offset in offsets], axis=-1)
-
-
-def _dtype(layout: PointCloud2Layout, field: PointField) -> str:
-    return (">" if layout.is_bigendian else "<") + DATATYPES[field.datatype]
-
-
-def _view(
-    layout: PointCloud2Layout, data: UInt8, dtype: str, offset: int, last: tuple[int, int] | None = None
-) -> npt.NDArray[Any]:
-    """One number of each point, or `last` = (count, stride in bytes) of them, without a copy."""
-    shape, strides = layout.shape, layout.strides
-    if last is not None:
-        shape, strides = (*shape, last[0]), (*strides, last[1])
-    if 0 in shape:
-        return np.empty(shape, dtype)
-    return np.ndarray(shape, dtype, buffer=data, offset=offset, strides=strides)
+        end = field.offset + field.count * int(DATATYPES[field.datatype][1])
+        if end > point_step:
+            raise CloudError(f"{field.name}: ends at byte {end}, beyond point_step {point_step}")
+        if field.count:
+            solid.append((field.offset, end, field.name))
+    for (_, end, name), (offset, _, after) in pairwise(sorted(solid)):
+        if offset < end:
+            raise CloudError(f"{after}: offset {offset} lies within {name}, which ends at {end}")

@@ -1,5 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clustering of the points above the table: settings, height threshold, and Euclidean clusters of unorganised clouds.
+"""Objects as clusters of the points above the table.
+
+An image is labelled by its connected components (`kernels/clusters.c`). Points above the table are first labelled on a
+coarse grid of pixels. Two neighbours of the grid are connected unless the pixels between them fall to the table or jump
+in depth, so that an object in front of another one is not merged with it. The labels then grow to full resolution, and
+the outlines are refined:
+
+- Flying pixels lie in the air between an object and its background, since the camera mixed both. They have few
+  neighbours at their own depth. Those next to solid pixels of the object are its outline: they keep its label, but
+  their depth belongs to neither surface, hence they are not solid.
+- Base pixels are below the height threshold, touch an object and lie at its depth: they are the foot of the object.
 
 Unorganised points are connected if their voxels touch. Occupied voxels are a sorted list, not a dense grid: the size of
 a grid would be the scene's, and a single far point would make it huge.
@@ -12,13 +22,21 @@ import numpy as np
 import numpy.typing as npt
 
 from foretouch.cloud.segmentation.crop import CropConfig, in_range
+from foretouch.cloud.segmentation.rays import RayFilter
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
 from foretouch.types import Float32, Plane
 
 _plane_heights = Kernel("plane_heights", np.float32, int, np.float32, np.float32)
+_grid_patches = Kernel("grid_patches", *(np.float32, int, int, int, int, np.float64, np.int32, np.int64, np.int64))
+_label_window = Kernel(
+    "label_window",
+    *(np.float32, int, int, int, int, int, np.int32, int, int, int, int),
+    *(np.float64, int, int, int, np.uint8, np.int32, np.uint8, np.int64),
+)
 
-Bool = npt.NDArray[np.bool_]
+_VOXEL_M = np.float32(0.008)  # edge of the voxels that connect unorganised points
+
 Int32 = npt.NDArray[np.int32]
 
 
@@ -35,9 +53,6 @@ class ClusterConfig(Settings):
         minimum=0.0,
         maximum=10.0,
     )
-    max_height_m: float = setting(
-        0.6, "Points higher than this above the table are ignored", minimum=0.01, maximum=5.0, unit="m"
-    )
     gap_m: float = setting(
         0.008, "Neighbouring pixels that differ less in depth are connected", minimum=0.001, maximum=0.1, unit="m"
     )
@@ -53,9 +68,6 @@ class ClusterConfig(Settings):
         minimum=1.0,
         maximum=100.0,
     )
-    voxel_m: float = setting(
-        0.008, "Voxel size for connecting unorganised points", minimum=0.001, maximum=0.1, unit="m"
-    )
     min_points: int = setting(150, "Smaller clusters are dropped", minimum=1, maximum=10_000_000)
     min_top_m: float = setting(
         0.012, "Clusters that do not rise higher above the table are dropped", minimum=0.0, maximum=0.5, unit="m"
@@ -69,7 +81,7 @@ class Clusters(NamedTuple):
     """Cluster labels of a window of the cloud."""
 
     labels: Int32  # (h, w) int32, an unorganised cloud in one row; 0 is none
-    solid: Bool  # the same shape, bool: labelled, with a reliable depth
+    solid: npt.NDArray[np.bool_]  # the same shape, bool: labelled, with a reliable depth
     n_labels: int  # the largest label
     rows: int = 0  # first row of the window, 0 if unorganised
     columns: int = 0  # first column of the window, 0 if unorganised
@@ -83,55 +95,102 @@ class HeightThreshold(NamedTuple):
     noise_per_m: float  # minimum height divided by z² [1/m]
     high_m: float  # maximum height [m]
 
-    def at(self, z: Float32) -> Float32:
-        """The minimum height of points at depth z (...), float32 [m]."""
-        minimum: Float32 = z * np.float32(self.noise_per_m)
-        minimum *= z
-        return np.maximum(minimum, np.float32(self.low_m), out=minimum)
 
-    def measure(self, xyz: Float32, z: Float32) -> tuple[Float32, Bool]:
-        """Heights of points, and whether they are between the minimum and the maximum height.
-
-        Args:
-            xyz: (..., 3) float32 [m].
-            z: (...), their depths; contiguous, they are read faster than from `xyz`.
-
-        Returns:
-            (...) float32 [m], not finite without depth, and (...) bool, false there.
-        """
-        with np.errstate(invalid="ignore", over="ignore"):
-            height = heights(self.plane, xyz)
-            above = height > self.at(z)
-            above &= height < np.float32(self.high_m)
-            return height, above
-
-
-def heights(plane: Plane, xyz: Float32) -> Float32:
-    """Heights (...) float32 of contiguous points (..., 3) above the table [m], summed in an order that no library changes."""
-    found = np.empty(xyz.shape[:-1], np.float32)
-    _plane_heights(xyz, found.size, plane.coefficients.astype(np.float32), found)
-    return found
-
-
-def label_unorganised(
-    xyz: Float32, crop: CropConfig, threshold: HeightThreshold, config: ClusterConfig
+def label_organised(
+    xyz: Float32,
+    coarse: Float32,
+    stride: int,
+    crop: CropConfig,
+    threshold: HeightThreshold,
+    config: ClusterConfig,
+    rays: RayFilter | None = None,
 ) -> list[Clusters]:
-    """Label an unorganised cloud: points in touching voxels are one cluster.
+    """Label an organised cloud.
 
     Args:
-        xyz: (N, 3) float32 [m].
+        xyz: (H, W, 3) float32 [m], contiguous, camera optical frame.
+        coarse: Every `stride`-th of its rows and columns, contiguous.
+        stride: Step of the coarse grid [px].
         crop: Depth range.
         threshold: Height threshold above the table.
         config: Settings.
+        rays: Drops and counts points beside the ray of their pixel, if given.
+
+    Returns:
+        Labelled windows of the image, one around each patch above the table. The rectangles may overlap, but
+        no pixel has a label in two of them. Small clusters are not yet removed.
+    """
+    image, grid = xyz.shape[:2], coarse.shape[:2]
+    # The smallest number of pixels of the coarse grid that may belong to an object.
+    min_nodes, pitch = max(1, config.min_points // (2 * stride * stride)), _pixel_pitch(coarse) / stride
+    settings = np.array(
+        [
+            *threshold.plane.coefficients,
+            *(threshold.low_m, threshold.noise_per_m, threshold.high_m, crop.min_range_m, crop.max_range_m),
+            *(config.max_slope * pitch, config.flying_slope * pitch, config.gap_m, config.min_top_m),
+            *([0.0] * 8 if rays is None else [1.0, *rays.numbers]),
+        ]
+    )
+    patches, found = np.empty(grid, np.int32), np.empty(2, np.int64)
+    boxes = np.empty((patches.size // min_nodes + 1, 4), np.int64)
+    _grid_patches(coarse, *grid, stride, min_nodes, settings, patches, boxes, found)
+    if found[0] < 0:
+        raise MemoryError("grid_patches")
+    if found[1] and rays is not None:
+        rows, columns = np.nonzero(patches < 0)
+        rays.record(stride * (rows * image[1] + columns))
+    spans = boxes[: found[0]] + np.array([-1, 1, -1, 1])  # a margin of one cell
+    spans = np.minimum(np.maximum(spans, 0) * stride, (image[0], image[0], image[1], image[1]))
+    low, high = spans.min(axis=0, initial=max(image)), spans.max(axis=0, initial=0)
+    marks = np.zeros((max(0, high[1] - low[0]), max(0, high[3] - low[2])), np.uint8)
+    marked = (int(low[0]), int(low[2]), marks.shape[1], marks)
+    windows: list[Clusters] = []
+    any_beside = False
+    for number, (top, bottom, left, right) in enumerate(spans.tolist(), 1):
+        labels, solid = (
+            np.empty((bottom - top, right - left), np.int32),
+            np.empty((bottom - top, right - left), np.uint8),
+        )
+        rest = (grid[1], stride, number, min_nodes, settings, *marked, labels, solid, found)
+        _label_window(xyz, image[1], top, left, *labels.shape, patches, *rest)
+        if found[0] < 0:
+            raise MemoryError("label_window")
+        any_beside |= found[1] > 0
+        windows.append(Clusters(labels, solid.view(np.bool_), int(found[0]), top, left))
+    if any_beside and rays is not None:
+        rows, columns = np.nonzero(marks & 2)
+        rays.record((rows + low[0]) * image[1] + columns + low[2])
+    return windows
+
+
+def _pixel_pitch(xyz: Float32) -> float:
+    """Lateral distance of horizontal neighbours per depth: 1/f of a pinhole camera; 0 if there are none."""
+    rows = xyz[:: max(1, len(xyz) // 4)]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ray = rows[..., 0] / rows[..., 2]
+        steps = np.abs(np.diff(ray, axis=1))
+    steps = steps[np.isfinite(steps)]
+    if not steps.size:
+        return 0.0
+    middle = [(steps.size - 1) // 2, steps.size // 2]
+    low, high = np.partition(steps, middle)[middle]  # a third of the time of np.median
+    return float((low + high) / np.float32(2.0))
+
+
+def label_unorganised(xyz: Float32, crop: CropConfig, threshold: HeightThreshold) -> list[Clusters]:
+    """Label an unorganised cloud (N, 3): points in touching voxels are one cluster.
 
     Returns:
         One window with all points, or none if nothing is above the table. Small clusters are not yet removed.
     """
-    z = np.ascontiguousarray(xyz[:, 2])
-    above = np.flatnonzero(threshold.measure(xyz, z)[1] & in_range(z, crop))
+    z, height = np.ascontiguousarray(xyz[:, 2]), np.empty(len(xyz), np.float32)
+    _plane_heights(xyz, len(xyz), threshold.plane.coefficients.astype(np.float32), height)
+    with np.errstate(invalid="ignore", over="ignore"):
+        least = np.maximum(z * np.float32(threshold.noise_per_m) * z, np.float32(threshold.low_m))
+        above = np.flatnonzero((height > least) & (height < np.float32(threshold.high_m)) & in_range(z, crop))
     if not len(above):
         return []
-    cells = np.floor(xyz[above] / np.float32(config.voxel_m)).astype(np.int64)
+    cells = np.floor(xyz[above] / _VOXEL_M).astype(np.int64)
     component, count = _label_voxels(cells)
     labels = np.zeros((1, len(xyz)), np.int32)
     labels[0, above] = component

@@ -8,10 +8,6 @@ import numpy.typing as npt
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.kernels import Kernel
-from foretouch.types import Float32
-
-_count_range = Kernel("count_range", np.float32, int, float, float, np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +26,3 @@ class CropConfig(Settings):
 def in_range(z: npt.NDArray[np.float32], config: CropConfig) -> npt.NDArray[np.bool_]:
     """Whether depths of any shape, float32 [m], are within the range, its ends included; false without depth."""
     return (z >= np.float32(config.min_range_m)) & (z <= np.float32(config.max_range_m))
-
-
-def count_range(xyz: Float32, config: CropConfig) -> tuple[int, int]:
-    """Number of points with a finite depth, and of those in range; xyz is (N, 3) or (H, W, 3) float32, contiguous [m].
-
-    Only z is checked: a pixel without depth has no z, and reading one number takes a third of the time of three.
-    """
-    counts = np.empty(2, np.int64)
-    _count_range(xyz, xyz.size // 3, config.min_range_m, config.max_range_m, counts)
-    return int(counts[0]), int(counts[1])

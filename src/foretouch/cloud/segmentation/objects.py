@@ -3,7 +3,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -50,22 +50,13 @@ class ObjectSegment:
         return float(np.linalg.norm(self.centroid))
 
 
-class _Candidate(NamedTuple):
-    """A cluster that may become an object; objects are sorted by the fields in this order."""
-
-    distance_m: float
-    window: int
-    cluster: int
-    segment: ObjectSegment
-
-
 def extract_objects(
     cloud: Cloud, windows: Sequence[Clusters], plane: Plane, config: ClusterConfig, labels: Int32
 ) -> tuple[tuple[ObjectSegment, ...], dict[str, int]]:
     """Extract the clusters of a plausible size as objects.
 
     Args:
-        cloud: The whole cloud.
+        cloud: The whole cloud, its points contiguous.
         windows: Its labelled windows.
         plane: The table.
         config: Limits of the size.
@@ -75,27 +66,23 @@ def extract_objects(
         Objects in order of the distance of their centroid from the camera, ties by position in the image; and the
         counts `objects`, `rejected` and `flying` of points and `n_rejected` of clusters.
     """
-    # Once, not for each window: if rows are padded this is a copy.
-    rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)
-    flat = Cloud(np.ascontiguousarray(cloud.xyz).reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
+    rgb = None if cloud.rgb is None else cloud.rgb.reshape(-1, 3)  # once, not for each window: it may be a copy
+    flat = Cloud(cloud.xyz.reshape(-1, 3), rgb, cloud.frame_id, cloud.stamp_ns)
     image = np.atleast_2d(labels)
-    found: list[_Candidate] = []
+    found: list[tuple[float, int, int, ObjectSegment]] = []  # distance, window and label, by which they are sorted
     rejected = []
-    for index, window in enumerate(windows):
-        for cluster, segment, top_m in _segments(flat, window, image.shape[1], plane):
+    for number, window in enumerate(windows):
+        for label, segment, top_m in _segments(flat, window, image.shape[1], plane):
             if _plausible(segment, top_m, config):
-                found.append(_Candidate(segment.distance_m, index, cluster, segment))
+                found.append((segment.distance_m, number, label, segment))
             else:
                 rejected.append(segment.n_points)
-    found.sort(key=lambda candidate: candidate[:3])
-    objects = tuple(replace(candidate.segment, id=number) for number, candidate in enumerate(found, 1))
-    labelled = 0
-    for index, window in enumerate(windows):
-        ids = np.zeros(window.n_labels + 1, np.int32)
-        for number, candidate in enumerate(found, 1):
-            if candidate.window == index:
-                ids[candidate.cluster] = number
-        labelled += _write_ids(image, window, ids)
+    found.sort(key=lambda one: one[:3])
+    ids = [np.zeros(window.n_labels + 1, np.int32) for window in windows]
+    for k, (_, number, label, _) in enumerate(found, 1):
+        ids[number][label] = k
+    labelled = sum(_write_ids(image, *one) for one in zip(windows, ids, strict=True))
+    objects = tuple(replace(segment, id=k) for k, (*_, segment) in enumerate(found, 1))
     used = sum(segment.n_points for segment in objects)
     counts = {"objects": used, "rejected": sum(rejected), "n_rejected": len(rejected), "flying": labelled - used}
     return objects, counts
@@ -182,7 +169,9 @@ def select_targets(
     if not objects:
         return [], "there is no object"
     if config.mode == "all":
-        return _all(objects, config.max_objects)
+        limit = config.max_objects
+        more = f"the {limit} nearest of {len(objects)} objects (target.max_objects)" if len(objects) > limit else ""
+        return list(objects[:limit]), more
     if config.mode == "largest":
         largest = max(obj.n_points for obj in objects)
         tied = [obj for obj in objects if obj.n_points > 0.95 * largest or obj.n_points == largest]
@@ -207,11 +196,6 @@ def select_targets(
         near = near[:1]
     tied = [objects[i] for i in near]
     return _one_of(tied, previous, f"equally near to {where}", [f"{distances[i]:.3f}" for i in near], "m")
-
-
-def _all(objects: Sequence[ObjectSegment], limit: int) -> tuple[list[ObjectSegment], str]:
-    reason = f"the {limit} nearest of {len(objects)} objects (target.max_objects)" if len(objects) > limit else ""
-    return list(objects[:limit]), reason
 
 
 def _one_of(

@@ -30,6 +30,9 @@ Index = npt.NDArray[np.intp]
 _Rows = Index | slice
 
 _MISS = 1e-4  # accepted probability that no sample of three was on the plane
+_MIN_PEAK = 0.6  # of the points within three thresholds, within one: a blob has 0.3 to 0.5, a table almost 1
+_MIN_SPREAD_M = 0.02  # least standard deviation of the table's points along its narrow side
+_SEED = 0  # of the samples: the same points give the same plane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,21 +43,7 @@ class PlaneConfig(Settings):
         0.01, "Points closer than this belong to a plane", minimum=0.001, maximum=0.1, unit="m"
     )
     min_fraction: float = setting(0.2, "Minimum fraction of the points on the table", minimum=0.01, maximum=1.0)
-    min_peak: float = setting(
-        0.6,
-        "Minimum fraction of the points within three thresholds that are within one: a blob has 0.3 to 0.5, a table almost 1",
-        minimum=0.34,
-        maximum=1.0,
-    )
-    min_spread_m: float = setting(
-        0.02,
-        "Minimum standard deviation of the table's points along its narrow side",
-        minimum=0.001,
-        maximum=1.0,
-        unit="m",
-    )
     max_trials: int = setting(1024, "Maximum number of RANSAC samples", minimum=64, maximum=100_000)
-    seed: int = setting(0, "Seed of the random samples", minimum=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,43 +63,41 @@ def fit_plane(xyz: Float32, config: PlaneConfig) -> PlaneFit:
 
     Args:
         xyz: (N, 3) float32 [m], finite, camera optical frame.
-        config: Thresholds and the seed; the same input gives bit-equal results.
+        config: Thresholds; the same input gives bit-equal results.
 
     Returns:
         The fit, or the reason why there is none: too few points, all coinciding or collinear, a blob.
     """
     if len(xyz) < 3:
         return PlaneFit(None, f"{len(xyz)} points span no plane")
-    fitted, some, _ = _first_draws(config.seed, len(xyz))
+    fitted, some, _ = _first_draws(len(xyz))
     points = xyz[fitted].astype(np.float64)
     origin = points.mean(axis=0)  # float32 scoring stays exact far from the origin
     points -= origin
     scored = points[some].astype(np.float32)
-    best = _ransac(scored, config, _batches(config.seed, len(xyz)))
+    best = _ransac(scored, config, _batches(len(xyz)))
     if best is None:
         return PlaneFit(None, "all points coincide or are collinear", scored=len(scored))
     return _refit(points, origin, best, config)
 
 
 def _draw(n: int, rng: np.random.Generator) -> tuple[_Rows, _Rows, Index]:
+    """Which of n points are fitted, which of those are scored, and the first batch of triples of those."""
     fitted = _some(n, _REFIT, rng)
     some = _some(min(n, _REFIT), _SCORED, rng)
     return fitted, some, rng.integers(min(n, _SCORED), size=(3, _BATCH))
 
 
 @lru_cache(maxsize=8)
-def _first_draws(seed: int, n: int) -> tuple[_Rows, _Rows, Index]:
-    """Which of n points are fitted, which of those are scored, and the first batch of triples of those.
-
-    They depend on nothing else, and nearly all clouds have the same n: drawing them anew takes a tenth of the fit.
-    """
-    return _draw(n, np.random.default_rng(seed))
+def _first_draws(n: int) -> tuple[_Rows, _Rows, Index]:
+    """`_draw`, once for each n, which nearly all clouds share: drawing anew takes a tenth of the fit."""
+    return _draw(n, np.random.default_rng(_SEED))
 
 
-def _batches(seed: int, n: int) -> Iterator[Index]:
+def _batches(n: int) -> Iterator[Index]:
     """Batches (3, _BATCH) of triples of the scored points, without end."""
-    yield _first_draws(seed, n)[2]
-    rng = np.random.default_rng(seed)
+    yield _first_draws(n)[2]
+    rng = np.random.default_rng(_SEED)
     _draw(n, rng)
     while True:
         yield rng.integers(min(n, _SCORED), size=(3, _BATCH))
@@ -211,10 +198,10 @@ def _eigen_plane(points: Float64) -> tuple[Float64, float, float, float]:
 def _fault(fraction: float, peak: float, spread: float, config: PlaneConfig) -> str:
     if fraction < config.min_fraction:
         return f"the largest plane holds {fraction:.0%} of the points, less than {config.min_fraction:.0%}"
-    if spread < config.min_spread_m:
-        return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {config.min_spread_m * 1e3:g} mm"
-    if peak < config.min_peak:
-        return f"the largest plane holds {peak:.0%} of the points around it, less than {config.min_peak:.0%}: a blob"
+    if spread < _MIN_SPREAD_M:
+        return f"the largest plane is {spread * 1e3:.1f} mm narrow, less than {_MIN_SPREAD_M * 1e3:g} mm"
+    if peak < _MIN_PEAK:
+        return f"the largest plane holds {peak:.0%} of the points around it, less than {_MIN_PEAK:.0%}: a blob"
     return ""
 
 

@@ -18,10 +18,12 @@ from foretouch.types import Float32, Float64
 Index = npt.NDArray[np.intp]
 
 _FITTED = 128  # points that the rays are fitted to
+_DEVIATION = 0.05  # distance of a point from the ray of its pixel, per depth, beyond which it is dropped
 _CHECKED = 1024  # points of a cloud, to check its frame
 _FARTHEST_M = 100.0  # no camera measures farther
 _FORWARD = 0.9  # share of points in view along x in the frame of a link
 _HALF = 0.5
+MAX_OFF = 0.5  # share of points beside their rays, or out of view, beyond which the whole cloud is refused
 _NO_SLOPE = 1e-7  # per column or row: less than the rounding of a point
 _TRIALS = 128  # triples of pixels: if half of them are damaged, all triples are with probability 4e-8
 
@@ -37,20 +39,9 @@ class RayConfig(Settings):
         minimum=10.0,
         maximum=170.0,
     )
-    max_deviation: float = setting(
-        0.05,
-        "Distance of a point from the ray of its pixel, per depth, beyond which it is dropped",
-        minimum=1e-4,
-        maximum=1.0,
-    )
-    max_fraction: float = setting(
-        0.5, "Fraction of such points beyond which the whole cloud is refused", minimum=0.0, maximum=1.0
-    )
 
-    @property
-    def limit(self) -> float:
-        """The largest |x/z| and |y/z| in the field of view."""
-        return math.tan(math.radians(self.field_of_view_deg) / 2.0)
+
+_DEFAULT = RayConfig()
 
 
 class RayFilter:
@@ -65,45 +56,39 @@ class RayFilter:
     Attributes:
         off_sample: (n,) bool, points of the sample that are beside their ray.
         reason: Why the image as a whole is not usable; "" if it is.
+        numbers: (7,) the largest deviation, and for x/z and y/z: at the first pixel, per column, per row.
     """
 
     def __init__(self, sample: Float32, rows: Index, columns: Index, config: RayConfig) -> None:
-        self._config = config
-        self._deviation = np.float32(config.max_deviation)
-        self._dropped: list[Index] = []
         pixels = np.ones((len(rows), 3))
         pixels[:, 1], pixels[:, 2] = columns, rows
-        self._rays = _fit_rays(sample, pixels, config.max_deviation)
-        self._slopes = self._rays.T.tolist()
-        self.off_sample = self.beside(sample, sample[:, 2], rows, columns)
-        self.reason = self._fault(pixels)
+        rays = _fit_rays(sample, pixels)
+        slopes = rays.T.copy()
+        slopes[:, 1:][np.abs(slopes[:, 1:]) <= _NO_SLOPE] = 0.0
+        self.numbers = [float(np.float32(_DEVIATION)), *slopes.ravel().tolist()]
+        self._dropped: list[Index] = []
+        self.off_sample = self.beside(sample, rows, columns)
+        self.reason = ""
+        share = np.count_nonzero(self.off_sample) / max(len(rows), 1)
+        widest = float(np.abs(pixels @ rays).max(initial=0.0))
+        if share > MAX_OFF:
+            self.reason = (
+                f"{share:.0%} of the points are beside the rays of their pixels, more than {MAX_OFF:.0%}: "
+                "is the cloud an image in the optical frame?"
+            )
+        elif widest > _tangent(config):
+            angle = 2.0 * math.degrees(math.atan(widest))
+            self.reason = f"rays: {angle:.0f} degrees is more than field_of_view_deg {config.field_of_view_deg:g}"
 
-    def beside(self, xyz: Float32, z: Float32, rows: Index, columns: Index) -> npt.NDArray[np.bool_]:
-        """Whether points with a positive, finite depth are beside their ray.
-
-        Args:
-            xyz: (..., 3) float32 [m].
-            z: (...) their depths.
-            rows: Their rows, broadcastable to (...).
-            columns: Their columns, broadcastable to (...).
-
-        Returns:
-            (...) bool, false where a coordinate is NaN.
-        """
+    def beside(self, xyz: Float32, rows: Index, columns: Index) -> npt.NDArray[np.bool_]:
+        """(...) bool: whether points (..., 3) with a positive depth are beside their ray; false where one number is NaN."""
+        deviation, *slopes = self.numbers
+        z, apart = xyz[..., 2], []
         with np.errstate(invalid="ignore", over="ignore"):
-            distance = _aside(xyz[..., 0], z, self._tangent(0, rows, columns))
-            other = _aside(xyz[..., 1], z, self._tangent(1, rows, columns))
-            np.maximum(distance, other, out=distance)
-            off = distance > np.multiply(z, self._deviation, out=other)
-            if off.any():
-                off &= z > 0.0
-        return off
-
-    @property
-    def numbers(self) -> list[float]:
-        """The largest deviation, and for x/z and y/z: at the first pixel, per column, per row."""
-        slopes = [[tangent, *(one if abs(one) > _NO_SLOPE else 0.0 for one in rest)] for tangent, *rest in self._slopes]
-        return [float(self._deviation), *slopes[0], *slopes[1]]
+            for axis, (first, by_column, by_row) in enumerate((slopes[:3], slopes[3:])):
+                tangent = np.asarray(first + by_column * columns + by_row * rows, np.float32)
+                apart.append(np.abs(xyz[..., axis] - tangent * z))
+            return np.asarray((np.maximum(*apart) > z * np.float32(deviation)) & (z > 0.0), np.bool_)
 
     def record(self, pixels: Index) -> None:
         """Count dropped points by their flat index in the image; each counts once."""
@@ -114,51 +99,35 @@ class RayFilter:
         if not self._dropped:
             return 0
         pixels = np.unique(np.concatenate(self._dropped))
-        return int(np.count_nonzero(np.isfinite(xyz.reshape(-1, 3)[pixels]).all(axis=1)))
+        return int(np.count_nonzero(finite_rows(xyz.reshape(-1, 3)[pixels])))
 
-    def _tangent(self, axis: int, rows: Index, columns: Index) -> Float32:
-        """x/z (axis 0) or y/z (axis 1) of pixels; broadcast from one dimension where the other has no effect."""
-        tangent, by_column, by_row = self._slopes[axis]
-        if abs(by_column) > _NO_SLOPE:
-            tangent = tangent + by_column * columns
-        if abs(by_row) > _NO_SLOPE:
-            tangent = tangent + by_row * rows
-        return np.asarray(tangent, np.float32)
 
-    def _fault(self, pixels: Float64) -> str:
-        share = np.count_nonzero(self.off_sample) / max(len(pixels), 1)
-        if share > self._config.max_fraction:
-            return (
-                f"{share:.0%} of the points are beside the rays of their pixels, more than "
-                f"{self._config.max_fraction:.0%}: is the cloud an image in the optical frame?"
-            )
-        widest = float(np.abs(pixels @ self._rays).max(initial=0.0))
-        if widest > self._config.limit:
-            return f"rays: {_degrees(widest)} is more than field_of_view_deg {self._config.field_of_view_deg:g}"
-        return ""
+def _tangent(config: RayConfig) -> float:
+    """The largest |x/z| and |y/z| in the field of view."""
+    return math.tan(math.radians(config.field_of_view_deg) / 2.0)
 
 
 def out_of_view(xyz: Float32, config: RayConfig) -> npt.NDArray[np.bool_]:
     """(N,) bool: points (N, 3) float32 [m] with a positive depth that are out of the field of view, or not finite."""
     z = xyz[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
-        reach = z * np.float32(config.limit)
+        reach = z * np.float32(_tangent(config))
         off = ~((np.abs(xyz[:, 0]) <= reach) & (np.abs(xyz[:, 1]) <= reach))
         return np.asarray(off & (z > 0.0) & np.isfinite(z), np.bool_)
 
 
-def not_optical(xyz: Float32, config: RayConfig | None = None) -> str:
+def not_optical(xyz: Float32, config: RayConfig = _DEFAULT) -> str:
     """Why a cloud is not in the optical frame of its camera, with x right, y down and z away from it; "" if it may be.
 
     Args:
         xyz: (..., 3) float32 [m]; points that are not finite, or all zero, are left out.
-        config: The field of view; the default if None.
+        config: The field of view.
 
     Returns:
         A reason that begins with `not_optical` if most points are at z <= 0, or if most are out of view, while nearly
         all are in view along x, as in the frame of a camera's link.
     """
-    limit = (config or RayConfig()).limit
+    limit = _tangent(config)
     points = xyz.reshape(-1, 3)
     columns = points[:: max(1, len(points) // _CHECKED)].T.astype(np.float64, order="C")  # rows of three are slow
     size = np.abs(columns).max(axis=0, initial=0.0)
@@ -190,14 +159,7 @@ def finite_rows(points: Float32) -> npt.NDArray[np.bool_]:
     return np.asarray(x & y & z, np.bool_)
 
 
-def _aside(lateral: Float32, z: Float32, tangent: Float32) -> Float32:
-    """(...) distances from the ray along one axis [m]."""
-    distance: Float32 = tangent * z
-    np.subtract(lateral, distance, out=distance)
-    return np.abs(distance, out=distance)
-
-
-def _fit_rays(sample: Float32, pixels: Float64, tolerance: float) -> Float64:
+def _fit_rays(sample: Float32, pixels: Float64) -> Float64:
     """(3, 2) float64: x/z and y/z for 1, column and row. Robust: up to about half of the points may be damaged."""
     usable = np.flatnonzero(finite_rows(sample))
     if len(usable) > _FITTED:
@@ -205,19 +167,19 @@ def _fit_rays(sample: Float32, pixels: Float64, tolerance: float) -> Float64:
     points, pixels = sample[usable].astype(np.float64), pixels[usable]
     tangents = points[:, :2] / points[:, 2:]
     rays = _least_squares(pixels, tangents)
-    if _inliers(pixels, tangents, rays, tolerance).all():
+    if _inliers(pixels, tangents, rays).all():
         return rays
     rng = np.random.default_rng(0)
     best = np.zeros(len(usable), np.bool_)
     for triple in rng.integers(len(usable), size=(_TRIALS, 3)):
-        inliers = _inliers(pixels, tangents, _least_squares(pixels[triple], tangents[triple]), tolerance)
+        inliers = _inliers(pixels, tangents, _least_squares(pixels[triple], tangents[triple]))
         if inliers.sum() > best.sum():
             best = inliers
     return _least_squares(pixels[best], tangents[best]) if best.any() else rays
 
 
-def _inliers(pixels: Float64, tangents: Float64, rays: Float64, tolerance: float) -> npt.NDArray[np.bool_]:
-    return np.asarray((np.abs(pixels @ rays - tangents) <= tolerance).all(axis=1), np.bool_)
+def _inliers(pixels: Float64, tangents: Float64, rays: Float64) -> npt.NDArray[np.bool_]:
+    return np.asarray((np.abs(pixels @ rays - tangents) <= _DEVIATION).all(axis=1), np.bool_)
 
 
 def _least_squares(pixels: Float64, tangents: Float64) -> Float64:
@@ -229,7 +191,3 @@ def _least_squares(pixels: Float64, tangents: Float64) -> Float64:
         values > 1e-12 * values[-1], 1.0 / np.maximum(values, 1e-300), 0.0
     )  # 0 if pixels are on one line
     return np.asarray((vectors * inverse) @ (vectors.T @ (pixels.T @ tangents)), np.float64)
-
-
-def _degrees(tangent: float) -> str:
-    return f"{2.0 * math.degrees(math.atan(tangent)):.0f} degrees"

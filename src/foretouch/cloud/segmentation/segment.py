@@ -6,32 +6,38 @@ processed as an image, which is many times faster than a search for neighbours; 
 Every result has a status and a reason, and every point is counted: received = used + dropped(reason).
 """
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.cloud.segmentation.clusters import ClusterConfig, HeightThreshold, Int32, label_unorganised
-from foretouch.cloud.segmentation.crop import CropConfig, count_range, in_range
+from foretouch.cloud.segmentation.clusters import (
+    ClusterConfig,
+    HeightThreshold,
+    Int32,
+    label_organised,
+    label_unorganised,
+)
+from foretouch.cloud.segmentation.crop import CropConfig, in_range
 from foretouch.cloud.segmentation.objects import ObjectSegment, extract_objects
-from foretouch.cloud.segmentation.organised_clusters import label_organised
 from foretouch.cloud.segmentation.plane import PlaneConfig, fit_plane
-from foretouch.cloud.segmentation.rays import RayConfig, RayFilter, finite_rows, not_optical, out_of_view
+from foretouch.cloud.segmentation.rays import MAX_OFF, RayConfig, RayFilter, finite_rows, not_optical, out_of_view
 from foretouch.config import Settings, setting
 from foretouch.kernels import Kernel
+from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Plane
 
 SegmentationStatus = Literal[
     "ok", "empty_cloud", "bad_cloud", "too_few_points", "unknown_frame", "no_plane", "no_object"
 ]
 
+_count_range = Kernel("count_range", np.float32, int, float, float, np.int64)
 _coarse_grid = Kernel("coarse_grid", np.float32, int, int, int, float, float, np.float32, np.int64, np.int64)
 
+_MIN_POINTS = 100  # in range
 _PLANE_POINTS = 2048  # sampled to fit the plane
+_HIGHEST_M = 0.6  # above the table: no object reaches it
 _SPARSE = 4000  # with fewer points on the coarse grid every pixel is used
 
 
@@ -43,9 +49,6 @@ class SegmentationConfig(Settings):
     rays: RayConfig = RayConfig()
     plane: PlaneConfig = PlaneConfig()
     clusters: ClusterConfig = ClusterConfig()
-    min_points: int = setting(
-        100, "Minimum number of points in range for a segmentation", minimum=3, maximum=10_000_000
-    )
     grid_rows: int = setting(
         120,
         "Rows of the coarse grid on which objects are found: of 480 rows each fourth; fewer are faster, outlines suffer",
@@ -81,20 +84,6 @@ class Segmentation:
     ms: dict[str, float]
 
 
-@dataclass(eq=False)
-class _StageLog:
-    """Point counts and stage times of one cloud."""
-
-    counts: dict[str, int] = field(default_factory=dict)
-    ms: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.ms[name] = (time.perf_counter() - start) * 1e3
-
-
 def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentation:
     """Segment a cloud into the table and the objects on it.
 
@@ -106,68 +95,101 @@ def segment(cloud: Cloud, config: SegmentationConfig | None = None) -> Segmentat
         The segmentation; unusable points are reported in its status, not raised.
     """
     config = SegmentationConfig() if config is None else config
-    log = _StageLog()
-    with log.stage("total"):
-        status, reason, plane, objects, labels = _segment(cloud, config, log)
+    names = (
+        "received",
+        "not_finite",
+        "out_of_range",
+        "off_ray",
+        "background",
+        "rejected",
+        "n_rejected",
+        "flying",
+        "objects",
+    )
+    counts = dict.fromkeys(names, 0)
+    ms: dict[str, float] = {}
+    with timed(ms, "total"):
+        cloud = replace(cloud, xyz=np.ascontiguousarray(cloud.xyz))
+        status, reason, plane, objects, labels = _segment(cloud, config, counts, ms)
         frame = "" if status == "ok" else not_optical(cloud.xyz, config.rays)
         if frame:
             status, reason = "unknown_frame", frame
-    counts = {"received": cloud.size, "not_finite": 0, "out_of_range": 0, "off_ray": 0, "background": 0}
-    counts |= {"rejected": 0, "n_rejected": 0, "flying": 0, "objects": 0} | log.counts
-    used = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")
-    dropped = sum(counts[name] for name in used)
-    counts["background"] = counts["received"] - dropped
-    return Segmentation(status, reason, plane, objects, labels, counts, log.ms)
+    counts["received"] = cloud.size
+    dropped = ("not_finite", "out_of_range", "off_ray", "rejected", "flying", "objects")
+    counts["background"] = cloud.size - sum(counts[name] for name in dropped)
+    return Segmentation(status, reason, plane, objects, labels, counts, ms)
 
 
 _Result = tuple[SegmentationStatus, str, Plane | None, tuple[ObjectSegment, ...], Int32]
 
 
-def _segment(cloud: Cloud, config: SegmentationConfig, log: _StageLog) -> _Result:
-    xyz = np.ascontiguousarray(cloud.xyz)
+def _segment(cloud: Cloud, config: SegmentationConfig, counts: dict[str, int], ms: dict[str, float]) -> _Result:
+    xyz = cloud.xyz
     labels = np.zeros(xyz.shape[:-1], np.int32)
-    with log.stage("crop"):
-        finite, usable = count_range(xyz, config.crop)
-        log.counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
+    with timed(ms, "crop"):
+        finite, usable = _count_depths(xyz, config.crop)
+        counts |= {"not_finite": cloud.size - finite, "out_of_range": finite - usable}
     if usable == 0:
         return "empty_cloud", _why_empty(xyz[..., 2], config.crop), None, (), labels
-    if usable < config.min_points:
-        return "too_few_points", f"{usable} points in range, fewer than {config.min_points}", None, (), labels
-    with log.stage("plane"):
-        image = _is_image(xyz)
+    if usable < _MIN_POINTS:
+        return "too_few_points", f"{usable} points in range, fewer than {_MIN_POINTS}", None, (), labels
+    with timed(ms, "plane"):
+        image = xyz.ndim == 3 and min(xyz.shape[:2]) > 1  # whose pixels determine rays; a single row is a list
         if not image:
-            xyz, n_out_of_view = _in_view(xyz, config)
-            log.counts["off_ray"] = n_out_of_view
+            xyz, counts["off_ray"] = _in_view(xyz, config)
         coarse, stride, index = _coarse(xyz, config.crop, config.grid_rows)
-        index = _sample(index)
+        if len(index) > _PLANE_POINTS:  # evenly distributed
+            index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
         sample: Float32 = coarse.reshape(-1, 3).take(index, axis=0)
-        rays, sample = (
-            _check_rays(sample, index, coarse, stride, xyz.shape[1], config) if image else (None, _finite(sample))
-        )
-        fault = rays.reason if rays else _too_many(log.counts["off_ray"], usable, config.rays)
-        if rays:
-            log.counts["off_ray"] = rays.count_dropped(xyz)
+        rays, fault = None, ""
+        if image:
+            rays = _rays(sample, index, coarse.shape[1], stride, xyz.shape[1], config.rays)
+            sample, fault = sample[~rays.off_sample], rays.reason
+            counts["off_ray"] = rays.count_dropped(xyz)
+        elif counts["off_ray"] > MAX_OFF * usable:
+            view = f"a field of view of {config.rays.field_of_view_deg:g} degrees"
+            fault = f"{counts['off_ray']} of {usable} points are out of {view}"
         if fault:
             return "bad_cloud", fault, None, (), labels
-        fit = fit_plane(sample, config.plane)
+        fit = fit_plane(sample[finite_rows(sample)], config.plane)
     if fit.plane is None:
         return "no_plane", fit.reason, None, (), labels
-    with log.stage("clusters"):
+    with timed(ms, "clusters"):
         limits = config.clusters
         noise_per_m = limits.noise_factor * fit.noise_per_m
-        threshold = HeightThreshold(fit.plane, limits.min_height_m, noise_per_m, limits.max_height_m)
+        threshold = HeightThreshold(fit.plane, limits.min_height_m, noise_per_m, _HIGHEST_M)
         if cloud.organised:
             windows = label_organised(xyz, coarse, stride, config.crop, threshold, limits, rays)
         else:
-            windows = label_unorganised(xyz, config.crop, threshold, limits)
-        if rays:
-            log.counts["off_ray"] = rays.count_dropped(xyz)
-    with log.stage("objects"):
-        objects, counts = extract_objects(cloud, windows, fit.plane, limits, labels)
-        log.counts |= counts
+            windows = label_unorganised(xyz, config.crop, threshold)
+        if rays is not None:
+            counts["off_ray"] = rays.count_dropped(xyz)
+    with timed(ms, "objects"):
+        objects, found = extract_objects(cloud, windows, fit.plane, limits, labels)
+        counts |= found
     if not objects:
         return "no_object", _why_no_object(counts["n_rejected"], limits), fit.plane, (), labels
     return "ok", "", fit.plane, objects, labels
+
+
+def _rays(
+    sample: Float32, index: npt.NDArray[np.intp], across: int, stride: int, width: int, config: RayConfig
+) -> RayFilter:
+    """The rays of an image, from points of a coarse one by their flat indices in it."""
+    rows, columns = (stride * one for one in np.divmod(index, across))
+    rays = RayFilter(sample, rows, columns, config)
+    rays.record((rows * width + columns)[rays.off_sample])
+    return rays
+
+
+def _count_depths(xyz: Float32, config: CropConfig) -> tuple[int, int]:
+    """Points with a finite depth, and those in range, of (N, 3) or (H, W, 3) float32 contiguous points [m].
+
+    Only z is checked: a pixel without depth has no z.
+    """
+    counts = np.empty(2, np.int64)
+    _count_range(xyz, xyz.size // 3, config.min_range_m, config.max_range_m, counts)
+    return int(counts[0]), int(counts[1])
 
 
 def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, int, npt.NDArray[np.intp]]:
@@ -176,55 +198,20 @@ def _coarse(xyz: Float32, config: CropConfig, grid_rows: int) -> tuple[Float32, 
     Returns:
         The coarse image, its stride, and the flat indices of its points in range.
     """
-    if xyz.ndim == 2:
-        return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
-    stride = int(min(max(min(xyz.shape[:2]) // grid_rows, 1), 8))
-    coarse, index = _every(xyz, stride, config)
-    if stride == 1 or len(index) >= _SPARSE:
-        return coarse, stride, index
-    coarse, index = _every(xyz, 1, config)
-    return coarse, 1, index
+    stride = 1 if xyz.ndim == 2 else int(min(max(min(xyz.shape[:2]) // grid_rows, 1), 8))
+    if stride > 1:
+        coarse, index = _every(xyz, stride, config)
+        if len(index) >= _SPARSE:
+            return coarse, stride, index
+    return xyz, 1, np.flatnonzero(in_range(xyz[..., 2], config))
 
 
 def _every(xyz: Float32, stride: int, config: CropConfig) -> tuple[Float32, npt.NDArray[np.intp]]:
     """Every n-th row and column of an image, and the flat indices of the points in range."""
-    if stride == 1:
-        return xyz, np.flatnonzero(in_range(xyz[..., 2], config))
     coarse = np.empty((-(-xyz.shape[0] // stride), -(-xyz.shape[1] // stride), 3), np.float32)
     index, count = np.empty(coarse.size // 3, np.int64), np.empty(1, np.int64)
     _coarse_grid(xyz, *xyz.shape[:2], stride, config.min_range_m, config.max_range_m, coarse, index, count)
     return coarse, index[: count[0]]
-
-
-def _sample(index: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """(n,) points in range, evenly distributed, as many as the plane fit needs."""
-    if len(index) > _PLANE_POINTS:
-        index = index[np.linspace(0.0, len(index) - 1.0, _PLANE_POINTS).astype(np.intp)]
-    return index
-
-
-def _finite(points: Float32) -> Float32:
-    good = finite_rows(points)
-    return points if good.all() else points[good]
-
-
-def _is_image(xyz: Float32) -> bool:
-    """Whether pixels determine rays; a single row or column is a list."""
-    return xyz.ndim == 3 and min(xyz.shape[:2]) > 1
-
-
-def _check_rays(
-    sample: Float32, index: npt.NDArray[np.intp], coarse: Float32, stride: int, width: int, config: SegmentationConfig
-) -> tuple[RayFilter, Float32]:
-    """The rays of an image, and the points (n, 3) of the sample that are on them."""
-    rows, columns = np.divmod(index, coarse.shape[1])
-    rows *= stride
-    columns *= stride
-    rays = RayFilter(sample, rows, columns, config.rays)
-    if not rays.off_sample.any():
-        return rays, _finite(sample)
-    rays.record((rows * width + columns)[rays.off_sample])
-    return rays, _finite(sample[~rays.off_sample])
 
 
 def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:
@@ -236,13 +223,7 @@ def _in_view(xyz: Float32, config: SegmentationConfig) -> tuple[Float32, int]:
     off &= in_range(flat[:, 2], config.crop)
     seen = flat.copy()
     seen[off] = np.nan
-    return seen.reshape(xyz.shape), int(np.count_nonzero(np.isfinite(flat[off]).all(axis=1)))
-
-
-def _too_many(off: int, usable: int, config: RayConfig) -> str:
-    if off <= config.max_fraction * usable:
-        return ""
-    return f"{off} of {usable} points are out of a field of view of {config.field_of_view_deg:g} degrees"
+    return seen.reshape(xyz.shape), int(np.count_nonzero(finite_rows(flat[off])))
 
 
 def _why_empty(z: Float32, config: CropConfig) -> str:

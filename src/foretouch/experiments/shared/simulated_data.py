@@ -77,8 +77,8 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
     path = folder / scene_file.stem
     if not is_store(path):
         with StoreWriter(path, {"scene": scene.to_mapping(), "scene_sha256": scene.sha256()}) as writer:
-            for made in Simulation(scene).samples(count):
-                writer.write(made.sample)
+            for sample in Simulation(scene).samples(count):
+                writer.write(sample)
         return path
     store = Store(path)
     if len(store) != count or _scene_of(store.manifest, path).sha256() != scene.sha256():

@@ -75,9 +75,7 @@ def read_cloud(message: PointCloud2) -> Cloud:
         raise RefusalError(Status.BAD_CLOUD, str(err)) from err
 
 
-def read_targets(
-    message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits
-) -> tuple[FoundObject, ...]:
+def read_targets(message: PointCloud2 | TargetCloud, plane: Plane, limits: ObjectLimits) -> tuple[FoundObject, ...]:
     """Convert a cloud of objects, which must hold at least one; each within the limits must be in an optical frame.
 
     Raises:

@@ -40,10 +40,11 @@ def biotac_all_to_msg(fingers: Mapping[str, Counts], frame_id: str, nanoseconds:
     `fingers` holds (25,) int16 counts by finger, PDC then electrodes. An absent finger sends zeros, as one without a BioTac
     does.
     """
-    tactiles = []
-    for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER):
-        # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
-        tactiles.append(Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes())))
+    # rclpy takes over an array.array of the right type as it is; it checks any other sequence element by element.
+    tactiles = [
+        Biotac(pdc=int(counts[0]), electrodes=array.array("h", counts[1:].tobytes()))
+        for counts in (fingers.get(name, _ABSENT) for name in FINGER_ORDER)
+    ]
     return BiotacAll(header=header_to_msg(frame_id, nanoseconds), tactiles=tactiles)
 
 

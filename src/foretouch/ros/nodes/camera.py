@@ -20,8 +20,8 @@ from foretouch.ros.messages.clouds import cloud_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.simulation import random_scene
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.scene_camera import scene_camera, swinging
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.scene_camera import scene_camera, swinging_frames
+from foretouch.simulation.schedule import ScheduleConfig
 
 _READ_S = 0.1  # longest wait before the thread checks whether it should end
 _PERIOD_S = 1.0  # of the motion in the synthetic scene
@@ -46,7 +46,7 @@ class CameraNodeConfig(NodeConfig):
     )
     camera: RealSenseConfig = field(default_factory=RealSenseConfig)
     synthetic: SyntheticConfig = field(default_factory=SyntheticConfig)
-    scene: ShowConfig = field(default_factory=ShowConfig)
+    scene: ScheduleConfig = field(default_factory=ScheduleConfig)
     faults: FaultConfig = field(default_factory=FaultConfig)
 
     def __post_init__(self) -> None:
@@ -189,4 +189,4 @@ def _synthetic_camera(config: CameraNodeConfig) -> SyntheticCamera:
     camera, rng = config.camera, np.random.default_rng(config.synthetic.seed)
     scene = random_scene(rng, camera.width, camera.height)
     count = min(_MAX_FRAMES, max(1, round(_PERIOD_S * camera.fps)))
-    return SyntheticCamera(swinging(scene, count, rng=rng), camera.fps)
+    return SyntheticCamera(swinging_frames(scene, count, rng=rng), camera.fps)

@@ -26,16 +26,16 @@ from foretouch.ros.messages.conversions import header_to_msg, point_to_msg, rota
 from foretouch.ros.messages.tactile import biotac_all_to_msg
 from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.workers import Worker
-from foretouch.simulation.execution import Course, CourseConfig, RestingFingers, SimulatedHand
+from foretouch.simulation.execution import GraspTimingConfig, GraspTrajectory, RestingFingers, SimulatedHand
 from foretouch.simulation.message_faults import FaultConfig, MessageFaults
-from foretouch.simulation.show import ShowConfig
+from foretouch.simulation.schedule import ScheduleConfig
 from foretouch.simulation.world import CAMERA_FRAME
 from foretouch.tactile.messages.biotac_all import FINGER_ORDER
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import EXECUTED_TOPIC, GRASPS_TOPIC, TACTILE_TOPIC
 from foretouch_msgs.msg import BiotacAll, ExecutedGrasp, GraspArray
 
-_GRASPING = ("TH", "MF")  # in the order of a course's fingers
+_GRASPING = ("TH", "MF")  # in the order of a trajectory's fingers
 _TACTILE_FRAME = "rh_tactile"
 _BEHIND_S = 0.25  # the difference of stamps and reception that grasps are rejected for by default
 _LATE_NS = 1_000_000_000  # messages that are later than this are left out
@@ -57,29 +57,29 @@ class _RunningGrasp:
     """A grasp that is being executed."""
 
     command: _Command
-    course: Course  # motion and readings of the hand, one row per message
+    trajectory: GraspTrajectory  # motion and readings of the hand, one row per message
     first: int = 0  # number of the message of row 0
 
 
 def _executed_to_msg(running: _RunningGrasp, first_ns: int, period_ns: int) -> ExecutedGrasp:
     """Report a grasp; `first_ns` is the stamp of row 0 and `period_ns` the time between two messages [ns]."""
-    course, planned = running.course, running.command.message
+    trajectory, planned = running.trajectory, running.command.message
     times = {
         name: stamp_to_msg(0 if row is None else first_ns + row * period_ns)
-        for name, row in (("start", course.start), ("contact", course.contact), ("release", course.release))
+        for name, row in (("start", trajectory.start), ("contact", trajectory.contact), ("release", trajectory.release))
     }
-    achieved = Pose(position=point_to_msg(course.midpoint), orientation=rotation_to_msg(course.rotation))
-    header = header_to_msg(planned.header.frame_id, first_ns + len(course.counts) * period_ns)
+    achieved = Pose(position=point_to_msg(trajectory.midpoint), orientation=rotation_to_msg(trajectory.rotation))
+    header = header_to_msg(planned.header.frame_id, first_ns + len(trajectory.counts) * period_ns)
     grasp_id = planned.grasps[0].id
-    return ExecutedGrasp(header=header, grasp_id=grasp_id, achieved=achieved, success=course.success, **times)
+    return ExecutedGrasp(header=header, grasp_id=grasp_id, achieved=achieved, success=trajectory.success, **times)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandConfig(NodeConfig):
     """Settings of the simulated hand."""
 
-    scene: ShowConfig = field(default_factory=ShowConfig)
-    course: CourseConfig = field(default_factory=CourseConfig)
+    scene: ScheduleConfig = field(default_factory=ScheduleConfig)
+    course: GraspTimingConfig = field(default_factory=GraspTimingConfig)
     faults: FaultConfig = field(default_factory=FaultConfig)
     automatic: bool = setting(True, "Whether the best of the newest grasps is executed whenever the hand is idle")
     biotacs: tuple[str, ...] = setting(
@@ -97,7 +97,7 @@ class HandNode(ForetouchNode[HandConfig]):
     """The hand as a lifecycle node.
 
     Attributes:
-        phase: `idle`, or the phase of the current grasp (`Course.phase`).
+        phase: `idle`, or the phase of the current grasp (`GraspTrajectory.phase`).
         busy: Whether a grasp is being executed or computed.
         executed: Numbers of grasps by outcome: `success`, or the reason of the failure.
     """
@@ -235,8 +235,8 @@ class HandNode(ForetouchNode[HandConfig]):
             assert self._hand is not None  # noqa: S101  setup made it
             grasp, slot = decode_grasp(command.message.grasps[0]), self.config.scene.slot(command.planned_ns)
             self._repeats += 1
-            course = self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
-            self._ready = _RunningGrasp(command, course)
+            trajectory = self._hand.execute(grasp, slot, self._repeats, time.monotonic() - self._began)
+            self._ready = _RunningGrasp(command, trajectory)
         except ForetouchError as err:
             self.get_logger().warning(str(err))
             self._drop("refused")
@@ -277,7 +277,7 @@ class HandNode(ForetouchNode[HandConfig]):
         if stamp is not None:
             self._tactile.publish(biotac_all_to_msg(counts, _TACTILE_FRAME, stamp))
         current = self._current
-        if current is not None and number - current.first >= len(current.course.counts) - 1:
+        if current is not None and number - current.first >= len(current.trajectory.counts) - 1:
             self._finish(current, start_ns + current.first * period_ns, period_ns)
 
     def _fingers(self, number: int) -> dict[str, Any]:
@@ -288,8 +288,8 @@ class HandNode(ForetouchNode[HandConfig]):
         grasping, *idle = [fingers.read(elapsed_s) for fingers in self._resting]
         current = self._current
         if current is not None:
-            row = min(number - current.first, len(current.course.counts) - 1)
-            grasping, self.phase = current.course.counts[row], current.course.phase(row)
+            row = min(number - current.first, len(current.trajectory.counts) - 1)
+            grasping, self.phase = current.trajectory.counts[row], current.trajectory.phase(row)
         # A finger that does not grasp reads as a middle finger at rest.
         return {
             **dict(zip(_GRASPING, grasping, strict=True)),
@@ -298,13 +298,13 @@ class HandNode(ForetouchNode[HandConfig]):
 
     def _finish(self, running: _RunningGrasp, first_ns: int, period_ns: int) -> None:
         """Report the grasp and become idle."""
-        course, message = running.course, _executed_to_msg(running, first_ns, period_ns)
+        trajectory, message = running.trajectory, _executed_to_msg(running, first_ns, period_ns)
         self._current = None
-        self.executed[course.reason or "success"] += 1
-        if course.success:
+        self.executed[trajectory.reason or "success"] += 1
+        if trajectory.success:
             self.statistics.use(running.command.arrived, (first_ns - running.command.planned_ns) * 1e-9)
         else:
-            self.get_logger().warning(f"grasp {running.command.message.grasps[0].id}: {course.message}")
-            self.statistics.drop(course.reason)
+            self.get_logger().warning(f"grasp {running.command.message.grasps[0].id}: {trajectory.message}")
+            self.statistics.drop(trajectory.reason)
         self._idle()
         self._executed_publisher.publish(message)

@@ -32,8 +32,8 @@ from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, ent
 from foretouch.dataset.source import Source, open_source
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.conversions import header_to_msg, plane_to_msg
-from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.ros.runtime.discovery import Matching, matched_ends
+from foretouch.ros.runtime.lifecycle_node import ForetouchNode, NodeConfig
 from foretouch.tactile.messages.table import stamp_ns
 from foretouch.topics import CLOUD_TOPIC, EXECUTED_TOPIC, GRASPS_TOPIC
 from foretouch.types import ASSUMED_TABLE, Plane

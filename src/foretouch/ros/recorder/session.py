@@ -66,7 +66,7 @@ class RecordingSession:
         assembler: SampleAssembler,
         inputs: Mapping[str, tuple[Role, type]],
         losses: Callable[[], Mapping[str, int]],
-        warn: Callable[[str], None],
+        warn: Callable[[str], object],
     ) -> None:
         self.writer = writer
         self.began_s = time.monotonic()

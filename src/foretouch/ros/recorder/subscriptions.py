@@ -132,7 +132,9 @@ class RecorderSubscriptions:
         queue, found = self._queue, {}
         waiting: Counter[str] = Counter() if queue is None else queue.waiting()
         late = self._late if queue is None else queue.late()
-        (first_s, first), (last_s, last) = (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
+        (first_s, first), (last_s, last) = (
+            (self._ticks[0], self._ticks[-1]) if self._ticks else ((0.0, late), (0.0, late))
+        )
         for name, one in self.inputs.items():
             rate_hz = (last[name] - first[name]) / (last_s - first_s) if last_s > first_s else 0.0
             found[name] = TopicStatistics(

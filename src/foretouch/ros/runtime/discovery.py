@@ -101,10 +101,11 @@ class Matching:
     def missing(self) -> list[str]:
         """What is not matched, of what is seen, a few words each."""
         node, reports, own = self._node, dict(self._reports), self._names()
-        found = []
-        for topic in self._wait_for:
-            if own.issuperset(map(_node_of, node.get_subscriptions_info_by_topic(topic))):
-                found.append(f"{topic}: no subscriber")
+        found = [
+            f"{topic}: no subscriber"
+            for topic in self._wait_for
+            if own.issuperset(map(_node_of, node.get_subscriptions_info_by_topic(topic)))
+        ]
         reporting = set(map(_node_of, node.get_publishers_info_by_topic("/diagnostics")))
         found += [f"{name}: no report in /diagnostics" for name in sorted(own & reporting - reports.keys())]
         for name, (_, ends) in reports.items():

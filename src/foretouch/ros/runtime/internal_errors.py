@@ -34,7 +34,7 @@ class InternalErrors:
         log: Called with a line for the first error of a callback, and then at most every five seconds.
     """
 
-    def __init__(self, log: Callable[[str], None]) -> None:
+    def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
@@ -105,8 +105,8 @@ class GuardedCallbacks:
     internal_errors: InternalErrors
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        log: Callable[[str], None] = lambda text: self.get_logger().error(text)  # type: ignore[attr-defined]
-        self.internal_errors = InternalErrors(log)  # rclpy's own constructor makes services
+        # Before rclpy's own constructor, which makes services.
+        self.internal_errors = InternalErrors(lambda text: self.get_logger().error(text))  # type: ignore[attr-defined]
         super().__init__(*arguments, **options)
         services = self.services  # type: ignore[attr-defined]
         for service in services:  # those of the lifecycle are not made by `create_service`
@@ -196,4 +196,3 @@ def _failed_service(arguments: tuple[Any, ...], reason: str) -> Any:
 
 def _refused(reason: str) -> SetParametersResult:
     return SetParametersResult(successful=False, reason=reason)
-

@@ -117,9 +117,7 @@ class ProcessingNode(ForetouchNode[_P], ABC):
         self._topics = tuple(inputs)
         self._lock = threading.Lock()
         names = [topic for _, topic in inputs]
-        self._synchronizer = StampSynchronizer(
-            names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop
-        )
+        self._synchronizer = StampSynchronizer(names, _INCOMPLETE_SETS, self.statistics.receive, self.statistics.drop)
         self._worker: Worker[StampedSet] = Worker(
             name,
             self.config.queue_depth,

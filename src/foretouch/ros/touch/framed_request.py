@@ -14,6 +14,7 @@ from foretouch.ros.messages.requests import RefusalError
 from foretouch.ros.runtime.output_frame import OutputFrame
 from foretouch_msgs.msg import Grasp, Status, TablePlane
 
+
 class Latest(NamedTuple):
     """The newest object_cloud and the table of the same stamp."""
 

@@ -87,9 +87,7 @@ def sample_grasps(
     )
 
 
-def _targets(
-    goal: Any, latest: Latest | None, config: TouchPredictorConfig
-) -> tuple[Header, tuple[FoundObject, ...]]:
+def _targets(goal: Any, latest: Latest | None, config: TouchPredictorConfig) -> tuple[Header, tuple[FoundObject, ...]]:
     """The objects of a goal, and the header of their cloud."""
     if goal.cloud.width * goal.cloud.height:
         if not goal.table:

@@ -66,7 +66,9 @@ class OnlineAdapter:
         self._config = config
         self._now_ns = now_ns
         self._warn = warn
-        self._input_lock = threading.Lock()  # of what callbacks store; taken after that of the history, and never while the model works
+        self._input_lock = (
+            threading.Lock()
+        )  # of what callbacks store; taken after that of the history, and never while the model works
         self._assembler = SampleAssembler(
             AssemblerConfig(pairing=settings.pairing, contact=settings.contact, successes_only=True), reader
         )

@@ -5,55 +5,31 @@ Hertz, Winkler and the elastic layer share one problem and one solution; `grip` 
 """
 
 from foretouch.simulation.contact.closed_form import bed_stiffness, solve_hertz, solve_winkler
-from foretouch.simulation.contact.grip import (
-    BALANCE_TOLERANCE,
-    LEVELS,
-    GripSolution,
-    HeldWeight,
-    Level,
-    choose_level,
-    solve_contact,
-    solve_grip,
-    weigh,
-)
+from foretouch.simulation.contact.grip import LEVELS, HeldWeight, choose_level, solve_contact, solve_grip, weigh
 from foretouch.simulation.contact.layer import solve_layer
 from foretouch.simulation.contact.pad import (
     ContactFrame,
     PadConfig,
     PadWindow,
-    cell_centres,
     contact_frame,
     gap_field,
     pad_depth,
     pad_direction,
     pad_window,
 )
-from foretouch.simulation.contact.problem import (
-    DEFAULT_CONFIG,
-    Command,
-    ContactConfig,
-    ContactProblem,
-    ContactSolution,
-    Layer,
-)
+from foretouch.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
 
 __all__ = [
-    "BALANCE_TOLERANCE",
-    "DEFAULT_CONFIG",
     "LEVELS",
     "Command",
-    "ContactConfig",
     "ContactFrame",
     "ContactProblem",
     "ContactSolution",
-    "GripSolution",
     "HeldWeight",
     "Layer",
-    "Level",
     "PadConfig",
     "PadWindow",
     "bed_stiffness",
-    "cell_centres",
     "choose_level",
     "contact_frame",
     "gap_field",

@@ -26,7 +26,14 @@ from functools import lru_cache
 import numpy as np
 
 from foretouch.errors import ContactError
-from foretouch.simulation.contact import problem as problems
+from foretouch.simulation.contact.problem import (
+    Command,
+    ContactProblem,
+    ContactSolution,
+    Layer,
+    no_contact,
+    refuse_overload,
+)
 from foretouch.types import Float64
 
 _REACH = 3  # cells on each side of first touch that its curvature is fitted on
@@ -45,24 +52,15 @@ class _Paraboloid:
     y0: float
 
 
-def solve_hertz(
-    problem: problems.ContactProblem,
-    command: problems.Command,
-    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
-) -> problems.ContactSolution:
+def solve_hertz(problem: ContactProblem, command: Command) -> ContactSolution:
     """Press two bodies together as half-spaces that touch on a paraboloid.
-
-    Args:
-        problem: Surfaces and layers; the gap must be smooth and convex about first touch.
-        command: A force or a depth.
-        config: Limits.
 
     Raises:
         ContactError: If the gap about first touch is cut, flat or hollow, or too long for an ellipse; or if a
             layer is compressed beyond `max_strain`.
     """
     if command.idle:
-        return problems.no_contact(problem, command.depth_m or 0.0)
+        return no_contact(problem, command.depth_m or 0.0)
     shape = _fit(problem)
     ratio, k, d = _ellipse(shape.b / shape.a)
     modulus = problem.contact_modulus_pa
@@ -79,11 +77,11 @@ def solve_hertz(
     pressure = _pressure(rho, force / problem.cell_m2)
     shares = np.array([modulus / layer.plane_modulus_pa for layer in problem.layers])
     displacement = shares[:, None, None] * _displacement(rho, depth)
-    problems.refuse_overload(problem, displacement, depth, config)
-    return problems.ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
+    refuse_overload(problem, displacement, depth)
+    return ContactSolution(pressure, displacement, force, math.pi * a * b, depth)
 
 
-def _fit(problem: problems.ContactProblem) -> _Paraboloid:
+def _fit(problem: ContactProblem) -> _Paraboloid:
     """Least squares of a quadratic on the cells about the least gap."""
     n = problem.gap.shape[0]
     row, column = np.unravel_index(int(np.argmin(problem.gap)), problem.gap.shape)
@@ -140,7 +138,7 @@ def _ellipse_table() -> tuple[Float64, Float64, Float64, Float64]:
     return circle, ratios, ks, ds
 
 
-def _stretched_radius(problem: problems.ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:
+def _stretched_radius(problem: ContactProblem, shape: _Paraboloid, a: float, b: float) -> Float64:
     """(N, N): √(u²/a² + v²/b²), 1 at the rim of the footprint."""
     offset = (np.arange(problem.gap.shape[0]) - (problem.gap.shape[0] - 1) / 2.0) * problem.step_m
     x, y = offset[None, :] - shape.x0, offset[:, None] - shape.y0
@@ -172,7 +170,7 @@ def _displacement(rho: Float64, depth: float) -> Float64:
 _MAX_POISSON = 0.45  # beyond, the confined modulus depends more on ν than on the material
 
 
-def bed_stiffness(layer: problems.Layer) -> float:
+def bed_stiffness(layer: Layer) -> float:
     """Pressure per indentation of one layer [Pa/m].
 
     ν is capped at 0.45: an incompressible layer does not answer locally, and its bed would be rigid.
@@ -187,23 +185,14 @@ def bed_stiffness(layer: problems.Layer) -> float:
     return confined / layer.thickness_m
 
 
-def solve_winkler(
-    problem: problems.ContactProblem,
-    command: problems.Command,
-    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
-) -> problems.ContactSolution:
+def solve_winkler(problem: ContactProblem, command: Command) -> ContactSolution:
     """Press two bodies together on a bed of springs; exact, without iteration.
-
-    Args:
-        problem: Surfaces and layers.
-        command: A force or a depth.
-        config: Limits.
 
     Raises:
         ContactError: If a layer is a half-space or compressed beyond `max_strain`.
     """
     if command.idle:
-        return problems.no_contact(problem, command.depth_m or 0.0)
+        return no_contact(problem, command.depth_m or 0.0)
     compliances = np.array([1.0 / bed_stiffness(layer) for layer in problem.layers])
     k = 1.0 / float(compliances.sum())
     if command.depth_m is None:
@@ -212,9 +201,9 @@ def solve_winkler(
         depth = command.depth_m
     pressure = k * np.maximum(depth - problem.gap, 0.0)
     displacement = compliances[:, None, None] * pressure
-    problems.refuse_overload(problem, displacement, depth, config)
+    refuse_overload(problem, displacement, depth)
     area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return problems.ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
+    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, depth)
 
 
 def _depth_for(gap: Float64, overlap_sum: float) -> float:

@@ -17,66 +17,56 @@ force is solved for; the balance is then exact and the closing holds to `_CLOSIN
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from foretouch.errors import ContactError, ConvergenceError
-from foretouch.simulation.contact import problem as contacts
 from foretouch.simulation.contact.closed_form import solve_hertz, solve_winkler
 from foretouch.simulation.contact.layer import solve_layer
+from foretouch.simulation.contact.problem import Command, ContactProblem, ContactSolution, Layer
 from foretouch.types import Float64
 
-Level = Literal["auto", "hertz", "winkler", "layer"]
-LEVELS: Final = ("auto", "hertz", "winkler", "layer")
+_SOLVERS: Final[dict[str, Callable[[ContactProblem, Command], ContactSolution]]] = {
+    "hertz": solve_hertz,
+    "winkler": solve_winkler,
+    "layer": solve_layer,
+}
+LEVELS: Final = tuple(_SOLVERS)
 
-_SOLVERS: Final = {"hertz": solve_hertz, "winkler": solve_winkler, "layer": solve_layer}
+Grip = tuple[ContactSolution, ContactSolution]
+"""Contacts of the finger at g1 and of the one at g2."""
 
 
-def choose_level(layers: Sequence[contacts.Layer]) -> tuple[Level, str]:
-    """The level that `auto` means, and why.
+def choose_level(layers: Sequence[Layer]) -> tuple[str, str]:
+    """The level that `auto` stands for with these layers, the pad's first, and the reason.
 
     The bed of springs is right for one thin layer, the skin on its core pressed on something rigid. Soft
-    objects are thick: their cells answer to each other.
-
-    Args:
-        layers: The compliant bodies, the pad's first.
+    objects are thick: their cells influence each other.
     """
     if len(layers) == 1 and not math.isinf(layers[0].thickness_m):
         return "winkler", "the object is rigid: only the thin skin deforms"
     return "layer", "the object deforms too"
 
 
-def solve_contact(
-    problem: contacts.ContactProblem,
-    command: contacts.Command,
-    level: Level = "auto",
-    config: contacts.ContactConfig = contacts.DEFAULT_CONFIG,
-) -> contacts.ContactSolution:
-    """Solve one contact at the level asked for.
-
-    Args:
-        problem: Surfaces and layers.
-        command: A force or a depth.
-        level: One of `LEVELS`.
-        config: Tolerance and limits.
+def solve_contact(problem: ContactProblem, command: Command, level: str = "auto") -> ContactSolution:
+    """Solve one contact at `auto` or one of `LEVELS`.
 
     Raises:
         ContactError: If there is no such level, or the level refuses the problem.
     """
     if level == "auto":
         level, _ = choose_level(problem.layers)
-    solver = _SOLVERS.get(level)
-    if solver is None:
-        raise ContactError(f"level: {level!r} is none of {', '.join(LEVELS)}")
-    return solver(problem, command, config)
+    if level not in _SOLVERS:
+        raise ContactError(f"level: {level!r} is none of auto, {', '.join(LEVELS)}")
+    return _SOLVERS[level](problem, command)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldWeight:
-    """What the object's weight asks of the fingers."""
+    """Forces of the object's weight on the fingers."""
 
     axial_n: float  # how much more the second finger pushes than the first [N]
     tangential_n: Float64  # (2, 3) float64, force of each finger on the object across the line of the contacts [N]
@@ -113,38 +103,20 @@ def weigh(weight_n: Float64, g1: Float64, g2: Float64, centre: Float64) -> HeldW
     return HeldWeight(float(weight_n @ axis), tangential, float(moment @ axis))
 
 
-BALANCE_TOLERANCE = 1e-3
-"""Largest |F1 - F2 - load| over the larger force that counts as balanced."""
-
+_BALANCE_TOLERANCE = 1e-3  # largest difference of two forces over the larger one that counts as balanced
 _CLOSING_TOLERANCE = 1e-5
 _MAX_STEPS = 40
 _STEEPEST = 64.0  # largest factor on the force in one step
 
 
-@dataclass(frozen=True, eq=False)
-class GripSolution:
-    """Both contacts."""
-
-    first: contacts.ContactSolution  # of the finger at g1 and of the one at g2
-    second: contacts.ContactSolution  # of the finger at g1 and of the one at g2
-    steps: int = 0  # tries of the force that the closing took; 0 where none was needed
-
-    @property
-    def imbalance(self) -> float:
-        """|F1 - F2| over the larger force; 0 without contact."""
-        larger = max(self.first.force_n, self.second.force_n)
-        return abs(self.first.force_n - self.second.force_n) / larger if larger > 0.0 else 0.0
-
-
 def solve_grip(
-    problems: Sequence[contacts.ContactProblem],
-    commands: Sequence[contacts.Command],
+    problems: Sequence[ContactProblem],
+    commands: Sequence[Command],
     *,
     balanced: bool,
     axial_load_n: float = 0.0,
-    level: Level = "auto",
-    config: contacts.ContactConfig = contacts.DEFAULT_CONFIG,
-) -> GripSolution:
+    level: str = "auto",
+) -> Grip:
     """Close both fingers on the object.
 
     Args:
@@ -152,9 +124,8 @@ def solve_grip(
         commands: For each; in a balanced grip both forces or both depths.
         balanced: Whether the object is free to move along the line of the contacts.
         axial_load_n: Balanced only: how much of the object's weight the second finger carries more than
-            the first (`statics.weigh`). Half is taken from the first, half added to the second.
+            the first (`weigh`). Half is taken from the first, half added to the second.
         level: Of the contact.
-        config: Tolerance and limits.
 
     Raises:
         ContactError: If there are not two of each; a balanced grip has commands that contradict each other,
@@ -165,62 +136,52 @@ def solve_grip(
     if not balanced:
         if axial_load_n != 0.0:
             raise ContactError("axial_load_n: given for a grip that holds the object in place")
-        first, second = (solve_contact(p, c, level, config) for p, c in zip(problems, commands, strict=True))
-        return GripSolution(first, second)
+        return _solve_both(problems, commands, level)
     forces = [c.force_n for c in commands if c.force_n is not None]
     depths = [c.depth_m for c in commands if c.depth_m is not None]
     if len(forces) == 2:
-        return _at_force(problems, _common(forces), axial_load_n, level, config)
+        return _at_force(problems, _common(forces), axial_load_n, level)
     if len(depths) == 2:
-        return _at_closing(problems, sum(depths), axial_load_n, level, config)
+        return _at_closing(problems, sum(depths), axial_load_n, level)
     raise ContactError("commands: a balanced grip needs two forces or two depths, not one of each")
+
+
+def _solve_both(problems: Sequence[ContactProblem], commands: Sequence[Command], level: str) -> Grip:
+    first, second = (solve_contact(p, c, level) for p, c in zip(problems, commands, strict=True))
+    return first, second
 
 
 def _common(forces: Sequence[float]) -> float:
     low, high = sorted(forces)
-    if high - low > BALANCE_TOLERANCE * high:
+    if high - low > _BALANCE_TOLERANCE * high:
         raise ContactError(f"force_n: {forces[0]:g} and {forces[1]:g} N cannot balance on one object")
     return (low + high) / 2.0
 
 
-def _at_force(
-    problems: Sequence[contacts.ContactProblem], force: float, load: float, level: Level, config: contacts.ContactConfig
-) -> GripSolution:
+def _at_force(problems: Sequence[ContactProblem], force: float, load: float, level: str) -> Grip:
     pushes = (force - load / 2.0, force + load / 2.0)
     if min(pushes) < 0.0:
         raise ContactError(f"axial_load_n: {load:g} N opens a grip of {force:g} N")
-    first, second = (
-        solve_contact(p, contacts.Command(force_n=f), level, config) for p, f in zip(problems, pushes, strict=True)
-    )
-    return GripSolution(first, second)
+    return _solve_both(problems, [Command(force_n=push) for push in pushes], level)
 
 
-def _at_closing(
-    problems: Sequence[contacts.ContactProblem],
-    closing: float,
-    load: float,
-    level: Level,
-    config: contacts.ContactConfig,
-) -> GripSolution:
+def _at_closing(problems: Sequence[ContactProblem], closing: float, load: float, level: str) -> Grip:
     """Find the common force whose two depths add up to `closing`.
 
     The depth grows as a power of the force, between F (flat) and √F, so that steps are taken on log F with
     the power of the last two tries, inside a bracket that they tighten.
     """
     if closing <= 0.0:
-        first, second = (solve_contact(p, contacts.Command(depth_m=min(closing, 0.0)), level, config) for p in problems)
-        return GripSolution(first, second)
+        return _solve_both(problems, [Command(depth_m=min(closing, 0.0))] * 2, level)
     floor = abs(load) / 2.0
-    force = max(
-        solve_contact(problems[0], contacts.Command(depth_m=closing / 2.0), level, config).force_n, floor * 1.01
-    )
+    force = max(solve_contact(problems[0], Command(depth_m=closing / 2.0), level).force_n, floor * 1.01)
     low, high, power, last = floor, math.inf, 0.6, None
-    for step in range(1, _MAX_STEPS + 1):
-        grip = _at_force(problems, force, load, level, config)
-        reached = grip.first.depth_m + grip.second.depth_m
+    for _ in range(_MAX_STEPS):
+        grip = _at_force(problems, force, load, level)
+        reached = grip[0].depth_m + grip[1].depth_m
         error = math.log(reached / closing)
         if abs(error) < _CLOSING_TOLERANCE:
-            return GripSolution(grip.first, grip.second, step)
+            return grip
         low, high = (force, high) if error < 0.0 else (low, force)
         if last is not None and force != last[0]:
             slope = (error - last[1]) / math.log(force / last[0])

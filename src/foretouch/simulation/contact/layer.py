@@ -40,8 +40,15 @@ import numpy.typing as npt
 
 from foretouch.errors import ContactError, ConvergenceError
 from foretouch.kernels import Kernel
-from foretouch.simulation.contact import problem as problems
 from foretouch.simulation.contact.closed_form import bed_stiffness
+from foretouch.simulation.contact.problem import (
+    Command,
+    ContactProblem,
+    ContactSolution,
+    Layer,
+    no_contact,
+    refuse_overload,
+)
 from foretouch.types import Float64
 
 Complex128 = npt.NDArray[np.complex128]
@@ -55,7 +62,7 @@ _CACHED = 64  # spectra kept, 130 kB each at N = 64
 _layer_descent = Kernel("layer_descent", *[np.float64] * 2, int, float, int, float, float, int, *[np.float64] * 2)
 
 
-def layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
+def _layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
     """M(t) of a bonded layer: its compliance over that of a half-space, for t = q h at least 0."""
     t = np.asarray(t, np.float64)
     decay = np.exp(-2.0 * t)  # numerator and denominator times 2 exp(-2t): no overflow at large t
@@ -66,7 +73,7 @@ def layer_transfer(t: npt.ArrayLike, poisson: float) -> Float64:
     return np.asarray(numerator / denominator, np.float64)
 
 
-def love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
+def _love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: float) -> Float64:
     """Displacement of a half-space at (x, y) from its centre, by a square cell under 1 Pa [m/Pa].
 
     Args:
@@ -82,7 +89,7 @@ def love_influence(x: Float64, y: Float64, step_m: float, plane_modulus_pa: floa
     )
 
 
-def layer_influence(layer: problems.Layer, n: int, step_m: float) -> Float64:
+def _layer_influence(layer: Layer, n: int, step_m: float) -> Float64:
     """(n, n) float64 [m/Pa]: displacement at cell (i, j) by cell (0, 0) under 1 Pa.
 
     Raises:
@@ -90,7 +97,7 @@ def layer_influence(layer: problems.Layer, n: int, step_m: float) -> Float64:
     """
     offset = step_m * np.arange(n, dtype=np.float64)
     x, y = offset[None, :], offset[:, None]
-    half_space = love_influence(x, y, step_m, layer.plane_modulus_pa)
+    half_space = _love_influence(x, y, step_m, layer.plane_modulus_pa)
     if math.isinf(layer.thickness_m):
         return half_space
     if layer.thickness_m < step_m / 2.0:
@@ -106,13 +113,13 @@ def layer_influence(layer: problems.Layer, n: int, step_m: float) -> Float64:
 
 
 @lru_cache(maxsize=_CACHED)
-def influence_spectrum(layer: problems.Layer, n: int, step_m: float) -> Complex128:
+def _influence_spectrum(layer: Layer, n: int, step_m: float) -> Complex128:
     """(2n, n + 1) complex128: the spectrum that turns an n x n pressure into displacement without wrapping.
 
     The coefficients fill a grid of twice the size, so that the cyclic convolution of the padded pressure
     is the plain one (DC-FFT; Liu, Wang & Liu 2000). Kept for the latest layers and grids; do not write to it.
     """
-    quarter = layer_influence(layer, n, step_m)
+    quarter = _layer_influence(layer, n, step_m)
     full = np.zeros((2 * n, 2 * n))
     index = np.minimum(np.arange(2 * n), np.arange(2 * n, 0, -1)) % (2 * n)
     inside = np.flatnonzero(index < n)
@@ -122,8 +129,8 @@ def influence_spectrum(layer: problems.Layer, n: int, step_m: float) -> Complex1
     return spectrum
 
 
-def convolve(pressure: Float64, spectrum: Complex128) -> Float64:
-    """Displacement [m] of a pressure (N, N) [Pa], by the spectrum of `influence_spectrum`.
+def _convolve(pressure: Float64, spectrum: Complex128) -> Float64:
+    """Displacement [m] of a pressure (N, N) [Pa], by the spectrum of `_influence_spectrum`.
 
     By axis, so that rows of zeros are not transformed on the way in, nor unused ones on the way out.
 
@@ -157,55 +164,74 @@ def _smooth_table(poisson: float) -> tuple[Float64, Any]:
 
     nodes, weights = np.polynomial.legendre.leggauss(400)
     t = _WAVES * (nodes + 1.0) / 2.0
-    integrand = weights * _WAVES / 2.0 * (layer_transfer(t, poisson) - 1.0)
+    integrand = weights * _WAVES / 2.0 * (_layer_transfer(t, poisson) - 1.0)
     rho = np.linspace(0.0, _FAR, _TABLE)
     return rho, j0(np.outer(rho, t)) @ integrand
 
 
-@dataclass
-class _End:
-    """What a descent came to."""
-
-    pressure: Float64  # (N, N) [Pa]
-    depth: float  # [m]
-    iterations: int
-    residual: float
-
-
 _HERTZ = 4.0 * math.sqrt(2.0) / (3.0 * math.pi)
+_ABSENT_M = 1e9  # stands for an infinite gap: finite, so that 0 pressure times it is 0, and out of reach
 _SIZES = (8, 12, 16, 20, 24, 32, 40, 48, 64, 80, 96, 128)  # few, so that the spectra kept suffice
+_MARGIN = 2  # cells around the expected footprint
+_OVERLAP = 2e-2  # of the depth: how far the surfaces may still overlap before it is solved again on the window
+
+TOLERANCE = 1e-4  # change of the pressure in the last step over the force
+MAX_ITERATIONS = 300  # before a contact is refused
 
 
-@dataclass(frozen=True)
-class Box:
-    """A square part of the window."""
+def solve_layer(
+    problem: ContactProblem, command: Command, *, tolerance: float = TOLERANCE, max_iterations: int = MAX_ITERATIONS
+) -> ContactSolution:
+    """Press two bodies together, each cell influencing all others.
 
-    size: int  # its side [cells]
-    row: int  # its first cell
-    column: int  # its first cell
+    Args:
+        problem: Surfaces and layers.
+        command: A force or a depth.
+        tolerance: Largest change of the pressure in the last step over the force.
+        max_iterations: Steps before the contact is refused.
 
-    @property
-    def rows(self) -> slice:
-        """Its rows."""
-        return slice(self.row, self.row + self.size)
+    Raises:
+        ConvergenceError: If it does not converge in `max_iterations`.
+        ContactError: If a layer is compressed too far.
+    """
+    if command.idle:
+        return no_contact(problem, command.depth_m or 0.0)
+    gap = np.minimum(problem.gap, _ABSENT_M)
+    guess = _expected_pressure(problem, command)
+    box = _box_around(guess)  # only the expected footprint and its margin may carry pressure at first
+    end = _descend(problem, command, gap[box], guess[box], tolerance, max_iterations)
+    pressure = np.zeros_like(gap)
+    pressure[box] = end.pressure
+    displacement = _displacements(problem, pressure)
+    overlap = end.depth - float((displacement.sum(axis=0) + gap).min())  # how far the surfaces still overlap anywhere
+    if end.residual >= tolerance or overlap > _OVERLAP * abs(end.depth):
+        # The guess misled: from even pressure wherever both surfaces exist, which is slower and sure.
+        even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
+        iterations = end.iterations
+        end = _descend(problem, command, gap, even, tolerance, max_iterations)
+        pressure = end.pressure
+        if end.residual >= tolerance:
+            raise ConvergenceError(
+                f"elastic layer: no convergence after {iterations + end.iterations} iterations on {gap.shape[0]}^2 cells, "
+                f"{np.count_nonzero(pressure)} of them in contact: residual {end.residual:.3g}, tolerance {tolerance:g}"
+            )
+        displacement = _displacements(problem, pressure)
+    refuse_overload(problem, displacement, end.depth)
+    area = int(np.count_nonzero(pressure)) * problem.cell_m2
+    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, end.depth)
 
-    @property
-    def columns(self) -> slice:
-        """Its columns."""
-        return slice(self.column, self.column + self.size)
 
-    @classmethod
-    def around(cls, pressure: Float64, margin: int) -> Box:
-        """The smallest of a few sizes that holds all pressed cells and `margin` more on each side."""
-        n = pressure.shape[0]
-        spans = [np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0)]
-        needed = max(int(span[-1] - span[0]) for span in spans) + 1 + 2 * margin
-        size = min(next((s for s in _SIZES if s >= needed), n), n)
-        row, column = (min(max((int(s[0] + s[-1]) + 1 - size) // 2, 0), n - size) for s in spans)
-        return cls(size, row, column)
+def _box_around(pressure: Float64) -> tuple[slice, slice]:
+    """The smallest square of a few sizes that holds all pressed cells and a margin on each side."""
+    n = pressure.shape[0]
+    spans = [np.flatnonzero(pressure.any(axis=axis)) for axis in (1, 0)]
+    needed = max(int(span[-1] - span[0]) for span in spans) + 1 + 2 * _MARGIN
+    size = min(next((s for s in _SIZES if s >= needed), n), n)
+    row, column = (min(max((int(s[0] + s[-1]) + 1 - size) // 2, 0), n - size) for s in spans)
+    return slice(row, row + size), slice(column, column + size)
 
 
-def expected_pressure(problem: problems.ContactProblem, command: problems.Command) -> Float64:
+def _expected_pressure(problem: ContactProblem, command: Command) -> Float64:
     """(N, N) float64 [Pa]: at least one cell is pressed; all pressed ones have a finite gap."""
     gaps = np.sort(problem.gap[np.isfinite(problem.gap)], axis=None)
     count = np.arange(1, gaps.size + 1)
@@ -230,7 +256,7 @@ def expected_pressure(problem: problems.ContactProblem, command: problems.Comman
     return np.asarray(shape * (mean / float(shape.sum())))
 
 
-def _stiffness(problem: problems.ContactProblem, radius: npt.NDArray[np.float64]) -> Float64:
+def _stiffness(problem: ContactProblem, radius: npt.NDArray[np.float64]) -> Float64:
     compliance = np.zeros_like(radius)
     for layer in problem.layers:
         bed = 0.0 if math.isinf(layer.thickness_m) else bed_stiffness(layer)
@@ -238,79 +264,18 @@ def _stiffness(problem: problems.ContactProblem, radius: npt.NDArray[np.float64]
     return np.asarray(1.0 / compliance)
 
 
-_ABSENT_M = 1e9  # stands for an infinite gap: finite, so that 0 pressure times it is 0, and out of reach
-_MARGIN = 2  # cells around the expected footprint
-_OVERLAP = 2e-2  # of the depth: how far the surfaces may still overlap before it is solved again on the window
+@dataclass(frozen=True)
+class _End:
+    """Where a descent ended."""
 
-
-def solve_layer(
-    problem: problems.ContactProblem,
-    command: problems.Command,
-    config: problems.ContactConfig = problems.DEFAULT_CONFIG,
-) -> problems.ContactSolution:
-    """Press two bodies together, each cell answering to all others.
-
-    Args:
-        problem: Surfaces and layers.
-        command: A force or a depth.
-        config: Tolerance and limits.
-
-    Raises:
-        ConvergenceError: If it does not converge in `max_iterations`.
-        ContactError: If a layer is compressed beyond `max_strain`.
-    """
-    if command.idle:
-        return problems.no_contact(problem, command.depth_m or 0.0)
-    gap = np.minimum(problem.gap, _ABSENT_M)
-    pressure, end = _solve_in_box(problem, command, config, gap)
-    displacement = _displacements(problem, pressure)
-    if end.residual >= config.tolerance or _overlap(displacement, gap, end.depth) > _OVERLAP * abs(end.depth):
-        end = _solve_in_window(problem, command, config, gap, end.iterations)
-        pressure, displacement = end.pressure, _displacements(problem, end.pressure)
-    problems.refuse_overload(problem, displacement, end.depth, config)
-    force = float(pressure.sum()) * problem.cell_m2
-    area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return problems.ContactSolution(pressure, displacement, force, area, end.depth, end.iterations, end.residual)
-
-
-def _solve_in_box(
-    problem: problems.ContactProblem, command: problems.Command, config: problems.ContactConfig, gap: Float64
-) -> tuple[Float64, _End]:
-    """The pressure on the window, if only the expected footprint and its margin may carry any."""
-    guess = expected_pressure(problem, command)
-    box = Box.around(guess, _MARGIN)
-    end = _descend(problem, command, config, gap[box.rows, box.columns], guess[box.rows, box.columns])
-    pressure = np.zeros_like(gap)
-    pressure[box.rows, box.columns] = end.pressure
-    return pressure, end
-
-
-def _solve_in_window(
-    problem: problems.ContactProblem,
-    command: problems.Command,
-    config: problems.ContactConfig,
-    gap: Float64,
-    spent: int,
-) -> _End:
-    """From even pressure wherever both surfaces exist: slower, and sure where the guess misled."""
-    even = np.isfinite(problem.gap) * (problem.contact_modulus_pa * 1e-3)
-    end = _descend(problem, command, config, gap, even)
-    end.iterations += spent
-    if end.residual >= config.tolerance:
-        raise ConvergenceError(
-            f"elastic layer: no convergence after {end.iterations} iterations on {gap.shape[0]}^2 cells, "
-            f"{np.count_nonzero(end.pressure)} of them in contact: "
-            f"residual {end.residual:.3g}, tolerance {config.tolerance:g}"
-        )
-    return end
+    pressure: Float64  # (N, N) [Pa]
+    depth: float  # [m]
+    iterations: int
+    residual: float
 
 
 def _descend(
-    problem: problems.ContactProblem,
-    command: problems.Command,
-    config: problems.ContactConfig,
-    gap: Float64,
-    start: Float64,
+    problem: ContactProblem, command: Command, gap: Float64, start: Float64, tolerance: float, max_iterations: int
 ) -> _End:
     """Step until the tolerance is met or the iterations are spent."""
     spectrum = _spectra(problem.layers, gap.shape[0], problem.step_m)[1]
@@ -320,7 +285,7 @@ def _descend(
         given = command.force_n / problem.cell_m2
         pressure = start * (given / float(start.sum()))
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
-    limits = safe_length, config.tolerance, config.max_iterations
+    limits = safe_length, tolerance, max_iterations
     n, by_force = gap.shape[0], int(command.force_n is not None)
     _layer_descent(np.ascontiguousarray(gap), spectrum.view(np.float64), n, given, by_force, *limits, pressure, end)
     if not end[3]:
@@ -329,16 +294,11 @@ def _descend(
 
 
 @lru_cache(maxsize=_CACHED)
-def _spectra(layers: tuple[problems.Layer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
+def _spectra(layers: tuple[Layer, ...], n: int, step_m: float) -> tuple[Complex128, Complex128]:
     """(L, 2n, n + 1) of each layer, and their sum; do not write to them."""
-    each = np.stack([influence_spectrum(layer, n, step_m) for layer in layers])
+    each = np.stack([_influence_spectrum(layer, n, step_m) for layer in layers])
     return each, each.sum(axis=0)
 
 
-def _displacements(problem: problems.ContactProblem, pressure: Float64) -> Float64:
-    return convolve(pressure, _spectra(problem.layers, pressure.shape[0], problem.step_m)[0])
-
-
-def _overlap(displacement: Float64, gap: Float64, depth: float) -> float:
-    """How far the surfaces, displaced, still pass through each other anywhere [m]."""
-    return depth - float((displacement.sum(axis=0) + gap).min())
+def _displacements(problem: ContactProblem, pressure: Float64) -> Float64:
+    return _convolve(pressure, _spectra(problem.layers, pressure.shape[0], problem.step_m)[0])

@@ -5,14 +5,13 @@ Frame of the fingertip, as `foretouch.tactile`: x along the finger towards its t
 pad. The electrodes of the core lie on an ellipsoid of revolution about x; the skin is taken as the
 ellipsoid whose semi-axes are longer by the layer's thickness. The contact has its own frame: its
 origin on the skin, z the outward normal, x as far along the finger as the tangent plane allows.
-
-`bent_surface`, `wedge` and `tilted` give heights of simple objects in the contact frame, for examples and tests.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -21,30 +20,29 @@ from foretouch.errors import ContactError
 from foretouch.simulation.contact.problem import Layer
 from foretouch.types import Float64
 
+# The core's semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat up to 0.4 mm inside).
+CORE_HALF_LENGTH_M: Final = 0.01237  # along the finger
+CORE_RADIUS_M: Final = 0.008  # across the finger
+POISSON: Final = 0.316  # Poisson's ratio of the layer, as in published finite-element models of the skin
+SOFT_WINDOW_M: Final = 0.02  # side of the window on a soft object
+
 
 @dataclass(frozen=True, kw_only=True)
 class PadConfig(Settings):
-    """Shape and stuff of the fingertip's pad.
+    """Shape and material of the fingertip's pad, and the grid that contacts are solved on."""
 
-    The semi-axes fit the electrode positions in common use (1 to 20 within 0.03 mm; 21 to 24 sit on a flat
-    up to 0.4 mm inside). Modulus and Poisson's ratio are those of published finite-element models of the skin.
-    """
-
-    core_half_length_m: float = setting(
-        0.01237, "Semi-axis of the core along the finger", unit="m", minimum=1e-4, maximum=1.0
-    )
-    core_radius_m: float = setting(
-        0.008, "Semi-axes of the core across the finger", unit="m", minimum=1e-4, maximum=1.0
-    )
     layer_m: float = setting(0.0014, "Thickness of skin and liquid over the core", unit="m", minimum=1e-5, maximum=1.0)
-    modulus_pa: float = setting(1.552e6, "Young's modulus of the layer", unit="Pa", minimum=1.0, maximum=1e12)
-    poisson: float = setting(0.316, "Poisson's ratio of the layer", minimum=0.0, maximum=0.5)
-    friction: float = setting(0.783, "Coulomb friction of the skin", minimum=0.0, maximum=100.0)
-    window_m: float = setting(
-        0.012, "Side of the square that a contact is solved on", unit="m", minimum=1e-4, maximum=1.0
+    modulus_pa: float = setting(
+        1.552e6,
+        "Young's modulus of the layer, as in published finite-element models of the skin",
+        unit="Pa",
+        minimum=1.0,
+        maximum=1e12,
     )
-    soft_window_m: float = setting(0.02, "The same for a soft object", unit="m", minimum=1e-4, maximum=1.0)
-    cells: int = setting(24, "Cells a side of that square", minimum=3, maximum=512)
+    window_m: float = setting(
+        0.012, "Side of the square that a contact with a rigid object is solved on", unit="m", minimum=1e-4, maximum=1.0
+    )
+    cells: int = setting(24, "Number of cells along one side of that square", minimum=3, maximum=512)
 
     @property
     def step_m(self) -> float:
@@ -54,18 +52,18 @@ class PadConfig(Settings):
     @property
     def soft(self) -> PadConfig:
         """The same pad, its window wide enough for what sinks into a soft object."""
-        return self.replace(window_m=self.soft_window_m)
+        return self.replace(window_m=SOFT_WINDOW_M)
 
     @property
     def layer(self) -> Layer:
         """Skin and liquid as one elastic layer."""
-        return Layer(modulus_pa=self.modulus_pa, poisson=self.poisson, thickness_m=self.layer_m)
+        return Layer(modulus_pa=self.modulus_pa, poisson=POISSON, thickness_m=self.layer_m)
 
     @property
     def skin_axes(self) -> Float64:
         """(3,) float64: semi-axes of the skin [m]."""
-        across = self.core_radius_m + self.layer_m
-        return np.array([self.core_half_length_m + self.layer_m, across, across])
+        across = CORE_RADIUS_M + self.layer_m
+        return np.array([CORE_HALF_LENGTH_M + self.layer_m, across, across])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,8 @@ class PadWindow:
 def pad_window(config: PadConfig, direction: Float64) -> PadWindow:
     """The window about the place where the outward normal is `direction` (see `contact_frame`)."""
     frame = contact_frame(config, direction)
-    x, y = cell_centres(config)
+    offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
+    x, y = np.meshgrid(offset, offset)
     depth = pad_depth(config, frame, x, y)
     return PadWindow(frame, x, y, depth, frame.points(x, y, np.where(np.isfinite(depth), depth, np.nan)))
 
@@ -130,13 +129,6 @@ def contact_frame(config: PadConfig, direction: Float64) -> ContactFrame:
     tangent_x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal  # not 0, as z is below 0
     tangent_x /= np.linalg.norm(tangent_x)
     return ContactFrame(origin, np.column_stack([tangent_x, np.cross(normal, tangent_x), normal]))
-
-
-def cell_centres(config: PadConfig) -> tuple[Float64, Float64]:
-    """X and y, (N, N) float64 each [m], of the window's cells in the contact frame; x changes along a row."""
-    offset = (np.arange(config.cells) - (config.cells - 1) / 2.0) * config.step_m
-    x, y = np.meshgrid(offset, offset)
-    return x, y
 
 
 def pad_depth(config: PadConfig, frame: ContactFrame, x: Float64, y: Float64) -> Float64:
@@ -180,45 +172,3 @@ def gap_field(depth: Float64, object_height: Float64) -> Float64:
     if math.isinf(least):
         raise ContactError("object_height: no cell of the window holds both pad and object")
     return gap - least
-
-
-def bent_surface(x: Float64, y: Float64, curvature_x: float, curvature_y: float, angle_rad: float = 0.0) -> Float64:
-    """A surface with two principal curvatures [1/m]: plane, sphere or cylinder to second order.
-
-    Args:
-        x: (N, N) cell centres [m].
-        y: (N, N) cell centres [m].
-        curvature_x: First principal curvature, positive where it is convex, negative for a dent.
-        curvature_y: The second, across the first.
-        angle_rad: How far the first principal direction is turned from x towards y.
-
-    Returns:
-        (N, N) float64 [m], 0 at the origin.
-    """
-    u = np.cos(angle_rad) * x + np.sin(angle_rad) * y
-    v = np.cos(angle_rad) * y - np.sin(angle_rad) * x
-    return np.asarray(-(curvature_x * u**2 + curvature_y * v**2) / 2.0)
-
-
-def wedge(x: Float64, y: Float64, slope: float, angle_rad: float = 0.0, rounding_m: float = 0.0) -> Float64:
-    """The edge of a box: flat on one side of a line, falling with `slope` on the other [m].
-
-    Args:
-        x: (N, N) cell centres [m].
-        y: (N, N) cell centres [m].
-        slope: Fall over distance; infinite for an edge with nothing behind it.
-        angle_rad: Direction of the fall, from x towards y.
-        rounding_m: Distance over which the slope sets in.
-    """
-    across = np.cos(angle_rad) * x + np.sin(angle_rad) * y
-    if np.isinf(slope):
-        return np.where(across <= 0.0, 0.0, -np.inf)
-    if rounding_m <= 0.0:
-        return np.asarray(-slope * np.maximum(across, 0.0))
-    inside = np.clip(across + rounding_m / 2.0, 0.0, rounding_m)
-    return np.asarray(-slope * (inside**2 / (2.0 * rounding_m) + np.maximum(across - rounding_m / 2.0, 0.0)))
-
-
-def tilted(height: Float64, x: Float64, y: Float64, slope_x: float, slope_y: float) -> Float64:
-    """The same surface turned a little about the origin [m]: what the object's own tilt in the grip adds."""
-    return height + slope_x * x + slope_y * y

@@ -11,25 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.config import Settings, setting
 from foretouch.errors import ContactError
 from foretouch.types import Float64
 
-
-@dataclass(frozen=True, kw_only=True)
-class ContactConfig(Settings):
-    """Limits of the contact solvers."""
-
-    tolerance: float = setting(
-        1e-4, "Elastic layer: change of pressure in a step over the force", minimum=1e-12, maximum=1e-2
-    )
-    max_iterations: int = setting(300, "Elastic layer: steps before it is refused", minimum=1, maximum=1_000_000)
-    max_strain: float = setting(0.95, "Deepest compression of a layer over its thickness", minimum=0.01, maximum=1.0)
-
-
-DEFAULT_CONFIG = ContactConfig()  # made once: checking settings takes longer than a Winkler contact
-
-
+MAX_STRAIN = 0.95  # deepest compression of a layer over its thickness
 _LEAST, _MOST = 1e-30, 1e30  # N, m or Pa: far beyond any contact, and their squares and quotients are normal numbers
 
 
@@ -136,22 +121,13 @@ class ContactProblem:
 
 @dataclass(frozen=True, eq=False)
 class ContactSolution:
-    """What one contact is."""
+    """A solved contact."""
 
     pressure: Float64  # (N, N) float64, at least 0 [Pa]
     displacement: Float64  # (L, N, N) float64 [m], how far each layer's surface is pushed in
     force_n: float  # Σ pressure · cell [N]
     area_m2: float  # area under pressure [m²]
     depth_m: float  # approach of the bodies beyond first touch [m]
-    iterations: int = 0  # steps that the solver took; 0 for a closed form
-    residual: float = 0.0  # its last relative change; 0 for a closed form
-    converged: bool = True  # true: a solver that does not converge raises instead
-
-    @property
-    def touches_edge(self) -> bool:
-        """Whether pressure reaches the border of the window, which may then cut the contact short."""
-        p = self.pressure
-        return bool(p[0].any() or p[-1].any() or p[:, 0].any() or p[:, -1].any())
 
 
 def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution:
@@ -160,7 +136,7 @@ def no_contact(problem: ContactProblem, depth_m: float = 0.0) -> ContactSolution
     return ContactSolution(np.zeros(shape), np.zeros((len(problem.layers), *shape)), 0.0, 0.0, min(depth_m, 0.0))
 
 
-def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: float, config: ContactConfig) -> None:
+def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: float) -> None:
     """Refuse a solution that is deeper than the window is wide, or presses a layer through its base.
 
     Raises:
@@ -168,10 +144,10 @@ def refuse_overload(problem: ContactProblem, displacement: Float64, depth_m: flo
     """
     for k, layer in enumerate(problem.layers):
         strain = float(displacement[k].max()) / layer.thickness_m
-        if strain > config.max_strain:
+        if strain > MAX_STRAIN:
             raise ContactError(
                 f"layers[{k}]: compressed by {strain:.3g} of its {layer.thickness_m * 1e3:.3g} mm, "
-                f"more than max_strain {config.max_strain:g}: press less or make it stiffer"
+                f"more than max_strain {MAX_STRAIN:g}: press less or make it stiffer"
             )
     side = problem.gap.shape[0] * problem.step_m
     if not depth_m <= side:

@@ -1,17 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effects of a scene, in the order in which effects that change the same key are applied."""
+"""The effects of a scene, in the order in which they run."""
 
-from foretouch.simulation.effects import campaign, contact, grasp, meeting, place, points, reading, view
+from foretouch.simulation.effects import approach, contact, grasp, place, reading, view
 
 __all__ = ["EFFECTS"]
 
-EFFECTS = (
-    *place.EFFECTS,
-    *view.EFFECTS,
-    *points.EFFECTS,
-    *grasp.EFFECTS,
-    *meeting.EFFECTS,
-    *contact.EFFECTS,
-    *campaign.EFFECTS,
-    *reading.EFFECTS,
-)
+EFFECTS = (*place.EFFECTS, *view.EFFECTS, *grasp.EFFECTS, *approach.EFFECTS, *contact.EFFECTS, *reading.EFFECTS)

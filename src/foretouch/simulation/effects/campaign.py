@@ -4,22 +4,22 @@
 import numpy as np
 
 from foretouch.simulation.campaign import Campaign
-from foretouch.simulation.effect import Effect, Job, SampleState, keys
+from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 from foretouch.types import ELECTRODES
 
 
-def _of(job: Job) -> Campaign:
+def _campaign(job: Job) -> Campaign:
     assert job.campaign is not None  # noqa: S101  # the scene calls for these effects only with a campaign
     return job.campaign
 
 
 def _calendar(job: Job, state: SampleState) -> None:
-    state.moment = _of(job).moment(job.key.slot)
+    state.campaign_time = _campaign(job).time_of(job.key.slot)
 
 
 def _exchange(job: Job, state: SampleState) -> None:
-    state.sensors = _of(job).fingers(state.moment.session)
+    state.sensors = _campaign(job).fingers(state.campaign_time.session)
 
 
 def _level(_job: Job, state: SampleState) -> None:
@@ -27,11 +27,11 @@ def _level(_job: Job, state: SampleState) -> None:
 
 
 def _drift(job: Job, state: SampleState) -> None:
-    state.level += _of(job).drift(state.moment, state.times, state.load)
+    state.level += _campaign(job).drift(state.campaign_time, state.times, state.load)
 
 
 def _warm_up(job: Job, state: SampleState) -> None:
-    state.level += _of(job).warm_up(state.moment, state.times)
+    state.level += _campaign(job).warm_up(state.campaign_time, state.times)
 
 
 def _shift(_job: Job, state: SampleState) -> None:
@@ -40,12 +40,11 @@ def _shift(_job: Job, state: SampleState) -> None:
 
 def _tares(job: Job, state: SampleState) -> None:
     """Leave out the tares that are not recorded."""
-    config, moment = job.scene.campaign, state.moment
-    if config is None:
-        return
-    first_of_object = moment.grasp == 0
-    first_of_session = first_of_object and moment.visit % config.objects == 0
-    if not {"object": first_of_object, "session": first_of_session}.get(config.tares, config.tares == "grasp"):
+    config, now = _campaign(job).config, state.campaign_time
+    recorded = config.tares != "none" and now.grasp == 0
+    if config.tares == "session":
+        recorded &= now.visit % config.objects == 0
+    if not recorded:
         state.tare = None
 
 
@@ -89,35 +88,36 @@ def _needs_tares(scene: SceneConfig, _item: ObjectConfig) -> str | None:
     return f"campaign.tares: {scene.campaign.tares}"
 
 
-_LEVEL_OFF = "no campaign.drift or campaign.warm_up"
+_TIME = "campaign_time"
+_NO_DRIFT = "no campaign.drift or campaign.warm_up"
 
-EFFECTS = (
-    Effect("calendar", _calendar, _needs_calendar, off="no campaign", writes=keys("moment")),
-    Effect(
-        "exchange",
-        _exchange,
-        _needs_exchange,
-        off="no campaign.exchanges",
-        reads=keys("moment"),
-        modifies=keys("sensors"),
-    ),
-    Effect("level", _level, _needs_level, off=_LEVEL_OFF, reads=keys("times"), writes=keys("level")),
+MOUNTING = (
+    Effect("calendar", _calendar, _needs_calendar, writes=(_TIME,), off="no campaign"),
+    Effect("exchange", _exchange, _needs_exchange, reads=(_TIME,), writes=("sensors",), off="no campaign.exchanges"),
+)
+"""Which sensors are mounted."""
+
+DRIFT = (
+    Effect("level", _level, _needs_level, reads=("times",), writes=("level",), off=_NO_DRIFT),
     Effect(
         "level_drift",
         _drift,
         _needs_drift,
+        reads=(_TIME, "times", "load", "level"),
+        writes=("level",),
         off="no campaign.drift",
-        reads=keys("moment", "times", "load"),
-        modifies=keys("level"),
     ),
     Effect(
         "warm_up",
         _warm_up,
         _needs_warm_up,
+        reads=(_TIME, "times", "level"),
+        writes=("level",),
         off="no campaign.warm_up",
-        reads=keys("moment", "times"),
-        modifies=keys("level"),
     ),
-    Effect("level_shift", _shift, _needs_level, off=_LEVEL_OFF, reads=keys("level"), modifies=keys("series")),
-    Effect("tares", _tares, _needs_tares, off="each grasp has a tare", reads=keys("moment"), modifies=keys("tare")),
+    Effect("level_shift", _shift, _needs_level, reads=("level", "series"), writes=("series",), off=_NO_DRIFT),
 )
+"""How far their levels have drifted."""
+
+TARES = (Effect("tares", _tares, _needs_tares, reads=(_TIME, "tare"), writes=("tare",), off="each grasp has a tare"),)
+"""Which tares are recorded."""

@@ -1,59 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 """How hard the pads press: the object's weight, and the pressure by the level that the scene asks for."""
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from foretouch.errors import ContactError, SimulationError
-from foretouch.simulation.contact import LEVELS, Level, choose_level, solve_grip, weigh
-from foretouch.simulation.effect import Effect, Job, SampleState, called_for, keys
+from foretouch.simulation.contact import LEVELS, choose_level, solve_grip, weigh
+from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.finger_contact import command_of, contact_failure, contact_problem, layers_of
 from foretouch.simulation.scene import ObjectConfig, SceneConfig
 
+_GRAVITY_M_S2 = 9.81
+
 
 def _weight(job: Job, state: SampleState) -> None:
-    gravity, mass = job.scene.gravity, job.item.mass_kg
-    if gravity is None or mass is None:
-        return
     body = state.bodies[0]
     centre = body.position + (body.mesh.centroid * body.size) @ body.rotation.T
     thumb, middle = state.touches
-    state.weight = weigh(np.array([0.0, 0.0, -mass * gravity.m_s2]), thumb.origin, middle.origin, centre)
+    weight_n = np.array([0.0, 0.0, -(job.item.mass_kg or 0.0) * _GRAVITY_M_S2])
+    state.weight = weigh(weight_n, thumb.origin, middle.origin, centre)
     if job.scene.grasps.balanced:
         state.axial_load_n = state.weight.axial_n
 
 
-def _solve(level: Level) -> Callable[[Job, SampleState], None]:
-    def run(job: Job, state: SampleState) -> None:
-        scene, item = job.scene, job.item
-        try:
-            grip = solve_grip(
-                [
-                    contact_problem(scene, item, pad, height)
-                    for pad, height in zip(state.pads, state.relief, strict=True)
-                ],
-                [command_of(scene, float(target)) for target in state.targets],
-                balanced=scene.grasps.balanced,
-                axial_load_n=state.axial_load_n,
-                level=level,
-                config=scene.fingers.contact,
-            )
-        except ContactError as err:
-            raise contact_failure(f"{item.name}: {err}", err) from err
-        state.contacts = grip.first, grip.second
-
-    return run
+def _solve(level: str, job: Job, state: SampleState) -> None:
+    scene, item = job.scene, job.item
+    pressed = zip(state.pads, state.relief, strict=True)
+    try:
+        state.contacts = solve_grip(
+            [contact_problem(scene, item, pad, height) for pad, height in pressed],
+            [command_of(scene, float(target)) for target in state.targets],
+            balanced=scene.grasps.balanced,
+            axial_load_n=state.axial_load_n,
+            level=level,
+        )
+    except ContactError as err:
+        raise contact_failure(f"{item.name}: {err}", err) from err
 
 
-def _needed_at(level: str) -> Callable[[SceneConfig, ObjectConfig], str | None]:
-    def needed(scene: SceneConfig, item: ObjectConfig) -> str | None:
-        if scene.fidelity != "auto":
-            return f"fidelity: {level}" if scene.fidelity == level else None
-        chosen, why = choose_level(layers_of(scene, item))
-        return f"fidelity: auto ({why})" if chosen == level else None
-
-    return needed
+def _needs_level(level: str, scene: SceneConfig, item: ObjectConfig) -> str | None:
+    if scene.fidelity != "auto":
+        return f"fidelity: {level}" if scene.fidelity == level else None
+    chosen, why = choose_level(layers_of(scene, item))
+    return f"fidelity: auto ({why})" if chosen == level else None
 
 
 def _held(job: Job, state: SampleState) -> None:
@@ -67,27 +57,23 @@ def _held(job: Job, state: SampleState) -> None:
             )
 
 
+_CONTACTS = ("contacts",)
+_PRESSED = ("pads", "relief", "targets", "axial_load_n")
+
 EFFECTS = (
     Effect(
-        "weight",
-        _weight,
-        called_for("gravity"),
-        off="no gravity",
-        reads=keys("bodies", "touches"),
-        writes=keys("weight"),
-        modifies=keys("axial_load_n"),
+        "weight", _weight, "gravity", reads=("bodies", "touches", "axial_load_n"), writes=("weight", "axial_load_n")
     ),
     *(
         Effect(
             f"contact_{level}",
-            _solve(level),
-            _needed_at(level),
+            partial(_solve, level),
+            partial(_needs_level, level),
+            reads=_PRESSED,
+            writes=_CONTACTS,
             off=f"fidelity: no object calls for {level}",
-            reads=keys("pads", "relief", "targets", "axial_load_n"),
-            writes=keys("contacts"),
         )
         for level in LEVELS
-        if level != "auto"
     ),
-    Effect("held", _held, called_for("gravity"), off="no gravity", reads=keys("weight"), modifies=keys("contacts")),
+    Effect("held", _held, "gravity", reads=("weight", "contacts"), writes=_CONTACTS),
 )

@@ -7,8 +7,9 @@ import numpy as np
 
 from foretouch.errors import GraspError, SimulationError
 from foretouch.grasp import hand_rotation, plan_grasps
-from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.finger_contact import FingerFrame, finger_frames
+from foretouch.simulation.scene.fingers import TARGET_SHARE, ExecutionErrorConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.types import Float64, Grasp
 
@@ -53,9 +54,7 @@ def _fingers(job: Job, state: SampleState) -> None:
 
 def _execution_error(job: Job, state: SampleState) -> None:
     """Both fingers are on one hand, so they are shifted and turned about their middle as one, and press alike."""
-    error = job.scene.grasps.error
-    if error is None:
-        return
+    error: ExecutionErrorConfig = job.settings
     rng = job.rng()
     thumb, middle = state.fingers
     shift = thumb.rotation @ (rng.normal(0.0, error.position_m, 3) * (1.0, 1.0, 0.0))
@@ -65,7 +64,7 @@ def _execution_error(job: Job, state: SampleState) -> None:
         FingerFrame(centre + turn @ (finger.origin - centre) + shift, turn @ finger.rotation)
         for finger in (thumb, middle)
     )
-    state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, error.target_share))
+    state.targets = state.targets * max(0.0, 1.0 + rng.normal(0.0, TARGET_SHARE))
 
 
 def _small_rotation(vector: Float64) -> Float64:
@@ -89,15 +88,15 @@ def _targets(job: Job, state: SampleState) -> None:
 
 
 EFFECTS = (
-    Effect("grasp", _plan, always("grasps"), reads=keys("cloud", "pixels"), writes=keys("plan", "grasp")),
-    Effect("fingers", _fingers, always("grasps"), reads=keys("grasp"), writes=keys("fingers")),
+    Effect("grasp", _plan, "grasps", reads=("cloud", "pixels"), writes=("plan", "grasp")),
+    Effect("fingers", _fingers, "grasps", reads=("grasp",), writes=("fingers",)),
+    Effect("targets", _targets, "grasps", writes=("targets", "axial_load_n")),
     Effect(
         "execution_error",
         _execution_error,
-        called_for("grasps.error"),
-        off="no grasps.error",
-        modifies=keys("fingers", "targets"),
+        "grasps.error",
+        reads=("fingers", "targets"),
+        writes=("fingers", "targets"),
         again=True,
     ),
-    Effect("targets", _targets, always("grasps"), writes=keys("targets", "axial_load_n")),
 )

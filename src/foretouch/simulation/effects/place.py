@@ -6,14 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
-from foretouch.simulation.scene import ObjectConfig
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.scene import ClutterConfig, ObjectConfig
 from foretouch.simulation.scene.ranges import draw
-from foretouch.simulation.solids import Body
+from foretouch.simulation.solids import LYING, Body, about_z, footprint_m
 from foretouch.types import Float64
 
 _PLACES = 100  # tried for one piece of clutter
 _GAP_M = 0.01  # free table between two bodies
+_SIZE_M = (0.04, 0.12)  # edge of the cube about a piece of clutter
+_VARIANTS = 16  # members of the family of random shapes that are clutter
 
 
 def _object(job: Job, state: SampleState) -> None:
@@ -27,27 +29,24 @@ def _object(job: Job, state: SampleState) -> None:
 
 
 def _clutter(job: Job, state: SampleState) -> None:
-    clutter = job.scene.clutter
-    if clutter is None:
-        return
+    clutter: ClutterConfig = job.settings
     rng = job.rng()
     bodies = list(state.bodies)
     for _ in range(clutter.count):
-        size = np.full(3, draw(rng, clutter.size_m))
-        variant = int(rng.integers(clutter.variants))
-        yaw = _about_z(rng.uniform(0.0, 2.0 * np.pi))
+        size = np.full(3, draw(rng, _SIZE_M))
+        variant = int(rng.integers(_VARIANTS))
+        yaw = about_z(rng.uniform(0.0, 2.0 * np.pi))
         body = Body("random", variant, size, np.zeros(3), yaw)
         bodies.append(_stood(_beside(bodies, body, clutter.distance_m, rng)))
     state.bodies = bodies
 
 
 def _resting(item: ObjectConfig, rng: np.random.Generator) -> Float64:
-    yaw = _about_z(np.radians(draw(rng, item.pose.yaw_deg)))
+    yaw = about_z(np.radians(draw(rng, item.pose.yaw_deg)))
     if item.pose.rest == "upright":
         return yaw
     if item.pose.rest == "side":
-        lying = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # its z along the table
-        return np.asarray(yaw @ lying @ _about_z(rng.integers(4) * np.pi / 2.0), np.float64)
+        return np.asarray(yaw @ LYING @ about_z(rng.integers(4) * np.pi / 2.0), np.float64)
     q = rng.standard_normal(4)
     w, x, y, z = q / np.linalg.norm(q)  # a uniform rotation (Shoemake 1992)
     return np.array(
@@ -65,31 +64,17 @@ def _stood(body: Body) -> Body:
 
 
 def _beside(bodies: list[Body], body: Body, distance_m: tuple[float, ...], rng: np.random.Generator) -> Body:
-    """The body at a random place around the object, apart from all others.
-
-    Raises:
-        SimulationError: If it finds no place ("no_place").
-    """
+    """The body at a random place around the object, apart from all others."""
     for _ in range(_PLACES):
         angle, distance = rng.uniform(0.0, 2.0 * np.pi), draw(rng, distance_m)
         place = bodies[0].position * (1.0, 1.0, 0.0) + distance * np.array([np.cos(angle), np.sin(angle), 0.0])
-        apart = [np.linalg.norm((other.position - place)[:2]) - _footprint(other) for other in bodies]
-        if min(apart) > _footprint(body) + _GAP_M:
+        apart = [np.linalg.norm((other.position - place)[:2]) - footprint_m(other) for other in bodies]
+        if min(apart) > footprint_m(body) + _GAP_M:
             return replace(body, position=place)
     raise SimulationError(f"clutter: a body of {body.size[0]:.3f} m finds no place in {_PLACES} tries", "no_place")
 
 
-def _footprint(body: Body) -> float:
-    """Radius of a vertical cylinder about its middle that holds it [m]."""
-    return float(np.linalg.norm((body.corners() - body.position)[:, :2], axis=1).max())
-
-
-def _about_z(angle: float) -> Float64:
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-
 EFFECTS = (
-    Effect("object", _object, always("objects"), writes=keys("bodies")),
-    Effect("clutter", _clutter, called_for("clutter"), off="no clutter", modifies=keys("bodies")),
+    Effect("object", _object, "objects", writes=("bodies",)),
+    Effect("clutter", _clutter, "clutter", reads=("bodies",), writes=("bodies",)),
 )

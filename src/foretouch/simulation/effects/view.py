@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the camera sees: exact depth by ray casting, then what a stereo camera makes of it."""
+"""What the camera sees: exact depth by ray casting, then the faults of a stereo camera, and the cloud of the object."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.depth_effects import add_flying_pixels, add_stereo_noise, stereo_shadow
-from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE
-from foretouch.simulation.effect import Effect, Job, SampleState, Window, always, called_for, keys
+from foretouch.simulation.depth_effects import (
+    D415_BASELINE_M,
+    FLYING_SHARE,
+    GRAZING_DEG,
+    HOLE_SHARE,
+    add_flying_pixels,
+    add_stereo_noise,
+    stereo_shadow,
+)
+from foretouch.simulation.depth_scene import FIRST_OBJECT, TABLE, table_depth
+from foretouch.simulation.effect import Effect, Job, SampleState
+from foretouch.simulation.scene.camera import DepthNoiseConfig
 from foretouch.simulation.solids import Hits
-from foretouch.simulation.view import CameraView
-from foretouch.simulation.world import World
-from foretouch.types import Float64
+from foretouch.simulation.view import CameraView, Window
+from foretouch.simulation.world import CAMERA_FRAME
+from foretouch.types import Cloud, Float64
 
 _MARGIN_PX = 16  # around the object: room for flying pixels, the shadow of a neighbour and the matching window
 _SPOT_PX = 3  # side of a hole
+_FEWEST_POINTS = 100  # fewer are no view of an object
 
 
 def _object_window(job: Job, state: SampleState) -> None:
@@ -31,7 +43,7 @@ def _whole_window(job: Job, state: SampleState) -> None:
 def _render(job: Job, state: SampleState) -> None:
     world, window = job.world, state.window
     rays = world.rays[window]
-    depth = _table_depth(world, rays)
+    depth = table_depth(world.view, rays)
     labels = np.where(np.isfinite(depth), TABLE, 0).astype(np.int32)
     flat_rays, flat_depth, flat_labels = rays.reshape(-1, 3), depth.reshape(-1), labels.reshape(-1)
     hits: list[Hits | None] = []
@@ -59,57 +71,66 @@ def _normals(_job: Job, state: SampleState) -> None:
 
 
 def _flying_pixels(job: Job, state: SampleState) -> None:
-    config = job.scene.camera.flying_pixels
-    if config is None:
-        return
     rng = job.rng()
     flown = add_flying_pixels(state.depth, rng)
-    state.depth = np.where(rng.random(flown.shape) < config.share, flown, state.depth)
+    state.depth = np.where(rng.random(flown.shape) < FLYING_SHARE, flown, state.depth)
 
 
 def _noise(job: Job, state: SampleState) -> None:
-    config = job.scene.camera.noise
-    if config is None:
-        return
-    at_1_m = config.sub_pixel / (job.world.focal_px * config.baseline_m)  # sigma_z = s z² / (f B)
+    config: DepthNoiseConfig = job.settings
+    at_1_m = config.sub_pixel / (job.world.focal_px * D415_BASELINE_M)  # sigma_z = s z² / (f B)
     state.depth = add_stereo_noise(state.depth, at_1_m, job.rng())
 
 
 def _shadow(job: Job, state: SampleState) -> None:
-    config = job.scene.camera.stereo
-    if config is None:
-        return
-    hidden = stereo_shadow(state.exact_depth, job.world.focal_px, config.baseline_m)
-    state.depth = np.where(hidden, np.inf, state.depth)
+    state.depth = np.where(stereo_shadow(state.exact_depth, job.world.focal_px), np.inf, state.depth)
 
 
 def _holes(job: Job, state: SampleState) -> None:
-    config = job.scene.camera.holes
-    if config is None:
-        return
     from scipy.ndimage import uniform_filter
 
     # A spot is where the mean of white noise over its window is in the upper tail, which has the share asked for.
     spots = uniform_filter(job.rng().random(state.depth.shape), _SPOT_PX, mode="wrap")
-    hole = spots > np.quantile(spots, 1.0 - config.share)
+    hole = spots > np.quantile(spots, 1.0 - HOLE_SHARE)
     rays = job.world.rays[state.window]
     facing = -np.einsum("ijk,ijk->ij", rays, state.normals) / np.linalg.norm(rays, axis=2)
-    on_body = state.labels >= FIRST_OBJECT
-    hole |= on_body & (facing < np.cos(np.radians(config.grazing_deg)))
+    hole |= (state.labels >= FIRST_OBJECT) & (facing < np.cos(np.radians(GRAZING_DEG)))
     state.depth = np.where(hole, np.inf, state.depth)
 
 
 def _quantise(job: Job, state: SampleState) -> None:
-    step = job.scene.camera.z_step_m
-    if step is not None:
-        state.depth = np.rint(state.depth / step) * step
+    step: float = job.settings
+    state.depth = np.rint(state.depth / step) * step
 
 
-def _table_depth(world: World, rays: Float64) -> Float64:
-    down = np.minimum(rays[..., 2], -1e-9)  # looking up never meets the table
-    depth = -world.view.eye[2] / down
-    at = world.view.eye[:2] + depth[..., None] * rays[..., :2]
-    return np.where((np.abs(at) <= world.table_size / 2.0).all(axis=-1), depth, np.inf)
+def _cloud(job: Job, state: SampleState) -> None:
+    """By the labels of the ray caster."""
+    view = job.world.view
+    rows, columns = state.window
+    v, u = np.nonzero((state.labels == FIRST_OBJECT) & np.isfinite(state.depth))
+    if len(u) < _FEWEST_POINTS:
+        raise SimulationError(
+            f"{job.item.name}: {len(u)} points in view, fewer than {_FEWEST_POINTS}", "too_few_points"
+        )
+    z = state.depth[v, u]
+    u, v = u + columns.start, v + rows.start
+    x = (u - view.matrix[0, 2]) / view.matrix[0, 0] * z
+    y = (v - view.matrix[1, 2]) / view.matrix[1, 1] * z
+    state.cloud = Cloud(np.stack([x, y, z], axis=1).astype(np.float32), None, CAMERA_FRAME)
+    state.pixels = (v * view.width + u).astype(np.int64)
+
+
+def _colour(job: Job, state: SampleState) -> None:
+    rows, columns = state.window
+    v, u = np.divmod(state.pixels, job.world.view.width)
+    normal = state.normals[v - rows.start, u - columns.start]
+    rgb = (light(normal)[:, None] * np.asarray(job.settings)).astype(np.uint8)
+    state.cloud = replace(state.cloud, rgb=rgb)
+
+
+def light(normal: Float64) -> Float64:
+    """Brightness (...) from 0.35 to 1 of surfaces with normals (..., 3) that are lit from above."""
+    return np.asarray(0.35 + 0.65 * np.abs(normal[..., 2]))
 
 
 def _overlap(view: CameraView, corners: Float64, window: Window) -> bool:
@@ -121,46 +142,23 @@ def _grown(span: slice, size: int) -> slice:
     return slice(max(0, span.start - _MARGIN_PX), min(size, span.stop + _MARGIN_PX))
 
 
-_RENDERED = keys("exact_depth", "labels", "hits", "depth")
-
-_DEPTH_EFFECTS = (
-    Effect("render", _render, always("camera"), reads=keys("bodies", "window"), writes=_RENDERED),
-    Effect(
-        "normals", _normals, always("holes or colour"), reads=keys("bodies", "labels", "hits"), writes=keys("normals")
-    ),
-    Effect(
-        "flying_pixels",
-        _flying_pixels,
-        called_for("camera.flying_pixels"),
-        off="no camera.flying_pixels",
-        modifies=keys("depth"),
-    ),
-    Effect("depth_noise", _noise, called_for("camera.noise"), off="no camera.noise", modifies=keys("depth")),
-    Effect(
-        "stereo_shadow",
-        _shadow,
-        called_for("camera.stereo"),
-        off="no camera.stereo",
-        reads=keys("exact_depth"),
-        modifies=keys("depth"),
-    ),
-    Effect(
-        "holes",
-        _holes,
-        called_for("camera.holes"),
-        off="no camera.holes",
-        reads=keys("normals", "labels", "window"),
-        modifies=keys("depth"),
-    ),
-    Effect("depth_steps", _quantise, called_for("camera.z_step_m"), off="no camera.z_step_m", modifies=keys("depth")),
-)
-# From a window to measured depth, for any window.
+_DEPTH = ("depth",)
 
 EFFECTS = (
-    Effect("window", _object_window, always("camera"), reads=keys("bodies"), writes=keys("window")),
-    *_DEPTH_EFFECTS,
+    Effect("window", _object_window, "camera", reads=("bodies",), writes=("window",)),
+    Effect("render", _render, "camera", reads=("bodies", "window"), writes=("exact_depth", "labels", "hits", "depth")),
+    Effect("normals", _normals, lambda *_: "holes or colour", reads=("bodies", "labels", "hits"), writes=("normals",)),
+    Effect("flying_pixels", _flying_pixels, "camera.flying_pixels", reads=_DEPTH, writes=_DEPTH),
+    Effect("depth_noise", _noise, "camera.noise", reads=_DEPTH, writes=_DEPTH),
+    Effect("stereo_shadow", _shadow, "camera.stereo", reads=("exact_depth", "depth"), writes=_DEPTH),
+    Effect("holes", _holes, "camera.holes", reads=("normals", "labels", "window", "depth"), writes=_DEPTH),
+    Effect("depth_steps", _quantise, "camera.z_step_m", reads=_DEPTH, writes=_DEPTH),
+    Effect("cloud", _cloud, "camera", reads=("depth", "labels", "window"), writes=("cloud", "pixels")),
+    Effect("colour", _colour, "objects.colour", reads=("normals", "pixels", "window", "cloud"), writes=("cloud",)),
 )
-"""What a sample needs: the part of the image about its object."""
 
-FRAME_EFFECTS = (Effect("window", _whole_window, always("camera"), writes=keys("window")), *_DEPTH_EFFECTS)
-"""A camera image: the whole frame."""
+FRAME_EFFECTS = (
+    replace(EFFECTS[0], run=_whole_window, reads=()),
+    *(replace(effect, again=True) for effect in EFFECTS[1:-2]),
+)
+"""What a camera image needs in place of `EFFECTS`: the whole frame, with other noise in each image."""

@@ -42,7 +42,7 @@ def _read(path: str, _sha256: str) -> TriangleMesh:
         vertices = vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     mesh = TriangleMesh(vertices, faces)
     try:
-        mesh.in_unit_box().require_closed("mesh")
+        mesh.in_unit_box().closed("mesh")
     except SimulationError as err:
         raise FileError(path, str(err).removeprefix("mesh: ")) from err
     return mesh

@@ -3,7 +3,7 @@
 
 P1 grasped cans and boxes, P2 a stuffed Minion, a flat ball, a sponge and a stuffed volleyball. None of their
 meshes is public; these are made here from formulas, with features that a fingertip or a camera can distinguish.
-All stand upright along z. Random superquadrics, vases and blobs (`random_shape`) serve to learn to generalise.
+All stand upright along z. Random superquadrics, vases and blobs  serve to learn to generalise.
 """
 
 from collections.abc import Callable
@@ -13,14 +13,14 @@ from typing import Final
 import numpy as np
 
 from foretouch.errors import SimulationError
-from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, star_shaped
+from foretouch.simulation.objects.mesh import TriangleMesh, revolved, rounded_box, sphere_directions, star_shaped
 from foretouch.simulation.objects.mesh_file import read_mesh_file
 from foretouch.types import Float64
 
 _HARMONICS = 6  # waves of a blob
 
 
-def random_shape(rng: np.random.Generator) -> TriangleMesh:
+def _random_shape(rng: np.random.Generator) -> TriangleMesh:
     """One member, of roughly unit size; all is drawn from `rng`."""
     kind = rng.integers(3)
     return (_superquadric, _vase, _blob)[kind](rng)
@@ -30,12 +30,8 @@ def _superquadric(rng: np.random.Generator) -> TriangleMesh:
     """Between box, cylinder and ellipsoid: (|x|^p + |y|^p)^(q/p) + |z|^q = 1, p and q from 2 to 8."""
     p, q = rng.uniform(2.0, 8.0, 2)
     stretch = rng.uniform(0.6, 1.0, 3)
-
-    def radius(d: Float64) -> Float64:
-        x, y, z = np.abs(d / stretch).T
-        return np.asarray(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q), np.float64)
-
-    return star_shaped(radius)
+    x, y, z = np.abs(sphere_directions() / stretch).T
+    return star_shaped(((x**p + y**p) ** (q / p) + z**q) ** (-1.0 / q))
 
 
 def _vase(rng: np.random.Generator) -> TriangleMesh:
@@ -57,12 +53,9 @@ def _blob(rng: np.random.Generator) -> TriangleMesh:
     phase = rng.uniform(0.0, 2.0 * np.pi, _HARMONICS)
     height = rng.uniform(0.02, 0.14, _HARMONICS)
     stretch = rng.uniform(0.6, 1.0, 3)
-
-    def radius(d: Float64) -> Float64:
-        ellipsoid = 1.0 / np.linalg.norm(d / stretch, axis=1)
-        return np.asarray(ellipsoid * (1.0 + np.sin(d @ axes.T + phase) @ height), np.float64)
-
-    return star_shaped(radius)
+    d = sphere_directions()
+    ellipsoid = 1.0 / np.linalg.norm(d / stretch, axis=1)
+    return star_shaped(ellipsoid * (1.0 + np.sin(d @ axes.T + phase) @ height))
 
 
 def _can() -> TriangleMesh:
@@ -81,18 +74,15 @@ def _box() -> TriangleMesh:
 
 def _ball() -> TriangleMesh:
     """A ball; an ellipsoid if the edges of the object differ."""
-    return star_shaped(lambda d: np.full(len(d), 0.5))
+    return star_shaped(np.full(len(sphere_directions()), 0.5))
 
 
 def _flat_ball() -> TriangleMesh:
     """A deflated ball: it bulges near the table, and its top has caved in."""
-
-    def radius(d: Float64) -> Float64:
-        cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
-        folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
-        return np.asarray(0.5 - cave * 0.5 + folds, np.float64)
-
-    return star_shaped(radius)
+    d = sphere_directions()
+    cave = 0.30 * np.exp(-((np.arccos(np.clip(d[:, 2], -1.0, 1.0)) / 0.55) ** 2))
+    folds = 0.015 * np.cos(5.0 * np.arctan2(d[:, 1], d[:, 0])) * (1.0 - d[:, 2] ** 2)
+    return star_shaped(0.5 - cave * 0.5 + folds)
 
 
 def _sponge() -> TriangleMesh:
@@ -106,30 +96,23 @@ def _sponge() -> TriangleMesh:
 
 def _minion() -> TriangleMesh:
     """A stuffed figure: a capsule with a goggle, two arms and a seam around the trousers."""
-
-    def radius(d: Float64) -> Float64:
-        capsule = _capsule_radius(d, 0.5, 0.42)
-        goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
-        arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
-        seam = 0.012 * np.exp(-(((d[:, 2] + 0.35) / 0.05) ** 2))
-        return np.asarray(capsule + goggle + arms - seam, np.float64)
-
-    return star_shaped(radius)
+    d = sphere_directions()
+    goggle = 0.07 * _bump(d, (1.0, 0.0, 0.45), 0.28)
+    arms = 0.09 * (_bump(d, (0.1, 1.0, -0.1), 0.22) + _bump(d, (0.1, -1.0, -0.1), 0.22))
+    seam = 0.012 * np.exp(-(((d[:, 2] + 0.35) / 0.05) ** 2))
+    return star_shaped(_capsule_radius(d, 0.5, 0.42) + goggle + arms - seam)
 
 
 def _volleyball() -> TriangleMesh:
     """A stuffed ball of six panels: three seams along great circles, and two finer ones within each panel."""
-
-    def radius(d: Float64) -> Float64:
-        ordered = np.sort(np.abs(d), axis=1)
-        between_panels = ordered[:, 2] - ordered[:, 1]
-        largest = np.argmax(np.abs(d), axis=1)
-        along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
-        strips = np.abs(np.abs(along) - 0.22)
-        seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
-        return np.asarray(0.5 - seams, np.float64)
-
-    return star_shaped(radius)
+    d = sphere_directions()
+    ordered = np.sort(np.abs(d), axis=1)
+    between_panels = ordered[:, 2] - ordered[:, 1]
+    largest = np.argmax(np.abs(d), axis=1)
+    along = np.take_along_axis(d, ((largest + 1) % 3)[:, None], axis=1)[:, 0]
+    strips = np.abs(np.abs(along) - 0.22)
+    seams = 0.012 * np.exp(-((between_panels / 0.05) ** 2)) + 0.006 * np.exp(-((strips / 0.035) ** 2))
+    return star_shaped(0.5 - seams)
 
 
 _BUILDERS: Final[dict[str, Callable[[], TriangleMesh]]] = {
@@ -158,7 +141,7 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
         FileError: If the file cannot be used.
     """
     if shape == "random":
-        mesh = random_shape(np.random.default_rng([0x5EED, variant]))
+        mesh = _random_shape(np.random.default_rng([0x5EED, variant]))
     elif shape in _BUILDERS:
         mesh = _BUILDERS[shape]()
     elif ":" in shape:
@@ -168,9 +151,7 @@ def unit_mesh(shape: str, variant: int = 0) -> TriangleMesh:
             raise SimulationError(f"{path}: has changed since the scene was read", "mesh")
     else:
         raise SimulationError(f"shape: {shape!r} is none of {', '.join(SHAPES)}", "mesh")
-    mesh = mesh.in_unit_box()
-    mesh.require_closed(f"{shape}[{variant}]")
-    return mesh
+    return mesh.in_unit_box().closed(f"{shape}[{variant}]")
 
 
 def _capsule_radius(d: Float64, half_height: float, radius: float) -> Float64:

@@ -6,11 +6,12 @@ from typing import Final
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
-from foretouch.simulation import fingertip as sensor
-from foretouch.simulation.scene.ranges import require_range
+from foretouch.simulation.disturbances import TemperatureConfig
 
 DAY_S: Final = 86400.0
-TARES = ("grasp", "object", "session", "none")
+POWER_ON_S: Final = 120.0  # from power-on to the first grasp
+GRASP_S: Final = (50.0, 110.0)  # from one grasp to the next, low and high
+CHANGE_S: Final = (60.0, 300.0)  # in addition where the object is changed, low and high
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,10 +29,10 @@ class DriftTermConfig(Settings):
         55.0, "Standard deviation of what all electrodes of both fingers share", unit="counts", minimum=0.0
     )
     finger_counts: float = setting(
-        7.0, "The same of what the electrodes of one finger share", unit="counts", minimum=0.0
+        7.0, "Standard deviation of what the electrodes of one finger share", unit="counts", minimum=0.0
     )
-    electrode_counts: float = setting(3.0, "The same of each electrode alone", unit="counts", minimum=0.0)
-    pdc_counts: float = setting(7.0, "The same of PDC of one finger", unit="counts", minimum=0.0)
+    electrode_counts: float = setting(3.0, "Standard deviation of each electrode by itself", unit="counts", minimum=0.0)
+    pdc_counts: float = setting(7.0, "Standard deviation of PDC of one finger", unit="counts", minimum=0.0)
     in_contact: bool = setting(
         False, "Whether readings move in contact only, and tares do not: how hand and object lie, not the sensor"
     )
@@ -41,12 +42,22 @@ class DriftTermConfig(Settings):
 class ExchangeConfig(Settings):
     """A fingertip is replaced before a session: another sensor with other electrodes and another drift."""
 
-    session: int = setting(1, "The first session with the new sensor, counted from 0", minimum=1)
-    finger: str = setting("thumb", "Which finger", choices=("thumb", "middle"))
+    session: int = setting(1, "First session with the new sensor, counted from 0", minimum=1)
+    finger: str = setting("thumb", "Finger whose sensor is replaced", choices=("thumb", "middle"))
     electrode_counts: float = setting(
-        100.0, "How much higher its electrodes rest on average", unit="counts", minimum=-2000.0, maximum=2000.0
+        100.0,
+        "Difference of the new sensor's mean electrode at rest from the old one's",
+        unit="counts",
+        minimum=-2000.0,
+        maximum=2000.0,
     )
-    pdc_counts: float = setting(50.0, "The same of PDC", unit="counts", minimum=-2000.0, maximum=2000.0)
+    pdc_counts: float = setting(
+        50.0,
+        "Difference of the new sensor's PDC at rest from the old one's",
+        unit="counts",
+        minimum=-2000.0,
+        maximum=2000.0,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,23 +71,15 @@ class CampaignConfig(Settings):
         ConfigError: If sessions overlap, or an exchange is not within the campaign.
     """
 
-    start_s: int = setting(
-        1_767_603_600, "When the sensors are switched on for the first time", unit="s since 1970", minimum=0
-    )
     days: tuple[float, ...] = setting(
-        (0.0,), "When each session starts, after the first", unit="days", minimum=0.0, maximum=365.0
+        (0.0,), "Start of each session, after that of the first", unit="days", minimum=0.0, maximum=365.0
     )
-    objects: int = setting(6, "Objects in a session", minimum=1, maximum=1000)
-    grasps: int = setting(10, "Grasps of an object in succession", minimum=1, maximum=1000)
-    power_on_s: float = setting(120.0, "From power-on to the first grasp", unit="s", minimum=0.0, maximum=DAY_S)
-    grasp_s: tuple[float, ...] = setting(
-        (50.0, 110.0), "From one grasp to the next, low and high", unit="s", minimum=0.1, maximum=DAY_S
-    )
-    change_s: tuple[float, ...] = setting(
-        (60.0, 300.0), "The same in addition where the object is changed", unit="s", minimum=0.0, maximum=DAY_S
-    )
+    objects: int = setting(6, "Number of objects in a session", minimum=1, maximum=1000)
+    grasps: int = setting(10, "Number of grasps of an object in succession", minimum=1, maximum=1000)
     tares: str = setting(
-        "grasp", "Which grasps have a tare: each, the first of an object or of a session, none", choices=TARES
+        "grasp",
+        "Which grasps have a tare: each, the first of an object or of a session, none",
+        choices=("grasp", "object", "session", "none"),
     )
     live_speed: float = setting(
         1.0,
@@ -85,14 +88,12 @@ class CampaignConfig(Settings):
         minimum=0.0,
         maximum=1e6,
     )
-    warm_up: sensor.TemperatureConfig | None = None
+    warm_up: TemperatureConfig | None = None
     drift: tuple[DriftTermConfig, ...] = field(default=())
     exchanges: tuple[ExchangeConfig, ...] = field(default=())
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_range(self, "grasp_s")
-        require_range(self, "change_s")
         if not self.days or self.days[0] != 0.0:
             raise ConfigError(f"CampaignConfig.days: {list(self.days)} does not begin with 0, the first session")
         longest = self.longest_session_s / DAY_S
@@ -116,7 +117,7 @@ class CampaignConfig(Settings):
     @property
     def longest_session_s(self) -> float:
         """Upper bound of the duration of a session [s]."""
-        return self.power_on_s + self.objects * (self.grasps * self.grasp_s[1] + self.change_s[1])
+        return POWER_ON_S + self.objects * (self.grasps * GRASP_S[1] + CHANGE_S[1])
 
     @property
     def size(self) -> int:

@@ -7,6 +7,7 @@ grasps it gets.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from foretouch.simulation.objects import SHAPES, read_mesh_file
 from foretouch.simulation.scene.ranges import draw, require_range
 
 RESTS = ("upright", "side", "any")
+POISSON = 0.3  # Poisson's ratio of soft objects
 MESH = "mesh"  # shape of an object whose surface comes from a file
 
 
@@ -28,13 +30,12 @@ class PoseConfig(Settings):
 
     x_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's x, low and high", unit="m")
     y_m: tuple[float, ...] = setting((-0.03, 0.03), "Position along the world's y, low and high", unit="m")
-    yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Turn about the vertical, low and high", unit="deg")
-    rest: str = setting("upright", "What it rests on: its foot, its side, or any point", choices=RESTS)
+    yaw_deg: tuple[float, ...] = setting((0.0, 360.0), "Angle about the vertical, low and high", unit="deg")
+    rest: str = setting("upright", "Part that the object rests on: its foot, its side, or any point", choices=RESTS)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("x_m", "y_m", "yaw_deg"):
-            require_range(self, name)
+        require_range(self, "x_m", "y_m", "yaw_deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,6 @@ class SurfaceConfig(Settings):
     """Fine relief, too small for the mesh and the camera, but not for a fingertip."""
 
     relief_m: float = setting(2e-4, "Standard deviation of the height", unit="m", minimum=0.0, maximum=2e-3)
-    wavelength_m: float = setting(3e-3, "Distance between crests", unit="m", minimum=5e-4, maximum=0.05)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,31 +52,38 @@ class ObjectConfig(Settings):
     With the shape `mesh`, its surface is read from `file`, whose hash becomes part of the settings, and so of the scene.
     """
 
-    name: str = setting("object", "Label of its samples")
-    shape: str = setting("can", "Shape of its mesh; mesh: that of a file", choices=(*SHAPES, MESH))
+    name: str = setting("object", "Label of the samples")
+    shape: str = setting("can", "Shape of the object; mesh: that of a file", choices=(*SHAPES, MESH))
     file: str = setting("", "Closed mesh (OBJ, PLY, STL, GLB) for the shape mesh, upright along z [m]")
-    file_sha256: str = setting("", "SHA-256 of this file; another is refused where it is given")
-    variants: int = setting(1, "Members of the family that are used, for the shape random", minimum=1, maximum=10_000)
-    first_variant: int = setting(0, "The first member of the family that is used", minimum=0, maximum=10_000)
+    file_sha256: str = setting("", "SHA-256 of the file; another file is refused where it is given")
+    variants: int = setting(
+        1, "Number of members of the family that are used, for the shape random", minimum=1, maximum=10_000
+    )
+    first_variant: int = setting(
+        0, "First member of the family that is used, for the shape random", minimum=0, maximum=10_000
+    )
     size_m: tuple[float, ...] = setting(
-        (0.07, 0.07, 0.1), "Bounding box along its own x, y and z (up); empty: that of the file", unit="m"
+        (0.07, 0.07, 0.1),
+        "Edges of the object's bounding box along its own x, y and z (up); empty: those of the file",
+        unit="m",
     )
     size_spread: float = setting(
-        0.0, "Largest relative change of its size from sample to sample", minimum=0.0, maximum=0.5
+        0.0, "Largest relative change of the size from sample to sample", minimum=0.0, maximum=0.5
     )
     pose: PoseConfig = PoseConfig()
     young_pa: float | None = setting(
         None, "Young's modulus; absent for a rigid object", unit="Pa", minimum=1e3, maximum=1e9
     )
-    poisson: float = setting(0.3, "Poisson's ratio of a soft object", minimum=0.0, maximum=0.5)
     thickness_m: float | None = setting(
-        None, "Thickness of its soft layer on a rigid core", unit="m", minimum=1e-4, maximum=0.5
+        None, "Thickness of the soft layer on a rigid core", unit="m", minimum=1e-4, maximum=0.5
     )
     friction: float = setting(0.783, "Coefficient of friction against the skin", minimum=0.0, maximum=3.0)
-    mass_kg: float | None = setting(None, "Mass; needed where the scene has gravity", unit="kg", minimum=0.0)
+    mass_kg: float | None = setting(
+        None, "Mass of the object; needed where the scene has gravity", unit="kg", minimum=0.0
+    )
     surface: SurfaceConfig | None = None
     colour: tuple[int, ...] | None = setting(
-        None, "Red, green and blue; absent for a cloud without colours", minimum=0, maximum=255
+        None, "Red, green and blue of the points; absent for a cloud without colours", minimum=0, maximum=255
     )
 
     def __post_init__(self) -> None:
@@ -123,47 +130,34 @@ class ObjectConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TableConfig(Settings):
-    """The table top about the world's origin."""
-
-    size_m: tuple[float, ...] = setting((1.4, 1.0), "Edges along the world's x and y", unit="m", maximum=100.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.size_m) != 2 or min(self.size_m) <= 0.0:
-            raise ConfigError(f"TableConfig.size_m: {list(self.size_m)} is not two lengths above 0 m")
-
-
-@dataclass(frozen=True, kw_only=True)
 class ClutterConfig(Settings):
     """Other objects around the one that is grasped; they hide it in part but are not touched."""
 
-    count: int = setting(4, "How many", minimum=1, maximum=20)
-    size_m: tuple[float, ...] = setting((0.04, 0.12), "Edge of the bounding cube, low and high", unit="m", maximum=10.0)
+    count: int = setting(4, "Number of other objects", minimum=1, maximum=20)
     distance_m: tuple[float, ...] = setting(
-        (0.1, 0.25), "Between the axes of object and clutter", unit="m", maximum=10.0
+        (0.1, 0.25), "Distance between the axes of object and clutter, low and high", unit="m", maximum=10.0
     )
-    variants: int = setting(16, "Members of the family of random shapes that are used", minimum=1, maximum=10_000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("size_m", "distance_m"):
-            require_range(self, name, lowest=0.005)
+        require_range(self, "distance_m", lowest=0.005)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FamilyConfig(Settings):
     """Objects of one kind. Each draws its values once, independent of the seed of the scene."""
 
-    name: str = setting("obj", "Labels of the samples are this name and a number: obj_000, obj_001...")
-    count: int = setting(10, "How many objects", minimum=1, maximum=10_000)
-    seed: int = setting(0, "Decides what the objects draw", minimum=0, maximum=2**53)
+    name: str = setting(
+        "obj", "Name of the family; labels of the samples are this name and a number: obj_000, obj_001..."
+    )
+    count: int = setting(10, "Number of objects", minimum=1, maximum=10_000)
+    seed: int = setting(0, "Seed of what the objects draw", minimum=0, maximum=2**53)
     shapes: tuple[str, ...] = setting(
         ("random",), "Shapes to draw from; each object of the shape random is a separate member", choices=SHAPES
     )
-    rests: tuple[str, ...] = setting(("upright",), "What they rest on, to draw from", choices=RESTS)
+    rests: tuple[str, ...] = setting(("upright",), "Parts that they rest on, to draw from", choices=RESTS)
     size_m: tuple[float, ...] = setting(
-        (0.05, 0.1), "Each edge of the bounding box, low and high", unit="m", minimum=0.005, maximum=0.5
+        (0.05, 0.1), "Length of each edge of the bounding box, low and high", unit="m", minimum=0.005, maximum=0.5
     )
     young_pa: tuple[float, ...] | None = setting(
         None,
@@ -179,8 +173,7 @@ class FamilyConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("size_m", "thickness_m"):
-            require_range(self, name)
+        require_range(self, "size_m", "thickness_m")
         if self.young_pa is not None:
             require_range(self, "young_pa")
         for name in ("shapes", "rests"):
@@ -189,19 +182,16 @@ class FamilyConfig(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FamiliesConfig(Settings):
+class _Families(Settings):
     """The key `families` of a scene file."""
 
     families: tuple[FamilyConfig, ...] = ()
 
-    def objects(self) -> list[ObjectConfig]:
-        """All objects of all families, in order."""
-        return [item for family in self.families for item in draw_objects(family)]
 
-
-def draw_objects(family: FamilyConfig) -> list[ObjectConfig]:
-    """The members of a family; the first k do not depend on its count."""
-    return [_member(family, k) for k in range(family.count)]
+def draw_families(families: Any, source: str) -> list[ObjectConfig]:
+    """All objects of the families of a scene file, in order; the first k of a family do not depend on its count."""
+    drawn = _Families.from_mapping({"families": families}, source)
+    return [_member(family, k) for family in drawn.families for k in range(family.count)]
 
 
 def _member(family: FamilyConfig, number: int) -> ObjectConfig:
@@ -209,7 +199,11 @@ def _member(family: FamilyConfig, number: int) -> ObjectConfig:
     shape = family.shapes[int(rng.integers(len(family.shapes)))]
     size = tuple(round(draw(rng, family.size_m), 4) for _ in range(3))
     rest = family.rests[int(rng.integers(len(family.rests)))]
-    young_pa, thickness_m = _softness(family, rng)
+    young_pa = thickness_m = None
+    if family.young_pa is not None:
+        low, high = np.log(family.young_pa)
+        young_pa = float(np.exp(rng.uniform(low, high)).round(-1))
+        thickness_m = round(draw(rng, family.thickness_m), 4)
     return ObjectConfig(
         name=f"{family.name}_{number:03d}",
         shape=shape,
@@ -219,11 +213,3 @@ def _member(family: FamilyConfig, number: int) -> ObjectConfig:
         young_pa=young_pa,
         thickness_m=thickness_m,
     )
-
-
-def _softness(family: FamilyConfig, rng: np.random.Generator) -> tuple[float | None, float | None]:
-    """Modulus and thickness of one object; neither where the family is rigid."""
-    if family.young_pa is None:
-        return None, None
-    low, high = np.log(family.young_pa)
-    return float(np.exp(rng.uniform(low, high)).round(-1)), round(draw(rng, family.thickness_m), 4)

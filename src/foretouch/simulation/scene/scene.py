@@ -1,64 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene read from YAML. A group that is absent switches its effect off."""
 
-import hashlib
 import itertools
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 
 from foretouch.config import Settings, load_yaml, setting
 from foretouch.errors import ConfigError
+from foretouch.simulation.contact import LEVELS
+from foretouch.simulation.depth_scene import TABLE_M
 from foretouch.simulation.scene.camera import CameraConfig
 from foretouch.simulation.scene.campaign import CampaignConfig
 from foretouch.simulation.scene.fingers import FingersConfig, GraspsConfig
-from foretouch.simulation.scene.objects import ClutterConfig, FamiliesConfig, ObjectConfig, TableConfig
-
-_YOUNGER: Final = {
-    "first_variant": 0,
-    "sessions": None,
-    "method": "original",
-    "campaign": None,
-    "file": "",
-    "file_sha256": "",
-}
-"""Settings that are younger than the frozen scenes, with the defaults at which they leave every sample as it was."""
-
-FIDELITIES = ("auto", "hertz", "winkler", "layer")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GravityConfig(Settings):
-    """The object is lifted, so the fingers bear its weight."""
-
-    m_s2: float = setting(9.81, "Acceleration", unit="m/s²", minimum=0.0, maximum=30.0)
+from foretouch.simulation.scene.objects import ClutterConfig, ObjectConfig, draw_families
+from foretouch.simulation.scene.ranges import Switch
+from foretouch.simulation.scene.scene_hash import scene_hash
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig(Settings):
     """Everything that decides the samples of a scene.
 
+    Attributes:
+        gravity: The object is lifted, so the fingers bear its weight.
+
     Raises:
         ConfigError: At a contradiction between fields; the message names them.
     """
 
     objects: tuple[ObjectConfig, ...] = (ObjectConfig(),)
-    table: TableConfig = TableConfig()
     clutter: ClutterConfig | None = None
     camera: CameraConfig = CameraConfig()
     grasps: GraspsConfig = GraspsConfig()
     fingers: FingersConfig = FingersConfig()
-    gravity: GravityConfig | None = None
+    gravity: Switch | None = None
     campaign: CampaignConfig | None = None
     fidelity: str = setting(
-        "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=FIDELITIES
+        "auto", "Contact solver; auto: springs on rigid objects, elastic layers on soft ones", choices=("auto", *LEVELS)
     )
-    max_attempts: int = setting(20, "Tries for one sample before it is given up", minimum=1, maximum=1000)
-    seed: int = setting(0, "Decides all that is drawn", minimum=0, maximum=2**53)
+    max_attempts: int = setting(20, "Number of tries for one sample before it is given up", minimum=1, maximum=1000)
+    seed: int = setting(0, "Seed of all that is drawn", minimum=0, maximum=2**53)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,18 +74,16 @@ class SceneConfig(Settings):
         if isinstance(given.get("objects"), list):
             given["objects"] = [_beside(source, item) for item in given["objects"]]
         if "families" in given:
-            families = FamiliesConfig.from_mapping({"families": given.pop("families")}, source)
-            given["objects"] = [*given.get("objects", []), *(item.to_mapping() for item in families.objects())]
+            drawn = draw_families(given.pop("families"), source)
+            given["objects"] = [*given.get("objects", []), *(item.to_mapping() for item in drawn)]
         return super().from_mapping(given, source)
 
     def sha256(self) -> str:
-        """Hash of all settings, defaults included, so that a changed default is a changed scene.
+        """Hash of all settings and of the constants that go with them, so that another default is another scene.
 
-        Settings that came after scenes were frozen count only where they are given: left at their defaults they
-        change no sample. Of the file of a mesh only the content counts.
+        Of the file of a mesh only the content counts.
         """
-        text = json.dumps(_without_younger(self.to_mapping()), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return scene_hash(self.to_mapping())
 
 
 def load_scene(path: str | Path) -> SceneConfig:
@@ -110,18 +93,6 @@ def load_scene(path: str | Path) -> SceneConfig:
         ConfigError: Names file, field and rule.
     """
     return SceneConfig.from_mapping(load_yaml(path), str(path))
-
-
-def _without_younger(value: Any) -> Any:
-    """Plain settings without those of `_YOUNGER` that are at their defaults."""
-    if isinstance(value, list):
-        return [_without_younger(item) for item in value]
-    if not isinstance(value, dict):
-        return value
-    kept = {key: item for key, item in value.items() if key not in _YOUNGER or item != _YOUNGER[key]}
-    if "file_sha256" in kept:
-        del kept["file"]
-    return {key: _without_younger(item) for key, item in kept.items()}
 
 
 def _beside(source: str, item: Any) -> Any:
@@ -145,10 +116,9 @@ def _require_in_view(scene: SceneConfig, item: ObjectConfig, name: str) -> None:
             f"{name}.pose: may lie outside of the view, which is {view.width}x{view.height} pixels "
             f"of {scene.camera.hfov_deg:g} degrees at {scene.camera.distance_m:g} m"
         )
-    if (np.abs([*item.pose.x_m]) > scene.table.size_m[0] / 2.0).any() or (
-        np.abs([*item.pose.y_m]) > scene.table.size_m[1] / 2.0
-    ).any():
-        raise ConfigError(f"{name}.pose: may lie beside the table of {list(scene.table.size_m)} m")
+    farthest = np.abs([item.pose.x_m, item.pose.y_m]).max(axis=1)
+    if (farthest > TABLE_M / 2.0).any():
+        raise ConfigError(f"{name}.pose: may lie beside the table of {TABLE_M.tolist()} m")
 
 
 def _require_in_reach(scene: SceneConfig, item: ObjectConfig, name: str) -> None:

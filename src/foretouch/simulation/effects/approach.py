@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where each pad meets the object, and the object's surface around that point."""
+"""Close both fingers until they touch the object: where each pad meets it, and the object's surface around that point."""
 
 import math
 
@@ -8,8 +8,9 @@ import numpy as np
 from foretouch.errors import ContactError, SimulationError
 from foretouch.simulation.campaign import object_index
 from foretouch.simulation.contact import ContactFrame, PadConfig, contact_frame, pad_depth, pad_direction, pad_window
-from foretouch.simulation.effect import Effect, Job, SampleState, always, called_for, keys
+from foretouch.simulation.effect import Effect, Job, SampleState
 from foretouch.simulation.finger_contact import FingerFrame, pad_of, surface_behind
+from foretouch.simulation.scene import SurfaceConfig
 from foretouch.simulation.scene.ranges import draw
 from foretouch.simulation.solids import Body
 from foretouch.types import Float64
@@ -19,6 +20,7 @@ _SEARCH_M = 0.02  # side of the square that is searched for first touch: most of
 _SEARCH_CELLS = 21
 _NEAR_M = 2e-4  # cells whose gap is within this of the least give the surface's mean normal
 _WAVES = 12  # that make up a fine relief
+_WAVELENGTH_M = 3e-3  # between its crests
 _FINGERS = ("thumb", "middle finger")
 
 
@@ -90,13 +92,11 @@ def _relief(_job: Job, state: SampleState) -> None:
 
 def _surface(job: Job, state: SampleState) -> None:
     """Waves of random directions and phases, fixed to the object: two touches of one spot feel the same relief."""
-    surface = job.item.surface
-    if surface is None:
-        return
+    surface: SurfaceConfig = job.settings
     body = state.bodies[0]
     rng = np.random.default_rng([job.scene.seed, object_index(job.scene, job.key.slot), body.variant])
     axes = rng.standard_normal((_WAVES, 3))
-    axes *= 2.0 * np.pi / surface.wavelength_m / np.linalg.norm(axes, axis=1, keepdims=True)
+    axes *= 2.0 * np.pi / _WAVELENGTH_M / np.linalg.norm(axes, axis=1, keepdims=True)
     phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
     waves = []
     for window, frame in zip(state.pads, state.touches, strict=True):
@@ -105,22 +105,11 @@ def _surface(job: Job, state: SampleState) -> None:
     state.relief = state.relief + np.stack(waves)
 
 
+_TOUCHED = ("bodies", "pads", "touches")
+
 EFFECTS = (
-    Effect("posture", _posture, always("fingers"), reads=keys("fingers"), writes=keys("postures")),
-    Effect(
-        "first_touch",
-        _first_touch,
-        always("fingers"),
-        reads=keys("bodies", "fingers", "postures"),
-        writes=keys("pads", "touches"),
-    ),
-    Effect("relief", _relief, always("fingers"), reads=keys("bodies", "pads", "touches"), writes=keys("relief")),
-    Effect(
-        "surface",
-        _surface,
-        called_for("objects.surface"),
-        off="no objects.surface",
-        reads=keys("bodies", "pads", "touches"),
-        modifies=keys("relief"),
-    ),
+    Effect("posture", _posture, "fingers", reads=("fingers",), writes=("postures",)),
+    Effect("first_touch", _first_touch, "fingers", reads=("bodies", "fingers", "postures"), writes=("pads", "touches")),
+    Effect("relief", _relief, "fingers", reads=_TOUCHED, writes=("relief",)),
+    Effect("surface", _surface, "objects.surface", reads=(*_TOUCHED, "relief"), writes=("relief",)),
 )

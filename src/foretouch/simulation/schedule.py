@@ -18,16 +18,18 @@ _MS_NS = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShowConfig(Settings):
+class ScheduleConfig(Settings):
     """A scene whose samples follow each other in time; camera and hand are given the same."""
 
-    path: str = setting("", "Scene file (YAML)", read_only=True)
+    path: str = setting("", "Path of the scene file (YAML)", read_only=True)
     dwell_s: float = setting(
-        3.0, "How long each sample stays on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
+        3.0, "Time that each sample stays on the table", unit="s", minimum=0.05, maximum=86400.0, read_only=True
     )
-    samples: int = setting(1000, "Samples that are shown before the first comes again", minimum=1, read_only=True)
+    samples: int = setting(
+        1000, "Number of samples that are shown before the first comes again", minimum=1, read_only=True
+    )
     origin_ns: int = setting(
-        0, "When the first sample is laid on the table, since 1970", unit="ns", minimum=0, read_only=True
+        0, "Time when the first sample is laid on the table, since 1970", unit="ns", minimum=0, read_only=True
     )
 
     def load(self) -> SceneConfig:
@@ -41,16 +43,12 @@ class ShowConfig(Settings):
         return load_scene(self.path)
 
     def slot(self, stamp_ns: int) -> int:
-        """The sample on the table at a time; before the first, the first.
-
-        Args:
-            stamp_ns: Such as a cloud's stamp [ns].
-        """
+        """The sample on the table at a time, such as a cloud's stamp [ns]; before the first, the first."""
         dwell_ns = round(self.dwell_s * 1e3) * _MS_NS
         return max(0, stamp_ns - self.origin_ns) // dwell_ns % self.samples
 
 
-def middle_of(scene: SceneConfig) -> Float64:
+def centre_of_objects(scene: SceneConfig) -> Float64:
     """(3,) float64 [m], camera frame: where the object is to be looked for among clutter.
 
     The mean of the places where objects may lie, at half their mean height.

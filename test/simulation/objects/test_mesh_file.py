@@ -4,9 +4,11 @@
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 from sim_builders import run
 
 from foretouch.errors import ConfigError, FileError, SimulationError
@@ -62,52 +64,41 @@ def block() -> TriangleMesh:
     return rounded_box(SIZE, 0.01)
 
 
-@pytest.mark.parametrize("ending", [".obj", ".ply", ".stl", ".glb", ".PLY"])
-def test_each_format_gives_the_mesh(tmp_path: Path, block: TriangleMesh, ending: str) -> None:
-    drawn = block
-    if ending == ".glb":  # y is up
-        drawn = TriangleMesh(
-            block.vertices @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), block.faces
-        )
-    written = (write_glb if ending == ".glb" else write)(tmp_path / f"block{ending}", drawn)
-    found, sha256 = read_mesh_file(written)
-    np.testing.assert_allclose(found.extents, SIZE, atol=1e-6)
-    assert found.is_closed()
-    assert found.volume() == pytest.approx(block.volume(), rel=1e-4)
-    assert len(sha256) == 64
+def test_each_format_gives_the_mesh(tmp_path: Path, block: TriangleMesh) -> None:
+    y_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+    def check(ending: str) -> None:
+        glb = ending == ".glb"
+        drawn = TriangleMesh(block.vertices @ y_up, block.faces) if glb else block
+        found, sha256 = read_mesh_file((write_glb if glb else write)(tmp_path / f"block{ending}", drawn))
+        np.testing.assert_allclose(found.extents, SIZE, atol=1e-6)
+        assert found.closed("mesh").volume() == pytest.approx(block.volume(), rel=1e-4)
+        assert len(sha256) == 64
+
+    every_case([".obj", ".ply", ".stl", ".glb", ".PLY"], check)
+    inside_out = write(tmp_path / "turned.ply", TriangleMesh(block.vertices, block.faces[:, ::-1]))
+    assert read_mesh_file(inside_out)[0].volume() == pytest.approx(block.volume(), rel=1e-6)
 
 
-def test_a_mesh_that_is_inside_out_is_turned(tmp_path: Path, block: TriangleMesh) -> None:
-    path = write(tmp_path / "block.ply", TriangleMesh(block.vertices, block.faces[:, ::-1]))
-    assert read_mesh_file(path)[0].volume() == pytest.approx(block.volume(), rel=1e-6)
+def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, block: TriangleMesh) -> None:
+    (tmp_path / "folder.ply").mkdir()
+    write(tmp_path / "open.ply", TriangleMesh(block.vertices, block.faces[1:]))
+    (tmp_path / "empty.obj").write_bytes(b"")
+    (tmp_path / "damaged.stl").write_bytes(b"solid x\nfacet normal")
+    (tmp_path / "damaged.glb").write_bytes(b"glTF\x02\x00\x00\x00")
+    (tmp_path / "mesh.dae").write_bytes(b"")
 
+    def check(name: str, reason: str) -> None:
+        path = str(tmp_path / name)
+        with pytest.raises(FileError, match=reason) as caught:
+            read_mesh_file(path)
+        assert path in str(caught.value)
+        with pytest.raises(ConfigError, match=f"thing.file: .*{reason}"):
+            ObjectConfig(name="thing", shape="mesh", file=path)
 
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [
-        ("open.ply", None, "not shared by two faces"),
-        ("empty.obj", b"", "holds no triangle"),
-        ("damaged.stl", b"solid x\nfacet normal", "holds no triangle"),
-        ("damaged.glb", b"glTF\x02\x00\x00\x00", "holds no triangle"),
-        ("mesh.dae", b"", "is none of .obj, .ply, .stl, .glb"),
-        ("folder.ply", "folder", "is a folder"),
-    ],
-)
-def test_a_file_that_cannot_be_used_is_named(
-    tmp_path: Path, block: TriangleMesh, name: str, content: bytes | str | None, reason: str
-) -> None:
-    path = tmp_path / name
-    if content is None:
-        write(path, TriangleMesh(block.vertices, block.faces[1:]))
-    elif isinstance(content, str):
-        path.mkdir()
-    else:
-        path.write_bytes(content)
-    with pytest.raises(FileError, match=reason) as caught:
-        read_mesh_file(str(path))
-    assert str(path) in str(caught.value)
-    with pytest.raises(ConfigError, match=f"thing.file: .*{reason}"):
-        ObjectConfig(name="thing", shape="mesh", file=str(path))
+    cases = {"open.ply": "not shared by two faces", "mesh.dae": "is none of .obj, .ply, .stl, .glb"}
+    cases |= dict.fromkeys(("empty.obj", "damaged.stl", "damaged.glb"), "holds no triangle")
+    every_case([*cases.items(), ("folder.ply", "is a folder")], check)
 
 
 def test_a_scene_with_a_mesh_gives_samples_of_its_size(tmp_path: Path, block: TriangleMesh) -> None:
@@ -143,20 +134,17 @@ def test_a_file_that_was_changed_since_is_refused(tmp_path: Path, block: Triangl
         unit_mesh(item.solid)
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
+def test_settings_that_do_not_fit_the_shape_are_refused(tmp_path: Path, block: TriangleMesh) -> None:
+    millimetres = write(tmp_path / "mm.ply", TriangleMesh(block.vertices * 1e3, block.faces))
+    cases = [
         ({"shape": "mesh"}, "thing.file: is needed for the shape mesh"),
         ({"shape": "can", "file": "a.ply"}, "thing.file: is only for the shape mesh"),
         ({"shape": "can", "size_m": ()}, "size_m: .* is not three lengths"),
-    ],
-)
-def test_a_file_belongs_to_the_shape_mesh(settings: dict[str, object], reason: str) -> None:
-    with pytest.raises(ConfigError, match=reason):
-        ObjectConfig(name="thing", **settings)
+        ({"shape": "mesh", "file": millimetres, "size_m": ()}, "size_m: .* is not three lengths from 0.005 to 0.5 m"),
+    ]
 
+    def check(settings: dict[str, Any], reason: str) -> None:
+        with pytest.raises(ConfigError, match=reason):
+            ObjectConfig(name="thing", **settings)
 
-def test_a_mesh_in_millimetres_is_refused_by_its_size(tmp_path: Path, block: TriangleMesh) -> None:
-    path = write(tmp_path / "mm.ply", TriangleMesh(block.vertices * 1e3, block.faces))
-    with pytest.raises(ConfigError, match=r"size_m: .* is not three lengths from 0.005 to 0.5 m"):
-        ObjectConfig(name="thing", shape="mesh", file=path, size_m=())
+    every_case(cases, check)

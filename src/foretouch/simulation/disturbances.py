@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbances of the counts: noise, a slow scan, creep of the skin, drift with temperature, dead electrodes and slip.
+
+The defaults are fitted to recordings of a BioTac SP in steady touch at 100 Hz. The electrodes are sampled one after the
+other in a ring; each message takes what has been sampled since the last one, about 17 of 24, and repeats the rest: a
+block of about eight that moves on from row to row.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, setting
+from foretouch.errors import TactileError
+from foretouch.tactile import FULL_SCALE
+from foretouch.types import ELECTRODES, Float64
+
+_FRESH_PER_ROW: Final = 16.8  # electrodes that are sampled between two messages
+_CUT_JITTER: Final = 1.0  # standard deviation of where a message cuts the ring [electrodes]
+
+PDC_PER_KELVIN: Final = 8.0  # [counts/K]; orders of magnitude, not measurements: they differ from sensor to sensor
+ELECTRODE_PER_KELVIN: Final = 12.0  # [counts/K]
+
+WANDER_COUNTS: Final = 1.9  # standard deviation of the slow fluctuation of an electrode
+WANDER_S: Final = 0.4  # time in which its correlation falls to 1/e
+
+CREEP_SHARE: Final = 0.08  # part of the response that comes late
+CREEP_TIME_S: Final = 1.5  # time constant of the late part
+
+SLIP_SPEED_M_S: Final = 0.005  # mean speed of the object over the skin
+SLIP_LENGTH_M: Final = 0.0005  # mean length of one slip
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseConfig(Settings):
+    """Noise of the channels."""
+
+    electrode_counts: float = setting(
+        4.2, "Standard deviation of the white noise of an electrode", unit="counts", minimum=0.0, maximum=1e6
+    )
+    pdc_counts: float = setting(
+        0.3, "Standard deviation of the white noise of PDC", unit="counts", minimum=0.0, maximum=1e6
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperatureConfig(Settings):
+    """Warming of the liquid, which moves all counts; it is not compensated in the sensor."""
+
+    body_kelvin: float = setting(
+        3.0, "Rise of the liquid's temperature since power-on, in the end", unit="K", minimum=-1e3, maximum=1e3
+    )
+    warming_s: float = setting(600.0, "Time constant of the warming", unit="s", minimum=1e-3, maximum=1e9)
+
+
+def ou_noise(
+    rows: int, channels: int, counts: float, memory_s: float, rate_hz: float, rng: np.random.Generator
+) -> Float64:
+    """(rows, channels) Ornstein-Uhlenbeck noise, stationary from its first row.
+
+    x_t = a x_{t-1} + √(1 - a²) ε_t with a = exp(-1 / (rate · memory)).
+
+    Args:
+        rows: Number of messages.
+        channels: Number of channels.
+        counts: Standard deviation [counts].
+        memory_s: Time in which the autocorrelation falls to 1/e [s].
+        rate_hz: Rate of the messages [Hz].
+        rng: Generator of the noise.
+    """
+    a = float(np.exp(-1.0 / (rate_hz * memory_s)))
+    steps = counts * rng.standard_normal((rows, channels))
+    steps[1:] *= np.sqrt(1.0 - a * a)
+    for t in range(1, rows):
+        steps[t] += a * steps[t - 1]
+    return steps
+
+
+def fresh_samples(rows: int, channels: int, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """(rows, channels) bool: which electrodes of the ring are new in each message; all of the first."""
+    cuts = rng.uniform(0.0, channels) + _FRESH_PER_ROW * np.arange(rows + 1)
+    cuts += _CUT_JITTER * rng.standard_normal(rows + 1)
+    cursor = np.maximum.accumulate(np.floor(cuts).astype(np.int64))
+    since_cut = (np.arange(channels) - cursor[:-1, None]) % channels
+    fresh = since_cut < np.diff(cursor)[:, None]
+    fresh[:1] = True
+    return np.asarray(fresh, np.bool_)
+
+
+def hold_samples(series: Float64, fresh: npt.NDArray[np.bool_]) -> Float64:
+    """Repeat the last fresh value of each channel.
+
+    Args:
+        series: (T, C).
+        fresh: (T, C) bool, true throughout the first row.
+
+    Raises:
+        TactileError: If the shapes differ or a channel has no first value.
+    """
+    if series.shape != fresh.shape:
+        raise TactileError(f"fresh: shape {fresh.shape} is not that of the series, {series.shape}")
+    if len(fresh) and not fresh[0].all():
+        raise TactileError(f"fresh: {np.count_nonzero(~fresh[0])} channels have no first value")
+    rows = np.where(fresh, np.arange(len(series))[:, None], 0)
+    return np.asarray(np.take_along_axis(series, np.maximum.accumulate(rows, axis=0), axis=0))
+
+
+def creep(series: Float64, rate_hz: float, *, share: float = CREEP_SHARE, time_s: float = CREEP_TIME_S) -> Float64:
+    """The skin as a standard linear solid: y = (1 - share) x + share · z, with dz/dt = (x - z) / time, at rest at first.
+
+    A constant load creeps on, a released one leaves a rest that fades, and a cycle of load encloses an area:
+    relaxation and hysteresis are one effect.
+
+    Args:
+        series: (T, ...) float64, the response of an ideal fingertip; T may not be 0.
+        rate_hz: Rate of the rows [Hz].
+        share: Part of the response that comes late.
+        time_s: Time constant of the late part [s].
+    """
+    late = np.array(series[0], np.float64)
+    pull = -np.expm1(-1.0 / (rate_hz * time_s))
+    result = np.empty_like(series, dtype=np.float64)
+    for t, value in enumerate(series):
+        late = late + pull * (value - late)
+        result[t] = (1.0 - share) * value + share * late
+    return result
+
+
+def temperature_drift(config: TemperatureConfig, times_s: Float64) -> Float64:
+    """(T, 25) float64: drift of PDC and electrodes [counts] at times (T,) since power-on [s]."""
+    kelvin = config.body_kelvin * -np.expm1(-times_s / config.warming_s)
+    return np.outer(kelvin, [PDC_PER_KELVIN, *[ELECTRODE_PER_KELVIN] * ELECTRODES])
+
+
+def mask_dead_electrodes(series: Float64, dead: Sequence[int], stuck_at: str = "low") -> Float64:
+    """The same series with some electrodes dead.
+
+    Args:
+        series: (T, 24) [counts].
+        dead: Which, 0 to 23.
+        stuck_at: `low`: 0 counts, `high`: 4095, `last`: the counts of the first row.
+
+    Raises:
+        TactileError: If there is no such electrode or way to be stuck.
+    """
+    if stuck_at not in {"low", "high", "last"}:
+        raise TactileError(f"stuck_at: {stuck_at!r} is none of low, high, last")
+    wrong = [k for k in dead if not 0 <= k < series.shape[-1]]
+    if wrong:
+        raise TactileError(f"dead: no electrode {wrong[0]}, there are {series.shape[-1]}")
+    result = np.array(series, np.float64)
+    columns = list(dead)
+    result[:, columns] = {"low": 0.0, "high": float(FULL_SCALE)}.get(stuck_at, result[:1, columns])
+    return result
+
+
+def slip_path(
+    rows: int,
+    rate_hz: float,
+    rng: np.random.Generator,
+    *,
+    speed_m_s: float = SLIP_SPEED_M_S,
+    length_m: float = SLIP_LENGTH_M,
+) -> Float64:
+    """(rows,) float64 [m]: how far the object has slid in the tangent plane, starting at 0, never back.
+
+    It sticks for exponentially distributed times and slips by exponentially distributed lengths, which
+    keep the mean speed.
+
+    Args:
+        rows: Number of messages.
+        rate_hz: Rate of the messages [Hz].
+        rng: Generator of the slips.
+        speed_m_s: Mean speed [m/s].
+        length_m: Mean length of one slip [m].
+    """
+    slips = rng.poisson(speed_m_s / (length_m * rate_hz), rows)
+    lengths = rng.standard_gamma(np.maximum(slips, 1)) * length_m * (slips > 0)
+    path = np.cumsum(lengths)
+    return np.asarray(path - path[0]) if rows else path

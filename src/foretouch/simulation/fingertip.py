@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The BioTac SP fingertip: from contact to the counts of the PDC channel and the electrodes.
+
+**PDC**: how the static pressure of the liquid (PDC) follows the contact.
+
+The contact pushes liquid aside until, near 2 N, the skin meets the core and the core takes the load (BioTac product
+manual). With u the skin's displacement, b the depth at which skin meets core and n the contact's normal:
+
+    V = Σ_cells min(u, b) · cell,          PDC = rest + gain · span · c · tanh(V / V_sat)
+
+c = (n · pad)^k, the share of liquid pressure where the skin is free: its rim is clamped to the nail side.
+The electrodes do not enter: where the contact lies decides them, and hardly V.
+
+**Electrodes**: how the 24 electrodes respond to the displacement of the skin. The liquid between skin and core
+conducts; where the skin comes closer, the path narrows and the impedance Z rises, where liquid is pushed to, it falls
+(BioTac product manual, Syntouch). Here:
+
+    s_e = Σ_cells w_e u (n · n_e)+ - V / A          how much closer the skin is at electrode e [m]
+    Z_e = Z_rest,e · exp(gain_e · s_e / thinning)   a layer that thins ever more slowly
+    E_e = 4095 / (1 + Z_e / 10 kOhm)                counts, the inverse of `foretouch.tactile.to_kohm`
+
+with u the skin's displacement, w_e a Gaussian about the electrode's position on the skin, n the contact's
+normal, n_e the electrode's, and V / A the even bulge by which the displaced liquid V lifts the skin's area A.
+
+`read_contact` turns a solved contact into the readings of the fingertip.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from foretouch.config import Settings, setting
+from foretouch.errors import ContactError, TactileError
+from foretouch.simulation.contact import ContactFrame, ContactSolution, PadConfig, PadWindow
+from foretouch.tactile import FULL_SCALE, electrode_normals, electrode_positions, to_kohm
+from foretouch.types import ELECTRODES, Float64
+
+# The liquid.
+BOTTOMING_M: Final = 3e-4  # displacement b at which the skin meets the core
+SATURATION_M3: Final = 8.5e-10  # volume V_sat at which the pressure levels off
+PDC_SPAN: Final = 220.0  # rise of PDC where it levels off [counts]
+RIM_POWER: Final = 2.0  # k: how fast the response falls from the middle of the pad to its rim
+
+# The electrodes.
+KERNEL_M: Final = 0.003  # standard deviation of an electrode's field on the skin
+THINNING_M: Final = 3.1e-5  # approach of the skin that raises the impedance by a factor e
+BULGE_AREA_M2: Final = 2.3e-4  # area A of the skin that displaced liquid lifts evenly
+REST_SPREAD: Final = 70.0  # standard deviation of the rest level from electrode to electrode [counts]
+GAIN_SPREAD: Final = 0.1  # standard deviation of the logarithm of the gain from electrode to electrode
+_REST_LIMITS: Final = (500.0, 4000.0)  # of an electrode [counts]
+
+_REFERENCE_KOHM: Final = 10.0
+_MAX_EXPONENT: Final = 50.0  # beyond, E rounds to 0 from any rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingerConfig(Settings):
+    """Rest levels of a fingertip, which vary with inflation, wear and make.
+
+    The defaults are those of a middle finger: PDC as real ones at rest; electrodes so that in grasps their 95th
+    percentile is near that of real ones, 3600.
+    """
+
+    pdc_rest: float = setting(1676.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    electrode_rest: float = setting(
+        3450.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThumbConfig(FingerConfig):
+    """Rest levels of a thumb, whose electrodes reach 3350: PDC is higher, electrodes are lower than of other fingers."""
+
+    pdc_rest: float = setting(2779.0, "PDC without contact", unit="counts", minimum=1.0, maximum=4094.0)
+    electrode_rest: float = setting(
+        3150.0, "Mean of the electrodes without contact", unit="counts", minimum=500.0, maximum=4000.0
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Finger:
+    """One fingertip."""
+
+    pdc_rest: float  # PDC without contact [counts]
+    electrode_rest: Float64  # (24,) float64 [counts]
+    electrode_gain: Float64  # (24,) float64, factor on the approach of the skin
+
+
+def draw_finger(config: FingerConfig, rng: np.random.Generator) -> Finger:
+    """One fingertip of a kind."""
+    rest = config.electrode_rest + REST_SPREAD * rng.standard_normal(ELECTRODES)
+    gain = np.exp(GAIN_SPREAD * rng.standard_normal(ELECTRODES))
+    return Finger(config.pdc_rest, np.clip(rest, *_REST_LIMITS), gain)
+
+
+def read_contact(pad: PadConfig, finger: Finger, window: PadWindow, solution: ContactSolution) -> Float64:
+    """Counts of a fingertip in contact, before noise and rounding; without force, its rest to the bit.
+
+    Args:
+        pad: Shape of the pad and of the window.
+        finger: Rest and gain.
+        window: Where the pad is touched.
+        solution: Of the contact; the first of its layers is the skin.
+
+    Returns:
+        (25,) float64 [counts], PDC then electrodes.
+
+    Raises:
+        ContactError: If the solution is on another grid.
+    """
+    if solution.force_n == 0.0:
+        return np.append(finger.pdc_rest, finger.electrode_rest)
+    skin = solution.displacement[0]
+    volume = _displaced_volume(skin, pad.step_m**2)
+    approach = _skin_approach(_electrode_weights(pad, window.frame, window.points), skin, volume)
+    electrodes = _electrode_counts(approach, finger.electrode_rest, finger.electrode_gain)
+    return np.append(_pdc_counts(window.frame, volume, finger.pdc_rest), electrodes)
+
+
+def _displaced_volume(displacement: Float64, cell_m2: float) -> float:
+    """Liquid pushed aside by the contact [m³].
+
+    Args:
+        displacement: (N, N) float64 [m], of the skin; a rise beside the contact takes liquid up.
+        cell_m2: Area of a cell [m²].
+    """
+    return max(float(np.minimum(displacement, BOTTOMING_M).sum()) * cell_m2, 0.0)
+
+
+def _pdc_counts(frame: ContactFrame, volume_m3: float, rest: float) -> float:
+    """PDC in counts, not yet rounded, of a pad that is touched at a frame."""
+    facing = math.pow(max(-float(frame.rotation[2, 2]), 0.0), RIM_POWER)
+    return rest + PDC_SPAN * facing * math.tanh(volume_m3 / SATURATION_M3)
+
+
+def _electrode_weights(
+    pad: PadConfig, frame: ContactFrame, skin_points: Float64, kernel_m: float = KERNEL_M
+) -> Float64:
+    """Weight of each cell of a contact at each electrode.
+
+    Args:
+        pad: Shape of the pad.
+        frame: Where it is touched.
+        skin_points: (N, N, 3) float64 [m], the cells on the skin, fingertip frame; not finite beside the pad.
+        kernel_m: Standard deviation of an electrode's field on the skin [m].
+
+    Returns:
+        (24, N * N) float64; over a plane of cells the weights of an electrode facing it sum to 1.
+    """
+    points = skin_points.reshape(-1, 3)
+    normals = electrode_normals()
+    places = electrode_positions() + pad.layer_m * normals
+    on_skin = np.isfinite(points.sum(axis=1))
+    points = np.where(on_skin[:, None], points, 0.0)
+    # |p - e|² = |p|² - 2 p·e + |e|², so that the bulk of the work is one product of matrices
+    squares = np.einsum("ij,ij->i", points, points) - 2.0 * places @ points.T
+    squares += np.einsum("ij,ij->i", places, places)[:, None]
+    scale = pad.step_m**2 / (2.0 * math.pi * kernel_m**2)
+    facing = np.maximum(normals @ frame.rotation[:, 2], 0.0)
+    weights: Float64 = np.exp(squares * (-0.5 / kernel_m**2))
+    weights *= (scale * facing)[:, None]
+    weights *= on_skin
+    return weights
+
+
+def _skin_approach(weights: Float64, displacement: Float64, volume_m3: float) -> Float64:
+    """(24,) float64 [m]: how much closer the skin is to each electrode; negative where it bulges.
+
+    Args:
+        weights: (24, N * N) of `_electrode_weights`.
+        displacement: (N, N) float64 [m], of the skin.
+        volume_m3: Of `_displaced_volume`.
+
+    Raises:
+        ContactError: If the shapes do not fit.
+    """
+    if weights.shape[1] != displacement.size:
+        raise ContactError(f"displacement: {displacement.size} cells, but weights for {weights.shape[1]}")
+    return np.asarray(weights @ displacement.ravel() - volume_m3 / BULGE_AREA_M2)
+
+
+def _electrode_counts(approach: Float64, rest: Float64, gain: Float64 | float = 1.0) -> Float64:
+    """Counts of electrodes, not yet rounded, in (0, 4095).
+
+    Args:
+        approach: (..., 24) float64 [m] of `_skin_approach`.
+        rest: (24,) counts without contact, above 0 and below 4095.
+        gain: Of each electrode, or of all.
+
+    Raises:
+        TactileError: If a rest is outside (0, 4095].
+    """
+    impedance_kohm = to_kohm(rest) * np.exp(np.clip(gain * approach / THINNING_M, -_MAX_EXPONENT, _MAX_EXPONENT))
+    return np.asarray(FULL_SCALE / (1.0 + impedance_kohm / _REFERENCE_KOHM))
+
+
+def quantise(counts: Float64) -> npt.NDArray[np.int64]:
+    """Round and clip to 0..4095 as the 12-bit converter does.
+
+    Raises:
+        TactileError: If a value is not finite: a converter has no such count.
+    """
+    if not np.isfinite(counts).all():
+        raise TactileError(f"counts: {np.count_nonzero(~np.isfinite(counts))} values are not finite")
+    return np.clip(np.rint(counts), 0, FULL_SCALE).astype(np.int64)

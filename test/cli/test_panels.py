@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands on the live screens of `run` and `record`, whole at 60 and at 80 columns by 24 lines."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from every_case import every_case
+from rich.console import Console
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from std_msgs.msg import Header
+
+from foretouch.cli.live import live_panel
+from foretouch.cli.record import record_panel
+from foretouch.cli.screen import FittedPanel
+from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg
+from foretouch.ros.nodes.monitor import NodeView, View
+from foretouch.types import Grasp, Touch, TouchPrediction
+from foretouch_msgs.msg import RecorderStatus, Status, TopicAccount, TouchPredictionArray
+
+HEIGHT = 24
+GRASP = Grasp(np.array([0.03, 0.0, 0.8]), np.array([-0.03, 0.0, 0.8]), np.eye(3), object_id="1")
+ELECTRODES = (np.linspace(2512.0, 3497.0, 24), np.linspace(2605.0, 3306.0, 24))
+TOUCH = Touch.from_vector(np.concatenate([[2779.0, 1676.0], *ELECTRODES]))
+
+
+def shifted(counts: float) -> Touch:
+    return Touch.from_vector(TOUCH.vector() + counts)
+
+
+def message(**fields: Any) -> Any:
+    made = prediction_to_msg(TouchPrediction(GRASP, TOUCH, **fields), grasp_to_msg(GRASP), Header())
+    made.model = "contact-v2"
+    return made
+
+
+def screen(panel: FittedPanel, width: int) -> set[str]:
+    """The words on a screen, none of which is cut."""
+    console = Console(width=width, height=HEIGHT, color_system=None)
+    lines = console.render_lines(panel, console.options.update(height=HEIGHT))
+    assert len(lines) == HEIGHT
+    text = ["".join(segment.text for segment in line).rstrip() for line in lines]
+    assert max(map(len, text)) <= width
+    assert not any("…" in line or "..." in line for line in text)
+    assert "\n".join(text).rstrip().endswith("╯")
+    return set(" ".join(text).replace("│", " ").split())
+
+
+def printed(panel: FittedPanel) -> str:
+    console = Console(width=100, color_system=None)
+    with console.capture() as captured:
+        console.print(panel)
+    return captured.get()
+
+
+def test_predicted_stands_against_read_whatever_else_there_is() -> None:
+    bounds = {"lower": shifted(-150.0), "upper": shifted(150.0)}
+    last = message(**bounds, reference="touches", flags=("unfamiliar", "out_of_range"))
+    view = View(last=TouchPredictionArray(predictions=[last] * 10))
+    readings: Any = SimpleNamespace(touch=shifted(21.0), tare=shifted(-200.0))
+    view.executed = (last, readings)
+    view.answers.update({"ok": 123, "no_object": 4})
+    view.reasons.update({"no point above the table stands out": 4})
+    for name in ("camera", "segmentation", "grasp", "touch_predictor", "hand", "markers"):
+        values = {"state": "active", "rate_hz": "29.97", "received": "12345", "used": "12333", "dropped.late": "12"}
+        values |= {"latency_ms.p50": "12.31", "latency_ms.p95": "145.63"}
+        view.nodes[f"/foretouch/{name}"] = NodeView(0, "", values)
+
+    def check(width: int) -> None:
+        words = screen(live_panel(view, "foretouch run: recording (Ctrl-C to end)"), width)
+        assert {"predicted", "read", "tare", "touch_predictor", "12345", "12333", "146"} <= words
+        assert {"2779", "±150", "2512–3497", "2605–3306", "2800", "2533–3518"} <= words
+
+    every_case([60, 80], check)
+
+
+def test_what_a_prediction_is_based_on_and_its_flags_are_shown() -> None:
+    view = View(last=TouchPredictionArray(predictions=[message(reference="touches", flags=("unfamiliar",))]))
+    values = {"state": "active", "touches": "3", "dropped.late": "12"}
+    view.nodes["/foretouch/touch_predictor"] = NodeView(1, "no camera", values)
+    text = printed(live_panel(view, "title"))
+    assert "±" not in text, "without a calibration there is no half width"
+    for words in ("2779", "2512–3497", "3 touches", "unfamiliar", "by contact-v2", "dropped 12 late", "no camera"):
+        assert words in text
+    assert "cloud only" in printed(live_panel(View(last=TouchPredictionArray(predictions=[message()])), "title"))
+    refused = refusal_to_msg(grasp_to_msg(GRASP), Header(), Status.BAD_GRASP, "grasp: too wide")
+    refused.grasp.g1.x = 1e160
+    assert "too wide" in printed(live_panel(View(last=TouchPredictionArray(predictions=[refused])), "title"))
+
+
+def topic(name: str, **fields: Any) -> TopicAccount:
+    return TopicAccount(topic=name, **fields)
+
+
+def test_the_state_of_a_recording_is_whole() -> None:
+    names = ("object_cloud", "table", "grasps", "touch", "executed_grasp")
+    lost: dict[str, Any] = {"drop_reasons": ["queue full"], "drop_counts": [3123], "lost": 5}
+    topics = [
+        topic(name, received=100123, written=97000, **lost)
+        for name in ("/rh/tactile", *(f"/foretouch/{name}" for name in names))
+    ]
+    states = ["alive", "frozen: the same 300 times, or simulated without noise", "no data"]
+    status = RecorderStatus(samples=12, sensors=["TH", "MF", "camera"], sensor_states=states, topics=topics)
+    status.reason = "disk full"
+
+    def check(width: int) -> None:
+        words = screen(record_panel(status, "foretouch record (Ctrl-C ends it)"), width)
+        assert {"100123", "97000", "executed_grasp", "disk", "frozen:", "camera"} <= words
+
+    every_case([60, 80], check)
+
+
+def test_what_was_dropped_and_why_and_which_sensor_is_dead_is_shown() -> None:
+    status = RecorderStatus(
+        recording=True,
+        samples=12,
+        last_sample="can/000012",
+        outcomes=["no_tare", "recorded"],
+        outcome_counts=[2, 12],
+        sensors=["TH", "MF"],
+        sensor_states=["alive", "frozen: the same 300 times"],
+        pairing_error=0.012,
+        pairing_error_max=0.034,
+        disk_left=600.0,
+        topics=[
+            topic("/rh/tactile", received=100, written=97, drop_reasons=["queue full"], drop_counts=[3]),
+            topic("/foretouch/grasps", lost=5),
+            topic("/foretouch/touch"),
+        ],
+    )
+    text = printed(record_panel(status, "title"))
+    for words in ("12 samples", "can/000012", "disk full in 10 min", "2 no tare", "12 recorded", "3 queue full"):
+        assert words in text
+    for words in ("pairing error 12 ms, at most 34", "MF frozen: the same 300 times", " grasps "):
+        assert words in text

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "simulation"))
+from steady_noise import steady_noise
+
+from foretouch.errors import TactileError
+from foretouch.simulation.disturbances import (
+    WANDER_COUNTS,
+    WANDER_S,
+    NoiseConfig,
+    TemperatureConfig,
+    creep,
+    fresh_samples,
+    hold_samples,
+    mask_dead_electrodes,
+    ou_noise,
+    slip_path,
+    temperature_drift,
+)
+
+RATE_HZ = 100.0
+
+
+def steady_touch(seed, rows=280):
+    """A steady touch with all the noise on, in whole counts."""
+    rng = np.random.default_rng(seed)
+    counts = 3400.0 + NoiseConfig().electrode_counts * rng.standard_normal((rows, 24))
+    counts += ou_noise(rows, 24, WANDER_COUNTS, WANDER_S, RATE_HZ, rng)
+    return np.rint(hold_samples(counts, fresh_samples(rows, 24, rng)))
+
+
+def repeats(series):
+    """Shares of values that repeat together with their neighbour in the ring, and again a row later."""
+    same = [np.diff(one, axis=0) == 0 for one in series]
+    side = np.mean([np.mean(one & np.roll(one, 1, axis=1)) for one in same])
+    return side, np.mean([np.mean(one[1:] & one[:-1]) for one in same])
+
+
+def test_simulated_noise_is_that_of_the_sensor():
+    """The bounds of 22 recordings of a BioTac SP in steady touch at 100 Hz."""
+    noise = steady_noise([steady_touch(seed) for seed in range(22)])
+    assert noise.sd == pytest.approx(4.4, abs=0.5)
+    assert noise.repeated == pytest.approx(0.35, abs=0.05)
+    assert noise.lag1 == pytest.approx(0.38, abs=0.08)
+
+
+@pytest.mark.real_data
+def test_recorded_noise_is_what_the_simulation_aims_at(real_data):
+    files = sorted((real_data / "biotac_steady_100hz").glob("*.csv"))
+    assert len(files) == 22
+    series = [np.loadtxt(file, delimiter=",", skiprows=1) for file in files]
+    made = [steady_touch(seed) for seed in range(22)]
+    recorded, simulated = steady_noise(series), steady_noise(made)
+    assert simulated.sd == pytest.approx(recorded.sd, abs=0.2)
+    assert simulated.repeated == pytest.approx(recorded.repeated, abs=0.02)
+    assert simulated.lag1 == pytest.approx(recorded.lag1, abs=0.06)
+    assert_allclose(repeats(made), repeats(series), atol=0.03)  # in blocks that move on
+
+
+def test_the_slow_fluctuation_has_its_deviation_and_memory(rng):
+    x = ou_noise(20000, 4, 3.0, 0.05, RATE_HZ, rng)
+    assert x.std() == pytest.approx(3.0, rel=0.1)
+    assert np.mean(x[5:] * x[:-5]) / x.var() == pytest.approx(np.exp(-1.0), abs=0.05)
+
+
+def test_scan_refreshes_the_ring_in_turn(rng):
+    fresh = fresh_samples(5000, 24, rng)
+    assert fresh[0].all()
+    assert fresh[1:].sum(axis=1).mean() == pytest.approx(16.8, rel=0.01)
+    edges = (fresh[1:] != np.roll(fresh[1:], 1, axis=1)).sum(axis=1)
+    assert set(edges.tolist()) <= {0, 2}  # one block of the ring a message
+
+
+def test_hold_repeats_the_last_fresh_value():
+    series = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0]])
+    fresh = np.array([[True, True], [False, True], [True, False]])
+    assert_allclose(hold_samples(series, fresh), [[1, 10], [1, 20], [3, 20]])
+    with pytest.raises(TactileError, match="1 channels have no first value"):
+        hold_samples(np.zeros((2, 2)), np.array([[True, False], [True, True]]))
+    with pytest.raises(TactileError, match=r"shape \(1, 2\) is not that of the series, \(2, 2\)"):
+        hold_samples(np.zeros((2, 2)), np.ones((1, 2), bool))
+
+
+def test_creep_is_that_of_a_standard_linear_solid():
+    step = np.append(0.0, np.full(1000, 100.0))
+    time = np.arange(1, 1001) / RATE_HZ
+    assert_allclose(creep(step, RATE_HZ, share=0.2, time_s=0.5)[1:], 100.0 * (1 - 0.2 * np.exp(-time / 0.5)))
+    assert_allclose(creep(np.full((50, 3), 7.0), RATE_HZ), 7.0, rtol=1e-12)
+    load = np.sin(np.linspace(0, np.pi, 200))
+    response = creep(load, RATE_HZ, share=0.3, time_s=0.5)
+    up, down = response[:100], response[:99:-1]
+    assert (up[10:90] < down[10:90]).all()  # a cycle encloses an area
+    assert_allclose(creep(load, RATE_HZ, share=0.0), load, rtol=1e-12)
+
+
+def test_drift_starts_at_power_on_and_ends_at_body_temperature():
+    config = TemperatureConfig()
+    drift = temperature_drift(config, np.array([0.0, config.warming_s, 1e9]))
+    kelvin = np.array([0.0, 3.0 * (1 - np.exp(-1)), 3.0])
+    assert_allclose(drift, np.outer(kelvin, [8.0] + [12.0] * 24))
+
+
+def test_a_dead_electrode_is_stuck_and_the_others_live():
+    series = np.arange(48.0).reshape(2, 24)
+    for stuck_at, value in (("low", 0.0), ("high", 4095.0), ("last", 2.0)):
+        dead = mask_dead_electrodes(series, [2], stuck_at)
+        assert_allclose(dead[:, 2], value)
+        assert_allclose(np.delete(dead, 2, axis=1), np.delete(series, 2, axis=1))
+    assert series[0, 2] == 2.0  # the caller's own is left alone
+    with pytest.raises(TactileError, match="dead: no electrode 24, there are 24"):
+        mask_dead_electrodes(series, [24])
+    with pytest.raises(TactileError, match="stuck_at: 'nan' is none of low, high, last"):
+        mask_dead_electrodes(series, [1], "nan")
+
+
+def test_slip_moves_forward_in_jumps_at_its_mean_speed(rng):
+    path = slip_path(200_000, RATE_HZ, rng, speed_m_s=0.01, length_m=0.002)
+    steps = np.diff(path)
+    assert path[0] == 0.0
+    assert steps.min() >= 0.0
+    assert path[-1] / (200_000 / RATE_HZ) == pytest.approx(0.01, rel=0.05)
+    assert np.mean(steps > 0) == pytest.approx(1 - np.exp(-0.05), rel=0.05)
+    assert len(slip_path(0, RATE_HZ, rng)) == 0

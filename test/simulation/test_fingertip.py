@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "contact"))
+from spread import grasps, spread
+
+from foretouch.errors import ContactError, TactileError
+from foretouch.simulation import fingertip
+from foretouch.simulation.contact import (
+    Command,
+    ContactProblem,
+    PadConfig,
+    contact_frame,
+    gap_field,
+    pad_direction,
+    pad_window,
+    solve_contact,
+)
+from foretouch.simulation.fingertip import FingerConfig, ThumbConfig, draw_finger, quantise, read_contact
+from foretouch.tactile import check_touch, electrode_normals, electrode_positions, to_kohm
+from foretouch.types import Touch
+
+PAD = PadConfig()
+THUMB = draw_finger(ThumbConfig(), np.random.default_rng(0))
+
+
+def pressed(force, pitch=0.0, roll=0.0):
+    """The pad on a plane."""
+    window = pad_window(PAD, pad_direction(pitch, roll))
+    problem = ContactProblem(gap_field(window.depth, np.zeros_like(window.x)), PAD.step_m, (PAD.layer,))
+    return window, solve_contact(problem, Command(force_n=force))
+
+
+def read(force, pitch=0.0, roll=0.0, finger=THUMB):
+    return read_contact(PAD, finger, *pressed(force, pitch, roll))
+
+
+# Readings.
+
+
+def test_no_force_reads_rest_to_the_bit():
+    assert_array_equal(read(0.0), np.append(THUMB.pdc_rest, THUMB.electrode_rest))
+
+
+def test_touch_raises_pdc_and_drops_the_electrodes_below():
+    two, four = read(2.0), read(4.0)
+    assert two[0] > THUMB.pdc_rest + 100
+    drop = THUMB.electrode_rest - two[1:]
+    assert drop[[4, 14]].min() > 150  # electrodes 5 and 15, under the contact
+    assert drop[[0, 9, 10, 19]].max() < 0  # far ones see the skin bulge
+    assert four[0] - two[0] < 0.1 * (two[0] - THUMB.pdc_rest)  # PDC levels off
+    assert four[1:].min() < two[1:].min() - 100
+
+
+def test_same_pdc_with_another_pattern():
+    left, right = read(3.0, 0.2, 0.3), read(3.0, 0.2, -0.3)
+    assert left[0] == pytest.approx(right[0], rel=1e-6)
+    assert np.abs(left[1:] - right[1:]).max() > 100
+
+
+def test_counts_are_whole_clipped_and_those_of_a_working_sensor():
+    middle = draw_finger(FingerConfig(), np.random.default_rng(1))
+    thumb, other = quantise(np.array([read(3.0), read(3.0, finger=middle)])).astype(float)
+    check = check_touch(Touch(thumb[0], other[0], thumb[1:], other[1:]))
+    assert check.valid
+    assert not check.out_of_range
+    assert_array_equal(quantise(np.array([1676.4, -3.0, 1.6, 5000.0])), [1676, 0, 2, 4095])
+    with pytest.raises(TactileError, match="counts: 1 values are not finite"):
+        quantise(np.array([1.0, np.nan]))
+
+
+def test_fingers_differ_by_seed():
+    one, two = (draw_finger(ThumbConfig(), np.random.default_rng(seed)) for seed in (0, 1))
+    assert np.abs(one.electrode_rest - two.electrode_rest).max() > 50
+
+
+def test_counts_spread_as_in_real_grasps():
+    """The benchmark's figures, on fewer grasps."""
+    for kind, median, percentile_99 in ((FingerConfig(), 72.0, 691.0), (ThumbConfig(), 117.0, 986.0)):
+        found = spread(*grasps(kind, 200, 7))
+        assert median / 1.5 < found["drop_median"] < median * 1.5
+        assert percentile_99 / 1.5 < found["drop_99"] < percentile_99 * 1.5
+        assert 0.65 < found["share_of_4"] < 0.85
+        assert abs(found["corr_pdc_mean_e"]) < 0.4
+
+
+# The liquid.
+
+
+def rise(force):
+    return read(force)[0] - THUMB.pdc_rest
+
+
+def test_pdc_is_linear_at_low_force_and_levels_off_near_two_newtons():
+    assert_allclose(rise(0.2) / rise(0.1), 2.0, rtol=0.02)
+    assert_allclose(rise(0.4) / rise(0.1), 4.0, rtol=0.06)
+    assert rise(2.0) > 0.85 * fingertip.PDC_SPAN
+    assert rise(2.0) - rise(1.0) < 0.5 * rise(1.0)
+    assert (rise(4.0) - rise(2.0)) / 2.0 < 0.1 * rise(1.0)
+
+
+def test_the_rim_responds_less_and_skin_on_the_core_displaces_no_more_liquid():
+    middle, rim = (fingertip._pdc_counts(contact_frame(PAD, pad_direction(0.0, a)), 1e-9, 0.0) for a in (0.0, 1.0))
+    assert rim == pytest.approx(np.cos(1.0) ** fingertip.RIM_POWER * middle)
+    deep = np.full((2, 2), 10 * fingertip.BOTTOMING_M)
+    assert fingertip._displaced_volume(deep, 1e-6) == pytest.approx(4e-6 * fingertip.BOTTOMING_M)
+    assert fingertip._displaced_volume(-deep, 1e-6) == 0.0
+
+
+# The electrodes.
+
+
+def weights_at(pitch, roll, pad=PAD, **options):
+    window = pad_window(pad, pad_direction(pitch, roll))
+    return fingertip._electrode_weights(pad, window.frame, window.points, **options)
+
+
+def test_nearest_electrodes_weigh_most_and_mirrored_places_alike():
+    totals = weights_at(0.0, 0.0).sum(axis=1)
+    below = np.linalg.norm(electrode_positions()[:, :2], axis=1)  # distance from the middle of the pad, in plan
+    assert np.argmax(totals) in np.argsort(below)[:4]
+    assert totals[[0, 9, 10, 19]].max() < 0.05  # tip and end, 10 mm away
+    left, right = weights_at(0.2, -0.4).sum(axis=1), weights_at(0.2, 0.4).sum(axis=1)
+    assert_allclose(left[[*range(10), 20, 21]], right[[*range(10, 20), 20, 22]], rtol=1e-9)
+
+
+def test_even_displacement_counts_fully_but_for_the_bend_of_the_skin():
+    totals = weights_at(0.0, 0.0, kernel_m=0.0008).sum(axis=1)
+    facing = electrode_normals() @ pad_direction(0.0, 0.0)
+    # once for the electrode that looks aside, once for cells that are seen foreshortened from the tangent plane
+    assert_allclose(totals[[4, 14]], facing[[4, 14]] ** 2, atol=0.02)
+
+
+def test_weights_depend_on_neither_the_grid_nor_cells_beside_the_pad():
+    coarse, fine = weights_at(0.1, 0.2), weights_at(0.1, 0.2, PAD.replace(cells=96))
+    assert_allclose(coarse.sum(axis=1), fine.sum(axis=1), atol=1e-3)
+    wide = PAD.replace(window_m=0.03, cells=30)
+    weights = weights_at(0.0, 0.9, wide)
+    assert np.isfinite(weights).all()
+    assert not weights[:, ~np.isfinite(pad_window(wide, pad_direction(0.0, 0.9)).depth).ravel()].any()
+
+
+def test_displaced_liquid_lifts_the_skin_elsewhere():
+    approach = fingertip._skin_approach(np.zeros((24, 4)), np.zeros((2, 2)), 1e-9)
+    assert_allclose(approach, -1e-9 / fingertip.BULGE_AREA_M2)
+    with pytest.raises(ContactError, match="displacement: 9 cells, but weights for 4"):
+        fingertip._skin_approach(np.zeros((24, 4)), np.zeros((3, 3)), 0.0)
+
+
+def test_closer_skin_raises_the_impedance_exponentially_and_crushed_skin_stays_finite():
+    counts = fingertip._electrode_counts(np.array([-1e-5, 0.0, fingertip.THINNING_M, 1e-4]), np.full(4, 3500.0))
+    assert (np.diff(counts) < 0).all()
+    assert_allclose(to_kohm(counts[1:3]) / to_kohm(3500.0), [1.0, np.e], rtol=1e-12)  # the inverse of the formula
+    assert_allclose(fingertip._electrode_counts(np.array([-1.0, 1.0]), np.full(2, 3500.0)), [4095.0, 0.0], atol=1e-6)
