@@ -29,6 +29,7 @@ from foretouch.ros.messages.clouds import objects_from_msg, objects_to_msg  # no
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg  # noqa: E402
 from foretouch.ros.messages.tactile import biotac_all_to_msg  # noqa: E402
 from foretouch.ros.touch.config import TouchPredictorConfig  # noqa: E402
+from foretouch.ros.touch.history_keeper import HistoryKeeper  # noqa: E402
 from foretouch.ros.touch.online_adapter import OnlineAdapter  # noqa: E402
 from foretouch.tactile.messages import TactileConfig, make_reader  # noqa: E402
 from foretouch.types import ASSUMED_TABLE, Cloud, Grasp, TouchPrediction  # noqa: E402
@@ -117,8 +118,10 @@ def can(points: int) -> Cloud:
 def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[float, ...]]:
     """By name, medians of the whole and, where the model is called, of what adaptation adds to it [ms]."""
     clock, settings = [time.time_ns()], TouchPredictorConfig()
-    history, alone_history = HandHistory(model), HandHistory(model)
-    adapter = OnlineAdapter(model, make_reader(TactileConfig()), history, lambda: settings, lambda: clock[0], print)
+    alone_history = HandHistory(model)
+    adapter = OnlineAdapter(
+        model, make_reader(TactileConfig()), HistoryKeeper(model), lambda: settings, lambda: clock[0], print
+    )
     hand = Hand(adapter, clock)
     grasps = [Grasp(np.array(G1), np.array(G2), np.eye(3), 1.0, f"g{k}", "1") for k in range(TOUCHES)]
     message = objects_to_msg([FoundObject("1", can(points), ASSUMED_TABLE)], FRAME, clock[0])
@@ -170,10 +173,11 @@ def measure(model: TouchModel, points: int, rounds: int) -> dict[str, tuple[floa
 
 def require_equal(model: Sequence[TouchPrediction], node: Sequence[TouchPrediction], adapter: OnlineAdapter) -> None:
     """End the program unless the predictor's prediction equals the model's with the same touches."""
-    if model[0].value is None or node[0].value is None or adapter.touches() != TOUCHES:
-        raise SystemExit(f"refused, or {adapter.touches()} of {TOUCHES} touches used: {adapter.notes()}")
+    notes = adapter.notes()
+    if model[0].value is None or node[0].value is None or int(notes["touches"]) != TOUCHES:
+        raise SystemExit(f"refused, or not all of {TOUCHES} touches used: {notes}")
     if not np.array_equal(model[0].value.vector(), node[0].value.vector()):
-        raise SystemExit(f"the prediction is not the model's: {adapter.notes()}")
+        raise SystemExit(f"the prediction is not the model's: {notes}")
 
 
 def main() -> None:
