@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -93,7 +93,7 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         config, source = self.config.camera.replace(**self._size), self.config.source
         if source not in {"device", "synthetic", "scene"}:
             config = config.replace(file=source)
-        self._camera = open_camera(config, self.synthetic, self._log_status)
+        self._camera = RealSenseCamera(config, self.synthetic, self._log_status)
         if self.synthetic is not None:
             self.synthetic.start()
         run = self.internal_errors.guarded("camera", self._run, lambda _, reason: self._fail(reason))
