@@ -216,12 +216,13 @@ def segmented() -> Kind:
 
 def object_clouds() -> Kind:
     """Object clouds."""
+    from foretouch.cloud.geometry.limits import ObjectLimits
     from foretouch.models.hand_history import ObjectSignature
     from foretouch.ros.messages.requests import read_targets
     from foretouch.types import ASSUMED_TABLE
 
     def read(message: Any) -> None:
-        for target in read_targets(message, ASSUMED_TABLE):
+        for target in read_targets(message, ASSUMED_TABLE, ObjectLimits()):
             ObjectSignature.of(target.cloud)
 
     return Kind(object_messages(), read)
@@ -229,6 +230,7 @@ def object_clouds() -> Kind:
 
 def planned() -> Kind:
     """Object clouds and a table through GeoGrasp, both methods."""
+    from foretouch.cloud.geometry.limits import ObjectLimits
     from foretouch.grasp import GeoGraspConfig, GraspHold
     from foretouch.pipeline import Pipeline, PipelineConfig
     from foretouch.ros.messages.requests import plan_targets, read_table, read_targets
@@ -239,7 +241,7 @@ def planned() -> Kind:
     def read(message: Any) -> None:
         plane = read_table(tables, tables.header)
         number = next(calls)
-        targets = read_targets(message, plane)[:3]
+        targets = read_targets(message, plane, ObjectLimits())[:3]
         hold = held if number % 2 else None
         answer = plan_targets(pipelines[number % 2], targets, message.header, "", hold, 1.0)
         if answer.status > 1 and not answer.reason:
@@ -304,7 +306,7 @@ def predicted() -> Kind:
 
     def read(request: Any) -> None:
         table = read_plane(request.table[0]) if request.table else None
-        targets = read_targets(request.cloud, table or ASSUMED_TABLE)
+        targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
         message = predictor.array(targets, request.grasps, request.cloud.header, config, posing)
         check_predictions(predictor.finish(message, 1.0, 0.5).message)
@@ -314,20 +316,16 @@ def predicted() -> Kind:
 
 def sampled() -> Kind:
     """Goals of `sample_grasps`."""
-    from foretouch.pipeline import PipelineConfig
     from foretouch.ros.touch.config import TouchPredictorConfig
-    from foretouch.ros.touch.grasp_sampler import GraspSampler
+    from foretouch.ros.touch.grasp_sampler import sample_grasps
 
     predictor, config = _predictor(), TouchPredictorConfig()
 
     def predict(target: Any, grasps: Any, header: Any) -> Any:
         return predictor.array([target], grasps, header, config).message.predictions
 
-    settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
-    sampler = GraspSampler(predict, settings, config.ranges, config.max_grasps)
-
     def read(goal: Any) -> None:
-        result = sampler.sample(goal, None, lambda _: None, lambda: False)
+        result = sample_grasps(goal, None, config, predict, lambda _: None, lambda: False)
         for one in result.predictions:
             check_predictions(SimpleNamespace(status=0, reason="", predictions=[one]))
 
@@ -338,15 +336,15 @@ def _adapter(type_name: str) -> tuple[Any, Any]:
     """The online adapter of the predictor and the assembler of the recorder, for a tactile type."""
     from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler
     from foretouch.models import load_model
-    from foretouch.models.hand_history import HandHistory
     from foretouch.ros.touch.config import TouchPredictorConfig
+    from foretouch.ros.touch.history_keeper import HistoryKeeper
     from foretouch.ros.touch.online_adapter import OnlineAdapter
     from foretouch.tactile.messages import TactileConfig, make_reader
 
     config = TouchPredictorConfig(tactile=TactileConfig(type=type_name))
     reader = make_reader(config.tactile)
     model = load_model("default")
-    adapter = OnlineAdapter(model, reader, HandHistory(model), lambda: config, lambda: NOW_NS, lambda _: None)
+    adapter = OnlineAdapter(model, reader, HistoryKeeper(model), lambda: config, lambda: NOW_NS, lambda _: None)
     settings = AssemblerConfig(object="can", unlabelled_s=0.0, assume_grasps=True, watch_sensors=True)
     return adapter, SampleAssembler(settings, reader)
 
@@ -368,7 +366,7 @@ def _tactile(type_name: str, valid: Sequence[Any]) -> Kind:
                 assembler.poll(number * 0.01)
         for one in accepted:
             finite("reading", one.counts)
-        if adapter.touches() > 10_000:
+        if int(adapter.notes()["touches"]) > 10_000:
             raise TactileError("too many touches")
 
     return Kind(valid, read)
