@@ -31,13 +31,14 @@ from benchmarks.fuzz.files import mutated
 from foretouch.cli.answers import answer_record
 from foretouch.cli.live import live_panel
 from foretouch.cli.output import print_json
+from foretouch.cloud.geometry.limits import ObjectLimits
 from foretouch.config import Settings
 from foretouch.dataset.messages import decode_grasp, has_orientation
 from foretouch.dataset.pairing import AssemblerConfig, SampleAssembler, SerializedCloud
 from foretouch.errors import ConfigError, ForetouchError, TactileError
 from foretouch.grasp import GeoGraspConfig, GraspHold
 from foretouch.models import load_model
-from foretouch.models.hand_history import Extent, HandHistory
+from foretouch.models.hand_history import Extent
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.messages.clouds import cloud_to_msg, object_to_msg, objects_to_msg
 from foretouch.ros.messages.conversions import (
@@ -53,7 +54,8 @@ from foretouch.ros.nodes.monitor import View
 from foretouch.ros.nodes.recorder import _decode_label
 from foretouch.ros.runtime.processing_node import warm_up_cloud
 from foretouch.ros.touch.config import TouchPredictorConfig
-from foretouch.ros.touch.grasp_sampler import GraspSampler
+from foretouch.ros.touch.grasp_sampler import sample_grasps
+from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.ros.touch.predictor import Predictor
 from foretouch.tactile.messages import TactileConfig, make_reader
@@ -190,7 +192,7 @@ def object_clouds() -> Reader:
     """Object clouds."""
 
     def read(message: Any) -> None:
-        for target in read_targets(message, ASSUMED_TABLE):
+        for target in read_targets(message, ASSUMED_TABLE, ObjectLimits()):
             Extent.of(target.cloud)
 
     return object_messages(), read
@@ -203,7 +205,7 @@ def planned() -> Reader:
 
     def read(message: Any) -> None:
         number = next(numbers)
-        targets = read_targets(message, read_table(table, table.header))[:3]
+        targets = read_targets(message, read_table(table, table.header), ObjectLimits())[:3]
         hold = held if number % 2 else None
         answer = plan_targets(pipelines[number % 2], targets, message.header, "", hold, 1.0)
         if answer.status > 1 and not answer.reason:
@@ -249,7 +251,7 @@ def predicted() -> Reader:
 
     def read(request: Any) -> None:
         table = read_plane(request.table[0]) if request.table else None
-        targets = read_targets(request.cloud, table or ASSUMED_TABLE)
+        targets = read_targets(request.cloud, table or ASSUMED_TABLE, config.limits)
         posing = config.grasp if table else None
         message = predictor.array(targets, request.grasps, request.cloud.header, config, posing)
         check_predictions(predictor.finish(message, 1.0, 0.5).message)
@@ -264,11 +266,8 @@ def sampled() -> Reader:
     def predict(target: Any, grasps: Any, header: Any) -> Any:
         return predictor.array([target], grasps, header, config).message.predictions
 
-    settings = PipelineConfig(grasp=config.grasp, limits=config.limits)
-    sampler = GraspSampler(predict, settings, config.ranges, config.max_grasps)
-
     def read(goal: Any) -> None:
-        result = sampler.sample(goal, None, lambda _: None, lambda: False)
+        result = sample_grasps(goal, None, config, predict, lambda _: None, lambda: False)
         check_predictions(SimpleNamespace(status=0, reason="", predictions=result.predictions))
 
     return [sample_goal()], read
@@ -280,8 +279,8 @@ class _Hand:
     def __init__(self, type_name: str = "foretouch_msgs/BiotacAll") -> None:
         config, model = TouchPredictorConfig(tactile=TactileConfig(type=type_name)), load_model()
         reader = make_reader(config.tactile)
-        history = HandHistory(model)
-        self.adapter = OnlineAdapter(model, reader, history, lambda: config, lambda: NOW_NS, lambda _: None)
+        keeper = HistoryKeeper(model)
+        self.adapter = OnlineAdapter(model, reader, keeper, lambda: config, lambda: NOW_NS, lambda _: None)
         settings = AssemblerConfig(object="can", unlabelled_s=0.0, assume_grasps=True, watch_sensors=True)
         self.assembler = SampleAssembler(settings, reader)
 
@@ -312,7 +311,7 @@ def _tactile(type_name: str, valid: Any) -> Reader:
                 hand.assembler.poll(number * 0.01)
         for one in accepted:
             finite("reading", one.counts)
-        if hand.adapter.touches() > 10_000:
+        if int(hand.adapter.notes()["touches"]) > 10_000:
             raise TactileError("too many touches")
 
     return [valid], read
