@@ -43,7 +43,8 @@ from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import PreparedCloud
-from foretouch.models.novelty import Fallback, object_sizes, standardisation
+from foretouch.models.novelty import Fallback, standardisation
+from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, columns
 from foretouch.types import Grasp
 

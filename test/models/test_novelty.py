@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.errors import CloudError, ModelError
 from foretouch.models.network.length_check import LengthRangeCheck
-from foretouch.models.novelty import Fallback, object_sizes
+from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 
 HERE = np.array([0.0, 0.0, 1.2])
 SIDES = np.array([[0.05, 0.08, 0.1], [0.06, 0.06, 0.15], [0.1, 0.12, 0.05]])

@@ -21,9 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from foretouch.cloud.geometry.columns import centred_columns, distances
 from foretouch.errors import ModelError
-from foretouch.models.contact.features import principal_axes, usable_points
 from foretouch.models.files import TensorRecord
 from foretouch.types import TOUCH_SIZE, Float32, Float64
 
@@ -40,19 +38,6 @@ def standardisation(rows: Float64) -> tuple[Float64, Float64]:
     """Mean and deviation of each column; 1 where a column is constant."""
     deviation = rows.std(axis=0)
     return rows.mean(axis=0), np.where(deviation > _CONSTANT, deviation, 1.0)
-
-
-def object_sizes(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
-    """(8,) float64 of (N, 3) points [m]: extents along x, y, z, principal deviations, radius, logarithm of their number.
-
-    Raises:
-        CloudError: If fewer than eight points are finite, or all are at one position.
-    """
-    points = usable_points(xyz)
-    _, columns = centred_columns(points)
-    centred = columns.T.copy()
-    deviations, _ = principal_axes(centred.T @ centred / len(centred))
-    return np.concatenate([np.ptp(points, axis=0), deviations, [distances(columns).max(), np.log(len(points))]])
 
 
 @dataclass(frozen=True, eq=False)

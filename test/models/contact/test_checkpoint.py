@@ -22,7 +22,8 @@ from foretouch.models.card import read_card
 from foretouch.models.contact.estimator import ContactEstimator, save_contact
 from foretouch.models.files import packed, read_tensors
 from foretouch.models.hand_history import HandHistory
-from foretouch.models.novelty import Fallback, object_sizes
+from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 from foretouch.models.registry import load_model
 from foretouch.models.touch_model import TouchModel
 from foretouch.tactile import P2_RANGES

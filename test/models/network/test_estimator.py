@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from foretouch.models.network.checkpoint import NetworkEstimator
 from foretouch.models.network.folding import fold
-from foretouch.models.novelty import Fallback, object_sizes
+from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 from foretouch.types import Cloud
 
 

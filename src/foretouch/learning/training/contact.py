@@ -20,7 +20,8 @@ from foretouch.models.contact.estimator import TOGETHER, ContactEstimator
 from foretouch.models.contact.features import CONDITIONS, HandFrameFeatures
 from foretouch.models.contact.novelty import NoveltyDetector
 from foretouch.models.contact.regressors import Forest, KernelRegression, laplacian
-from foretouch.models.novelty import object_sizes, standardisation
+from foretouch.models.novelty import standardisation
+from foretouch.models.object_shape import object_sizes
 from foretouch.tactile import MODALITIES, P2_RANGES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 

@@ -23,8 +23,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from foretouch.cloud.geometry.columns import centred_columns, distances, quantiles
-from foretouch.errors import CloudError
 from foretouch.kernels import Kernel
+from foretouch.models.object_shape import principal_axes, usable_points
 from foretouch.types import Float64, Grasp, stacked
 
 _GRID = (np.float64, np.int64, np.int32)
@@ -45,7 +45,6 @@ _UPPER: Final = np.array([0, 1, 2, 4, 5, 8])  # of a flat (3, 3)
 _SYMMETRIC: Final = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # a flat (3, 3) from its upper triangle
 _STEP: Final = 0.002  # about the distance of points: no object is thinner [m]
 _NOTHING: Final = 1e-12  # a smaller share of the points is none
-_MINIMUM_POINTS: Final = 8
 
 OBJECT_FEATURES: Final = (
     *(f"spread_{k}" for k in (1, 2, 3)),
@@ -81,24 +80,6 @@ FEATURES: Final = (
 """Names of all columns of `HandFrameFeatures.describe`."""
 
 SLOPE_FEATURES: Final = tuple(name for name in FEATURES if "_slope_" in name)
-
-
-def usable_points(xyz: np.ndarray[tuple[int, ...], np.dtype[np.floating]]) -> Float64:
-    """(M, 3) float64: the finite points of a cloud; raises `CloudError` if they show no shape."""
-    points = np.asarray(xyz, np.float64).reshape(-1, 3)
-    if not np.isfinite(points).all():
-        points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < _MINIMUM_POINTS:
-        raise CloudError(f"cloud: {len(points)} finite points are fewer than {_MINIMUM_POINTS}")
-    if (points == points[0]).all():
-        raise CloudError(f"cloud: all {len(points)} finite points are in one place")
-    return points
-
-
-def principal_axes(covariance: Float64) -> tuple[Float64, Float64]:
-    """(…, 3) standard deviations along the principal axes, ascending, and the axes as columns of (…, 3, 3)."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(values, 0.0)), axes
 
 
 class HandFrameFeatures:

@@ -28,7 +28,8 @@ from foretouch.models.network.folding import fold
 from foretouch.models.network.length_check import LengthRangeCheck, grasp_lengths
 from foretouch.models.network.networks import TouchNet
 from foretouch.models.network.preparation import prepare_cloud, prepare_grasps
-from foretouch.models.novelty import Fallback, object_sizes
+from foretouch.models.novelty import Fallback
+from foretouch.models.object_shape import object_sizes
 from foretouch.models.touch_model import Estimate, TouchModel
 from foretouch.tactile import MODALITIES, TactileRanges, columns
 from foretouch.types import TOUCH_SIZE, Cloud, Grasp
