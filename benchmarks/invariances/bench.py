@@ -455,6 +455,7 @@ def live(found: Found) -> None:
     except ImportError:
         print("no ROS 2: offline and live are not compared")
         return
+    from foretouch.cloud.geometry.limits import ObjectLimits
     from foretouch.dataset.messages import decode_grasp
     from foretouch.pipeline import Pipeline, PipelineConfig
 
@@ -467,7 +468,7 @@ def live(found: Found) -> None:
             scene = pipeline.segment(read_cloud(message))
             table = plane_from_msg(plane_to_msg(scene.targets[0].plane))
             assert table is not None
-            targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table)
+            targets = read_targets(objects_to_msg(scene.targets, cloud.frame_id, 0), table, ObjectLimits())
             planned = plan_targets(pipeline, targets, message.header)
             grasp = offline.targets[0].plan.grasps[0]
             sent = decode_grasp(planned.grasps[0])
