@@ -469,7 +469,7 @@ def _touch_slope(t: float, rng: np.random.Generator) -> tuple[float, float]:
 @kernel(
     "grip: shares of the weight",
     of="simulation.contact.grip.weigh",
-    error="of all forces / weight, of the moment / (weight · L)",
+    error="of all forces / weight",
     condition="1 + (|g1| + |g2| + |c|) / L",
     constant=0.5,
 )
@@ -489,7 +489,6 @@ def _weigh(t: float, rng: np.random.Generator) -> tuple[float, float]:
     error = max(
         gap(found.axial_n, w @ axis),
         gap(found.tangential_n, np.stack([(-across - couple) / 2, (-across + couple) / 2])),
-        gap(found.torsion_nm, moment @ axis) / float(length),
     )
     return 1.0 + float((norm(a) + norm(b) + norm(c)) / length), error / size
 

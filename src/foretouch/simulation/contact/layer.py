@@ -217,8 +217,8 @@ def solve_layer(
             )
         displacement = _displacements(problem, pressure)
     refuse_overload(problem, displacement, end.depth)
-    area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, end.depth)
+    force, cells = float(pressure.sum()) * problem.cell_m2, int(np.count_nonzero(pressure))
+    return ContactSolution(pressure, displacement, force, cells * problem.cell_m2, end.depth)
 
 
 def _box_around(pressure: Float64) -> tuple[slice, slice]:
