@@ -69,7 +69,7 @@ coverage: setup
 
 # Fails on a loss of more than 20 % of speed; make bench BENCH=--renew commits the ratios of this machine.
 bench: setup
-	$(BIN)/python benchmarks/guard/bench.py $(BENCH)
+	$(BIN)/python -m benchmarks.guard.bench $(BENCH)
 
 # The site, in build/docs; a warning is an error.
 docs: runtime

@@ -15,18 +15,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
+from every_case import every_case
 from recording_builders import write_dataset
-from scene_builders import write_scenes
+from scene_builders import scene_cloud, write_scenes
 
 from foretouch.cloud.io.files import write_cloud
-from foretouch.simulation.depth_scene import random_scene
+from foretouch.types import Cloud
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 CONFIG = Path(__file__).parents[1] / "config"
 PATIENCE_S = 100.0
@@ -45,7 +46,6 @@ class Abuse:
     words: str
     status: set[int]
     line: str = ""  # of stderr
-    ros: bool = False
     stdout: str = ""  # a path instead of a pipe, or `closed`
     limit: int | None = None  # of the size of any file that is written [bytes]
     head: bool = False  # read one line, then close the pipe
@@ -61,57 +61,66 @@ SIMULATE = f"simulate {CONFIG}/scenes/clean.yaml -n 400 -o %/store --workers 2"
 TRAIN = f"train {CONFIG}/train/touchnet-v1.yaml data=@/set -o %/run {' '.join(TINY)}"
 EXPERIMENT = f"experiment lookalikes --preset smoke --data {CONFIG}/scenes/deformables.yaml --workers 2 -o %/sweep"
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-
 ENDED = {0, *INTERRUPTED}
-KEYS = [
-    *(
-        Abuse(f"run, Ctrl-C after {t}", RUN, ENDED, ros=True, after=t)
-        for t in (0.0, 0.3, 0.7, 1.2, 1.8, 2.5, "stamp_ns")
-    ),
-    *(Abuse(f"record, Ctrl-C after {t}", RECORD, ENDED, ros=True, after=t) for t in (0.5, 1.5, 2.5, "recording")),
-    *(Abuse(f"replay, Ctrl-C after {t}", REPLAY, ENDED, ros=True, after=t) for t in (0.5, 1.5, 2.5)),
-    *(Abuse(f"simulate, Ctrl-C after {t}", SIMULATE, INTERRUPTED, "SIGINT", after=t) for t in (0.0, 0.7, 1.4, 2.2)),
-    *(Abuse(f"train, Ctrl-C after {t}", TRAIN, INTERRUPTED, "SIGINT", after=t) for t in (0.5, 2.0)),
-    *(Abuse(f"experiment, Ctrl-C after {t}", EXPERIMENT, ENDED, after=t) for t in (0.5, 1.5, 2.5)),
-    Abuse("run, SIGTERM", RUN, {0, 143, -15}, ros=True, number=signal.SIGTERM, after=2.0),
-    Abuse("simulate, SIGTERM", SIMULATE, {143, -15}, "SIGTERM", number=signal.SIGTERM, after=2.0),
-    Abuse("record, the terminal is closed", RECORD, {0, 129, -1}, ros=True, number=signal.SIGHUP, after="recording"),
-    Abuse("no camera, Ctrl-C", "run --source camera", {3, *INTERRUPTED}, ros=True, after=3.0),
-]
-MISTAKES = [
-    Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file", ros=True),
-    Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters", ros=True),
-    Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb", ros=True),
-    Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder", ros=True),
-    Abuse("absent recording", "replay @/none", {1}, "none: does not exist", ros=True),
-    Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not", ros=True),
-    Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such", ros=True),
-    Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written", ros=True),
-    Abuse("unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "a.npy: cannot be written"),
-    Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
-    Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "Format 'xyz' is not supported"),
-    Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
-    Abuse("full disk, table", "segment @/scene.npz", {1}, "output: No space left", stdout="/dev/full"),
-    Abuse("full disk, JSON", f"{RUN} --count 2", {1}, "output: No space left", ros=True, stdout="/dev/full"),
-    Abuse("full disk, simulation", SIMULATE, {1}, "store: cannot be written: File too large", limit=20_000),
-    Abuse("full disk, store", "dataset build @/set -o %/store", {1}, "cannot be written: File too large", limit=2_000),
-    Abuse("full disk, export", "dataset export @/set -o %/out --format npz", {1}, "File too large", limit=2_000),
-    Abuse("closed pipe, table", "experiment list", {0}, head=True),
-    Abuse("closed pipe, live", f"{RUN} --count 20", {0}, ros=True, head=True),
-    Abuse("closed stdout", "grasp @/scene.npz --json", {0}, stdout="closed"),
-    Abuse("locale without UTF-8", "predict @/object.pcd @/scene.npz", {0}, env=ASCII),
-    Abuse("locale without UTF-8, JSON", "segment @/scene.npz --json", {0}, env=ASCII),
-    Abuse("dumb terminal", "models", {0}, env={"TERM": "dumb"}),
-]
+
+SIGNALS = {
+    "run": [
+        *(Abuse(f"Ctrl-C after {t}", RUN, ENDED, after=t) for t in (0.0, 0.3, 0.7, 1.2, 1.8, 2.5, "stamp_ns")),
+        Abuse("SIGTERM", RUN, {0, 143, -15}, number=signal.SIGTERM, after=2.0),
+        Abuse("no camera, Ctrl-C", "run --source camera", {3, *INTERRUPTED}, after=3.0),
+    ],
+    "record and replay": [
+        *(Abuse(f"record, Ctrl-C after {t}", RECORD, ENDED, after=t) for t in (0.5, 1.5, 2.5, "recording")),
+        *(Abuse(f"replay, Ctrl-C after {t}", REPLAY, ENDED, after=t) for t in (0.5, 1.5, 2.5)),
+        Abuse("the terminal is closed", RECORD, {0, 129, -1}, number=signal.SIGHUP, after="recording"),
+    ],
+    "simulate, train and experiment": [
+        *(Abuse(f"simulate, Ctrl-C after {t}", SIMULATE, INTERRUPTED, "SIGINT", after=t) for t in (0.0, 0.7, 1.4, 2.2)),
+        *(Abuse(f"train, Ctrl-C after {t}", TRAIN, INTERRUPTED, "SIGINT", after=t) for t in (0.5, 2.0)),
+        *(Abuse(f"experiment, Ctrl-C after {t}", EXPERIMENT, ENDED, after=t) for t in (0.5, 1.5, 2.5)),
+        Abuse("simulate, SIGTERM", SIMULATE, {143, -15}, "SIGTERM", number=signal.SIGTERM, after=2.0),
+    ],
+}
+MISTAKES = {
+    "ros": [
+        Abuse("absent parameter file", f"{RUN} --params @/none.yaml", {1}, "none.yaml: No such file"),
+        Abuse("parameter file of no nodes", f"{RUN} --params @/flat.yaml", {1}, "holds no ros__parameters"),
+        Abuse("parameter of a wrong type", "record -o %/set --params @/many.yaml", {1}, "queue_mb"),
+        Abuse("absent model", f"{RUN} --model nope", {1}, "nope: is no run folder"),
+        Abuse("absent recording", "replay @/none", {1}, "none: does not exist"),
+        Abuse("no namespace", f"{RUN} --namespace 9", {1}, "namespace: '9' is not"),
+        Abuse("unwritable dataset", "record -o /proc/none/set --seconds 1", {1}, "/proc/none/set: No such"),
+        Abuse("unwritable picture", f"{RUN} --picture /proc/none/a.png", {1}, "a.png: cannot be written"),
+        Abuse("full disk, JSON", f"{RUN} --count 2", {1}, "output: No space left", stdout="/dev/full"),
+        Abuse("closed pipe, live", f"{RUN} --count 20", {0}, head=True),
+    ],
+    "files": [
+        Abuse(
+            "unwritable labels", "segment @/scene.npz --labels-out /proc/none/a.npy", {1}, "a.npy: cannot be written"
+        ),
+        Abuse("unwritable run", TRAIN.replace("%/run", "/proc/none/run"), {1}, "/proc/none"),
+        Abuse("picture of no format", "dataset show @/set -o %/a.xyz -n 1", {1}, "Format 'xyz' is not supported"),
+        Abuse("no cloud at all", "segment @/junk.pcd @/empty.mcap @ @/none", {1}, "junk.pcd: header"),
+        Abuse("full disk, table", "segment @/scene.npz", {1}, "output: No space left", stdout="/dev/full"),
+        Abuse("full disk, simulation", SIMULATE, {1}, "store: cannot be written: File too large", limit=20_000),
+        Abuse("full disk, store", "dataset build @/set -o %/store", {1}, "written: File too large", limit=2_000),
+        Abuse("full disk, export", "dataset export @/set -o %/out --format npz", {1}, "File too large", limit=2_000),
+        Abuse("closed pipe, table", "experiment list", {0}, head=True),
+        Abuse("closed stdout", "grasp @/scene.npz --json", {0}, stdout="closed"),
+        Abuse("locale without UTF-8", "predict @/object.pcd @/scene.npz", {0}, env=ASCII),
+        Abuse("locale without UTF-8, JSON", "segment @/scene.npz --json", {0}, env=ASCII),
+        Abuse("dumb terminal", "models", {0}, env={"TERM": "dumb"}),
+    ],
+}
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     write_scenes(folder / "recording", 40)
-    image = random_scene(np.random.default_rng(3), width=424, height=240, n_objects=2).render()
-    write_cloud(folder / "scene.npz", image.cloud())
-    write_cloud(folder / "object.pcd", image.cloud().take(image.labels == 2))
+    cloud = scene_cloud(3, objects=2, width=424)
+    write_cloud(folder / "scene.npz", cloud)
+    write_cloud(folder / "object.pcd", Cloud(cloud.xyz[100:140, 200:240].reshape(-1, 3)))
     write_dataset(folder / "set", 8, points=100)
     (folder / "junk.pcd").write_bytes(bytes(range(256)))
     (folder / "empty.mcap").touch()
@@ -121,36 +130,34 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def environment() -> dict[str, str]:
-    """A DDS domain that tests of the nodes do not take (see `cli/conftest.py`), and no terminal."""
-    return {
+def start(files: Path) -> Callable[[Abuse, Path], subprocess.Popen[bytes]]:
+    """Starts a command as the leader of a session of its own, as a terminal does, in a DDS domain of these tests."""
+    environment = {
         **os.environ,
         "ROS_DOMAIN_ID": str(76 + os.getpid() % 25),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "TERM": "xterm",
     }
 
+    def run(abuse: Abuse, folder: Path) -> subprocess.Popen[bytes]:
+        words = [word.replace("@", str(files), 1).replace("%", str(folder), 1) for word in abuse.words.split()]
+        command = [sys.executable, "-m", "foretouch.cli.main", *words]
+        if abuse.stdout == "closed":
+            command = ["sh", "-c", 'exec "$@" >&- <&-', "sh", *command]
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=os.open(abuse.stdout, os.O_WRONLY) if abuse.stdout.startswith("/") else subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**environment, **abuse.env},
+            start_new_session=True,
+            bufsize=0,  # or `readline` would take more than a line, which `communicate` then lacks
+        )
+        if abuse.limit is not None:
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (abuse.limit, abuse.limit))
+        return process
 
-def start(abuse: Abuse, folder: Path, files: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
-    """The command as the leader of a session of its own, as a terminal starts it."""
-    words = [word.replace("@", str(files), 1).replace("%", str(folder), 1) for word in abuse.words.split()]
-    command = [sys.executable, "-m", "foretouch.cli.main", *words]
-    if abuse.stdout == "closed":
-        command = ["sh", "-c", 'exec "$@" >&- <&-', "sh", *command]
-
-    out = os.open(abuse.stdout, os.O_WRONLY) if abuse.stdout.startswith("/") else subprocess.PIPE
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=out,
-        stderr=subprocess.PIPE,
-        env={**environment, **abuse.env},
-        start_new_session=True,
-        bufsize=0,  # or `readline` would take more than a line, which `communicate` then lacks
-    )
-    if abuse.limit is not None:
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (abuse.limit, abuse.limit))
-    return process
+    return run
 
 
 def wait_for(abuse: Abuse, process: subprocess.Popen[bytes]) -> None:
@@ -187,82 +194,86 @@ def members(session: int) -> Iterator[str]:
             continue
 
 
-def check_end(abuse: Abuse, process: subprocess.Popen[bytes], err: str) -> None:
+def check_end(abuse: Abuse, process: subprocess.Popen[bytes], out: bytes, err: str) -> None:
     assert process.returncode in abuse.status, f"exit status {process.returncode}: {err}"
     for word in ("Traceback", "Exception ignored", "Error in", "terminate called"):
         assert word not in err, err
-    if abuse.line:
-        assert abuse.line in err, err
+    assert abuse.line in err, err
     lines = [line for line in err.splitlines() if line.startswith("foretouch: ")]
+    assert bool(lines) >= (process.returncode > 0), err
     assert len(lines) <= 5, err
-    if process.returncode > 0:
-        assert lines, err
     end = time.monotonic() + 20.0
     while left := list(members(process.pid)):
         assert time.monotonic() < end, left
         time.sleep(0.05)
-
-
-def marked(abuses: list[Abuse]) -> list[Any]:
-    return [pytest.param(one, id=one.name, marks=[pytest.mark.ros] if one.ros else []) for one in abuses]
-
-
-@pytest.mark.parametrize("abuse", marked(KEYS))
-def test_a_signal_at_any_moment_ends_it_in_order(
-    abuse: Abuse, files: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
-    if abuse.ros:
-        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    process = start(abuse, tmp_path, files, environment)
-    wait_for(abuse, process)
-    out = b""
-    for _ in range(2):  # a second Ctrl-C, as a person sends it, if a library has lost the first
-        if process.poll() is None:
-            os.killpg(process.pid, abuse.number) if abuse.number == signal.SIGINT else process.send_signal(abuse.number)
-        try:
-            out, err = process.communicate(timeout=PATIENCE_S / 2)
-            break
-        except subprocess.TimeoutExpired:
-            continue
-    else:
-        os.killpg(process.pid, signal.SIGKILL)
-        out, err = process.communicate()
-        pytest.fail(f"did not end: {err.decode()}")
-    check_end(abuse, process, err.decode())
     if "--json" in abuse.words:
         assert all(isinstance(json.loads(line), dict) for line in out.splitlines())
-    hidden = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
-    assert hidden == [], "a half-written output is left"
-
-
-@pytest.mark.parametrize("abuse", marked(MISTAKES))
-def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
-    abuse: Abuse, files: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
-    if abuse.ros:
-        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    process = start(abuse, tmp_path, files, environment)
-    assert process.stderr is not None
-    out = b""
-    if abuse.head:
-        assert process.stdout is not None
-        assert process.stdout.readline()
-        process.stdout.close()
-        err = process.stderr.read()
-        process.wait(PATIENCE_S)
-    else:
-        out, err = process.communicate(timeout=PATIENCE_S)
-    check_end(abuse, process, err.decode())
-    if "--json" in abuse.words and not abuse.head:
-        assert all(isinstance(json.loads(line), dict) for line in (out or b"").splitlines())
 
 
 @pytest.mark.ros
-def test_a_second_graph_in_the_namespace_is_named(files: Path, environment: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("commands", SIGNALS)
+def test_a_signal_at_any_moment_ends_it_in_order(
+    commands: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    words = "replay @/recording --no-wait --rate 8 --json"
-    both = [start(Abuse("two graphs", words, {0}), tmp_path, files, environment) for _ in range(2)]
-    ends = [process.communicate(timeout=PATIENCE_S) for process in both]
+
+    def check(abuse: Abuse) -> None:
+        folder = tmp_path / abuse.name
+        folder.mkdir()
+        process = start(abuse, folder)
+        wait_for(abuse, process)
+        for _ in range(2):  # a second Ctrl-C, as a person sends it, if a library has lost the first
+            if process.poll() is None:
+                send = os.killpg if abuse.number == signal.SIGINT else os.kill
+                send(process.pid, abuse.number)
+            try:
+                out, err = process.communicate(timeout=PATIENCE_S / 2)
+                break
+            except subprocess.TimeoutExpired:
+                continue
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+            pytest.fail(f"did not end: {process.communicate()[1].decode()}")
+        check_end(abuse, process, out, err.decode())
+        hidden = [path.name for path in folder.iterdir() if path.name.startswith(".")]
+        assert hidden == [], "a half-written output is left"
+
+    every_case({one.name: one for one in SIGNALS[commands]}, check)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_or_a_fault_outside_is_told_in_one_line(
+    kind: str, start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    if kind == "ros":
+        pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+    def check(abuse: Abuse) -> None:
+        folder = tmp_path / abuse.name
+        folder.mkdir()
+        process, out = start(abuse, folder), b""
+        if abuse.head:
+            assert process.stdout is not None
+            assert process.stderr is not None
+            assert process.stdout.readline()
+            process.stdout.close()
+            err = process.stderr.read()
+            process.wait(PATIENCE_S)
+        else:
+            out, err = process.communicate(timeout=PATIENCE_S)
+        check_end(abuse, process, out or b"", err.decode())
+
+    every_case({one.name: one for one in MISTAKES[kind]}, check)
+
+
+@pytest.mark.ros
+def test_a_second_graph_in_the_namespace_is_named(
+    start: Callable[[Abuse, Path], subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    abuse = Abuse("two graphs", "replay @/recording --no-wait --rate 8 --json", {0})
+    ends = [process.communicate(timeout=PATIENCE_S) for process in [start(abuse, tmp_path) for _ in range(2)]]
     named = [json.loads(out)["conflicts"] for out, _ in ends]
     assert any("2 nodes are named /foretouch/replay" in text for found in named for text in found), named
     assert any("a second graph or source runs in the namespace" in err.decode() for _, err in ends)

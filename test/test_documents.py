@@ -24,7 +24,7 @@ DOCS = ROOT / "docs"
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?P<target>[^)\s#]*)(?:#(?P<anchor>[^)\s]*))?\)")
 MARKDOWN = [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("benchmarks/**/*.md"), *ROOT.glob("examples/*.md")]
-KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|\.tell\(\)""")  # quoted names, *titles* and `file.tell()`
+KEY = re.compile(r"""(["'`])[\w./:]+\1|\*[A-Za-z][^*]+\*|(\.|def )tell\(""")  # quoted names, *titles*, `file.tell()`
 CSV_VALUES = {("ablation/results.py", "leaned"), ("lookalikes/__init__.py", "told")}  # written in committed results
 
 

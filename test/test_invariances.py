@@ -16,6 +16,8 @@ import pytest
 from foretouch.models import load_model
 from foretouch.simulation.depth_scene import random_scene
 
+pytestmark = pytest.mark.committed_numbers
+
 FOLDER = Path(__file__).parents[1] / "benchmarks" / "invariances"
 FAST = ("order of points", "shift 1 mm", "mirror", "one far outlier", "jitter 1 µm")
 

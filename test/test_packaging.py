@@ -39,50 +39,46 @@ PACKAGES = [
 ]
 
 
-@pytest.mark.parametrize("folder", [".", "foretouch_msgs"])
-def test_package_xml_has_our_version(folder: str) -> None:
-    version = ET.parse(ROOT / folder / "package.xml").getroot().findtext("version")
-    assert version == foretouch.__version__
-
-
-def test_the_installed_messages_have_our_version() -> None:
+def test_the_version_is_one() -> None:
+    for folder in (".", "foretouch_msgs"):
+        version = ET.parse(ROOT / folder / "package.xml").getroot().findtext("version")
+        assert version == foretouch.__version__, folder
     pytest.importorskip("foretouch_msgs", reason="foretouch_msgs is not installed")
     assert metadata.version("foretouch_msgs") == foretouch.__version__
 
 
+def run_python(code: str, timeout_s: float = 120.0, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s, **options)
+
+
+@pytest.mark.slow
 def test_every_core_module_imports_without_ros() -> None:
     names = [f"foretouch.{package}" for package in PACKAGES]
     for package in PACKAGES:
         folder = ROOT / "src" / "foretouch" / package
         if folder.is_dir():
             names += [f"foretouch.{package}.{module.name}" for module in pkgutil.iter_modules([str(folder)])]
-    code = (
+    done = run_python(
         f"import importlib, sys\nfor name in {names!r}: importlib.import_module(name)\n"
         "print([name for name in sys.modules if name == 'rclpy' or name.endswith('_msgs')])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
 
 
-def test_help_does_not_wait_for_heavy_libraries() -> None:
-    code = (
+def test_help_answers_at_once_and_without_heavy_libraries() -> None:
+    done = run_python(
         "import sys\nfrom foretouch.cli.main import main\n"
         "try: main(['predict', '--help'])\nexcept SystemExit: pass\n"
         "print([n for n in ('torch', 'open3d', 'scipy', 'rclpy', 'matplotlib', 'rosbags') if n in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert done.stdout.strip().endswith("[]")
-
-
-def test_help_answers_at_once() -> None:
-    best = min(_cpu_seconds_of_help() for _ in range(3))
-    assert best < 0.3
+    assert done.stdout.strip().endswith("[]"), done.stderr
+    assert min(_cpu_seconds_of_help() for _ in range(3)) < 0.3
 
 
 def _cpu_seconds_of_help() -> float:
-    before = os.times()
-    began = time.perf_counter()
+    before, began = os.times(), time.perf_counter()
     subprocess.run([sys.executable, "-m", "foretouch.cli.main", "--help"], capture_output=True, check=True, timeout=60)
     after = os.times()
     used = after.children_user - before.children_user + after.children_system - before.children_system
@@ -99,6 +95,8 @@ IMPORT_NAMES = {  # of distributions whose modules are named otherwise
     "foxglove-sdk": "foxglove",
 }
 NOT_IN_ROSDEP = {"torch", "safetensors", "embreex", "mcap", "pyarrow", "rosbags", "threadpoolctl", "lzf"}
+OPTIONAL = ("camera", "sweep", "tensorboard", "open3d", "view", "serve")
+ONLY_IN_FULL_ROS = {"sr_robot_msgs"}
 COMES_WITH = {"mpl_toolkits": "matplotlib"}
 
 
@@ -127,30 +125,18 @@ def required(*extras: str | None) -> dict[str, Requirement]:
 def test_the_metadata_requires_what_is_imported() -> None:
     ros = {name.removeprefix("ros_") for name in required("ros")}
     assert ros == {name.removeprefix("ros_jazzy_") for name in required("jazzy")}
-    from_ros = {
-        *ros,
-        "foretouch_msgs",
-        "rcl_interfaces",
-        "builtin_interfaces",
-        "std_msgs",
-        "ament_index_python",
-        "action_msgs",
-    }
-    optional = set(required("camera", "sweep", "tensorboard", "open3d", "view", "serve"))
-    only_in_full_ros = {"sr_robot_msgs"}
-    needed = imported("src") - from_ros - optional - only_in_full_ros
+    others = {"foretouch_msgs", "rcl_interfaces", "builtin_interfaces", "std_msgs", "ament_index_python", "action_msgs"}
+    needed = imported("src") - ros - others - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS
     assert needed == set(required(None))
 
 
 def test_package_xml_declares_what_is_imported() -> None:
     declared = {one.text or "" for one in ET.parse(ROOT / "package.xml").getroot().findall("exec_depend")}
-    modules = {
-        {"python3-yaml": "yaml", "python3-pil": "PIL"}.get(name, name.removeprefix("python3-")) for name in declared
-    }
-    optional = set(required("camera", "sweep", "tensorboard", "open3d", "view", "serve")) | {"sr_robot_msgs"}
-    undeclared = imported("src", "launch") - modules - optional - NOT_IN_ROSDEP
-    assert undeclared == set()
-    assert modules - imported("src", "launch") == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle
+    renamed = {"pil": "PIL"}
+    modules = {renamed.get(name, name) for name in (one.removeprefix("python3-") for one in declared)}
+    needed = imported("src", "launch")
+    assert needed - modules - set(required(*OPTIONAL)) - ONLY_IN_FULL_ROS - NOT_IN_ROSDEP == set()
+    assert modules - needed == {"rviz2", "lifecycle_msgs"}  # of a launch file; of rclpy's lifecycle
 
 
 def test_the_installation_page_installs_what_rosdep_does_not_know() -> None:
@@ -180,7 +166,7 @@ def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = folder / "source"  # built in a copy: setuptools leaves its build folder beside setup.py
     shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "build", "test", "docs", "benchmarks", "*.so"))
     code = f"import sys; sys.path.insert(0, ''); from setuptools import build_meta; build_meta.build_wheel({str(folder)!r})"
-    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True, check=False)
+    done = run_python(code, cwd=source)
     assert done.returncode == 0, done.stderr[-2000:]
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -188,6 +174,7 @@ def unpacked_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_the_wheel_predicts_without_ros(unpacked_wheel: Path, tmp_path: Path) -> None:
     """In a process in which nothing of ROS can be imported, with nothing but the wheel."""
     rng = np.random.default_rng(0)
@@ -205,21 +192,9 @@ def test_the_wheel_predicts_without_ros(unpacked_wheel: Path, tmp_path: Path) ->
         "from foretouch.cli.main import main\n"
         f"sys.exit(main(['predict', {str(tmp_path / 'can.npz')!r}, '--json']))\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(unpacked_wheel)}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        env=environment,
-        cwd=tmp_path,
-    )
+    done = run_python(code, env={**os.environ, "PYTHONPATH": str(unpacked_wheel)}, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[0])["predictions"][0]["PDC_TH"]["value"] > 0.0
-
-
-def test_the_wheel_holds_metadata_that_pip_needs(unpacked_wheel: Path) -> None:
     (file,) = unpacked_wheel.glob("*.dist-info/METADATA")
     text = file.read_text(encoding="utf-8")
     assert "Requires-Python: >=3.11" in text

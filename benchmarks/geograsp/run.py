@@ -10,14 +10,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-import baseline
 import numpy as np
-import parity
 
+from benchmarks.common import add_data, cpu_ms, print_rows
+from benchmarks.geograsp import baseline, parity
 from foretouch.cloud.geometry.pcl_filters import inlier_mask
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.io.files import read_cloud
@@ -34,7 +33,7 @@ TARGETS_MS = {"depth image, pixels known": (4.0, 7.0), "stable, pixels known": (
 def main() -> int:
     """Check that the results are equal, then measure. Exit status 1 if they are not."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of recordings")
+    add_data(arguments)
     arguments.add_argument("--repeat", type=int, default=5, help="runs of each cloud, of which the fastest is used")
     arguments.add_argument("--every", type=int, default=1, help="use every n-th cloud and row only")
     arguments.add_argument("--fast", action="store_true", help=f"leave out {SLOW!r}, which takes most of the time")
@@ -77,13 +76,13 @@ def measure(data: Path, every: int, repeat: int, slow: bool) -> None:
         for name, job in _variants(read_cloud(path), rng).items():
             if name == SLOW and not slow:
                 continue
-            runs = [_cpu_ms(job) for _ in range(1 if name == SLOW else repeat)]
-            times.setdefault(name, []).append(min(runs))  # other load can only increase it
+            times.setdefault(name, []).append(cpu_ms(job, 1 if name == SLOW else repeat, least=True))
     print(f"\nCPU ms a cloud, one thread, top view, tip 25, {len(next(iter(times.values())))} clouds")
-    print(f"{'':38}{'median':>8}{'p95':>8}{'mean':>8}   target")
-    for name, values in times.items():
-        target = " / ".join(f"{limit:g}" for limit in TARGETS_MS.get(name, ()))
-        print(f"{name:38}{np.median(values):8.1f}{np.percentile(values, 95):8.1f}{np.mean(values):8.1f}   {target}")
+    print_rows([
+        {"": name, "median": float(np.median(values)), "p95": float(np.percentile(values, 95)),
+         "mean": float(np.mean(values)), "target": " / ".join(f"{limit:g}" for limit in TARGETS_MS.get(name, ()))}
+        for name, values in times.items()
+    ])  # fmt: skip
 
 
 def _variants(cloud: Cloud, rng: np.random.Generator) -> dict[str, Callable[[], object]]:
@@ -110,12 +109,6 @@ def _variants(cloud: Cloud, rng: np.random.Generator) -> dict[str, Callable[[], 
         "SciPy, outliers only": lambda: baseline.inliers(xyz, CONFIG),
     }
     return {**ours, **peers}
-
-
-def _cpu_ms(job: Callable[[], object]) -> float:
-    start = time.thread_time()
-    job()
-    return (time.thread_time() - start) * 1e3
 
 
 def _paths(data: Path) -> list[Path]:

@@ -7,7 +7,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import csv
 import math
 import statistics
 import sys
@@ -17,7 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from cases import Case, all_cases, why_not
+
+from benchmarks.common import read_csv, write_csv
+from benchmarks.guard.cases import Case, all_cases, require_close, why_not
 
 RATIOS = Path(__file__).parent / "ratios.csv"
 ALLOWED = 0.8  # of the committed ratio: a loss of 20 %
@@ -56,10 +57,7 @@ class Runner:
             return
         first, second = (job() for job in self._jobs)
         if first is not None and second is not None:
-            difference = largest_difference(first, second)
-            print(f"  {case.name}: answers differ by {difference:.1e}, allowed {case.gap:g}")
-            if not difference <= case.gap:
-                raise SystemExit(f"{case.name}: its answer is not that of {case.peer}; nothing is timed")
+            require_close(case.name, largest_difference(first, second), case.gap)
         self._calls = [max(1, math.ceil(_TURN_S / max(self._turn(job, 1), 1e-6))) for job in self._jobs]
 
     def measure(self) -> Measured:
@@ -108,10 +106,7 @@ def guard(runners: Sequence[Runner], committed: Mapping[str, float]) -> dict[str
 
 def read_ratios(path: Path) -> dict[str, float]:
     """Committed ratios by name."""
-    if not path.is_file():
-        return {}
-    with path.open(encoding="utf-8") as file:
-        return {row["name"]: float(row["ratio"]) for row in csv.DictReader(file)}
+    return {row["name"]: float(row["ratio"]) for row in read_csv(path)}
 
 
 def renew(runners: Sequence[Runner], path: Path, count: int = RENEWED) -> None:
@@ -121,10 +116,7 @@ def renew(runners: Sequence[Runner], path: Path, count: int = RENEWED) -> None:
         for one in runners:
             found.setdefault(one.case.name, []).append(one.measure())
             print(f"  {one.case.name}: {found[one.case.name][-1].ratio:.3g}", flush=True)
-    rows: dict[str, dict[str, str]] = {}
-    if path.is_file():
-        with path.open(encoding="utf-8") as file:
-            rows = {row["name"]: row for row in csv.DictReader(file)}
+    rows = {row["name"]: row for row in read_csv(path)}
     for one in runners:
         measured = found[one.case.name]
         rows[one.case.name] = {
@@ -133,11 +125,7 @@ def renew(runners: Sequence[Runner], path: Path, count: int = RENEWED) -> None:
             "ratio": f"{statistics.median(each.ratio for each in measured):.4g}",
             "cpu_ms": f"{1e3 * statistics.median(each.ours_s for each in measured):.4g}",
         }
-    order = [case.name for case in all_cases() if case.name in rows]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["name", "peer", "ratio", "cpu_ms"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows[name] for name in order)
+    write_csv(path, [rows[case.name] for case in all_cases() if case.name in rows])
 
 
 def table(runners: Sequence[Runner], best: Mapping[str, Measured], committed: Mapping[str, float]) -> bool:

@@ -12,22 +12,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from benchmarks.common import scene
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.grasp.config import LiveGeoGraspConfig
 from foretouch.models.registry import load_model
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import random_scene
+from foretouch.simulation.effects import EFFECTS
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.world import SampleKey
 from foretouch.types import Cloud, Float64, Grasp
 
-BENCHMARKS = Path(__file__).parents[1]
 _LONGEST_S = 400.0  # of one run of the graph, on a machine with other work
 COUNTED = (20, 100)  # clouds of the two runs of the graph; their difference holds no start
 
@@ -54,21 +56,11 @@ def why_not(case: Case) -> str:
     return ""
 
 
-@cache
-def script(folder: str, name: str) -> ModuleType:
-    """A module of another benchmark, with the modules beside it."""
-    path = BENCHMARKS / folder / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"{folder}_{name}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    sys.path.insert(0, str(path.parent))
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(path.parent))
-    return module
+def require_close(name: str, difference: float, gap: float) -> None:
+    """Stop where answers differ; those of a NaN do."""
+    print(f"  {name}: answers differ by {difference:.1e}, allowed {gap:g}")
+    if not difference <= gap:
+        raise SystemExit(f"{name}: its answer is not that of its peer; nothing is timed")
 
 
 @cache
@@ -140,9 +132,10 @@ def geograsp(config: GeoGraspConfig) -> Job:
 
 def geograsp_against_scipy() -> tuple[Job, Job]:
     """The baseline of benchmarks/geograsp, on the points that `max_points` leaves."""
+    from benchmarks.geograsp import baseline
     from foretouch.grasp.preprocessing import finite_points
 
-    one, config, baseline = target(), GeoGraspConfig(), script("geograsp", "baseline")
+    one, config = target(), GeoGraspConfig()
     thinned = finite_points(one.cloud, one.pixels, one.image_shape).downsampled(config).xyz
 
     def peer() -> Float64:
@@ -163,9 +156,10 @@ def touch(model: str, count: int) -> Job:
 
 
 def networks() -> tuple[Job, Job]:
-    """One shared network of P2's width against four eager ones in the papers' layout, for one grasp."""
+    """One shared network of P2's width against four eager ones in the layout of most public PointNets, for one grasp."""
     import torch
 
+    from benchmarks.guard.eager import channels_first, made_net
     from foretouch.models.network.checkpoint import Member, NetworkEstimator
     from foretouch.models.network.config import ModelConfig
     from foretouch.models.network.folding import fold
@@ -173,44 +167,34 @@ def networks() -> tuple[Job, Job]:
     from foretouch.tactile import MODALITIES
 
     torch.set_num_threads(1)
-    bench = script("network", "bench")
-    shared = bench.make_net(ModelConfig(), 0)
-    four = [bench.make_net(ModelConfig(outputs=(name,)), k) for k, name in enumerate(MODALITIES)]
-    eager = [bench.ChannelsFirst(net).eval() for net in four]
-    points, grasp = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15)
-    folded = fold(shared)
+    shared = made_net(ModelConfig(), 0)
+    four = [made_net(ModelConfig(outputs=(name,)), k) for k, name in enumerate(MODALITIES)]
+    eager = [channels_first(net) for net in four]
+    points, grasp, folded = torch.randn(1, 750, 3) * 0.4, torch.randn(1, 15), fold(shared)
     with torch.inference_mode():
-        bench.prove_equal(
-            "the shared network, folded and eager",
-            folded.regress(folded.features(points[0]), grasp) - shared.counts(points, grasp),
-        )
-        for net, convolved in zip(four, eager, strict=True):
-            bench.prove_equal(
-                f"{net.config.outputs[0]}, rows and channels first",
-                net.counts(points, grasp) - convolved(points, grasp),
-            )
+        pairs = [(folded.regress(folded.features(points[0]), grasp), shared.counts(points, grasp))]
+        pairs += [(net.counts(points, grasp), peer(points, grasp)) for net, peer in zip(four, eager, strict=True)]
+    for one, other in pairs:  # folded and eager, and points in rows and channels first
+        require_close("touchnet", float((one - other).abs().max()), 0.01)
     model = TouchModel(NetworkEstimator([Member(ModelConfig(), folded)]), {"name": "full width", "sha256": ""})
     one, asked = target(), grasps()[:1]
-
-    def ours() -> None:
-        model.predict(one.cloud, asked)
 
     def peer() -> None:
         with torch.inference_mode():
             for net in eager:
                 net(points, grasp)
 
-    return ours, peer
+    return lambda: model.predict(one.cloud, asked) and None, peer
 
 
 def training_step() -> tuple[Job, Job]:
     """A supervised step of P2's network with eight clouds, against torch's own layers."""
     import torch
 
+    from benchmarks.training import bench
+
     torch.set_num_threads(1)
-    bench = script("training", "bench")
-    worst = bench.require_equal(lambda: bench.supervised(bench.FULL, 8, "float32", 1))
-    print(f"equal answers: running variances after one training step differ by {worst:.1e}")
+    require_close("training step", bench.difference(lambda: bench.supervised(bench.FULL, 8, "float32", 1)), 1e-3)
     fused, plain = (bench.supervised(bench.FULL, 8, "float32", 1) for _ in range(2))
 
     def peer() -> None:
@@ -222,12 +206,11 @@ def training_step() -> tuple[Job, Job]:
 
 def simulator(name: str) -> Job:
     """Four samples of a scene, cloud and touch."""
-    scenes = script("simulation", "scenes")
-    scene = scenes.scene(name)
-    engine = scenes.engine(scene, "cloud", "touch")
+    made = scene(name)
+    engine = Engine(made, EFFECTS, ("cloud", "touch"))
 
     def run() -> Float64:
-        return np.array([engine.run(key).touch.vector() for key in scenes.keys(scene, 4)])
+        return np.array([engine.run(SampleKey(made.seed, slot)).touch.vector() for slot in range(4)])
 
     return run
 

@@ -21,7 +21,7 @@ from foretouch.cloud.io.files import read_cloud
 from foretouch.cloud.segmentation.segment import segment
 from foretouch.errors import ForetouchError
 from foretouch.grasp import GeoGraspConfig, hand_rotation, plan_grasps
-from foretouch.grasp.reach import check_reach
+from foretouch.grasp.reach import DEFAULT_REACH, check_reach
 from foretouch.models import load_model
 from foretouch.models.contact.features import ContactScene
 from foretouch.models.hand_history import HandHistory
@@ -324,7 +324,7 @@ def _vector(prediction: TouchPrediction) -> Float64:
 def _verdict(points: Float32, grasp: Grasp) -> Float64:
     try:
         check_object(points)
-        check_reach(grasp, points)
+        check_reach(grasp, points, DEFAULT_REACH.max_width_m, DEFAULT_REACH.max_distance_m)
     except ForetouchError:
         return np.array([1.0])
     return np.array([0.0])

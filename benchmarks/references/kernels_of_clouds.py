@@ -3,7 +3,8 @@
 
 import mpmath
 import numpy as np
-from reference import (
+
+from benchmarks.references.reference import (
     EPS,
     EPS32,
     Exact,
@@ -25,7 +26,6 @@ from reference import (
     spread_points,
     sqrt,
 )
-
 from foretouch.camera.deproject import Deprojector, pinhole_matrix
 from foretouch.cloud.geometry.pcl_filters import mean_neighbour_distance, normals_and_curvature, voxel_grid
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
@@ -39,14 +39,7 @@ from foretouch.simulation.view import CameraView
 from foretouch.types import ASSUMED_TABLE, Cloud, Plane
 
 
-@kernel(
-    "deprojection",
-    of="camera.deproject.Deprojector.points",
-    error="|p - p*| / |p*|, each coordinate",
-    condition="1",
-    constant=3.0,
-    epsilon=EPS32,
-)
+@kernel("deprojection")
 def _deprojection(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The principal point comes closer and closer to a pixel."""
     matrix = pinhole_matrix(8, 6)
@@ -59,14 +52,7 @@ def _deprojection(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, relative_gap(computed, np.stack([x, y, z], axis=-1))
 
 
-@kernel(
-    "undistortion",
-    of="camera.deproject._undistort",
-    error="|x - x*| / max|x*|, against the converged iteration",
-    condition="1 + r / (1 - q) / ε, r the relative change in the tenth iteration, q its ratio to that in the ninth",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("undistortion")
 def _undistortion(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Distortion grows until ten iterations, as in librealsense, are not enough."""
     k = span(t, 0.01, 0.17) * rng.uniform(0.8, 1.0, 5) * rng.choice([-1.0, 1.0], 5) * [1.0, 0.0, 0.1, 0.1, 1.0]
@@ -92,13 +78,7 @@ def _undistortion(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, max(gap(lens.x, u), gap(lens.y, v)) / size
 
 
-@kernel(
-    "ray fit",
-    of="cloud.segmentation.rays._least_squares",
-    error="max |P rays - P rays*|, tangents of the angle of view",
-    condition="c², c = cond(P), P = (1, column, row); beyond c = 1e6: 1e12 + 1e-6 max pixel / ε",
-    constant=5.0,
-)
+@kernel("ray fit")
 def _ray_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The points with depth shrink to a small window in the far corner of the image."""
     pixels = np.floor(rng.uniform(0.0, span(t, 700.0, 3.0), (30, 2))) + span(t, 1.0, 4.0) * np.array([1000.0, 500.0])
@@ -113,13 +93,7 @@ def _ray_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, gap(p @ exact(rays), p @ best)
 
 
-@kernel(
-    "plane fit",
-    of="cloud.segmentation.plane.fit_plane",
-    error="max(|n - n*|, |d - d*| / max|p|)",
-    condition="λ3 / (λ2 - λ1), eigenvalues of the covariance",
-    constant=2.0,
-)
+@kernel("plane fit")
 def _plane_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A table that becomes a narrow strip, at up to 10 km."""
     flat = rng.uniform(-1.0, 1.0, (60, 3)) * [1.0, span(t, 0.8, 0.06), 1e-4]
@@ -137,13 +111,7 @@ def _plane_fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return high / (middle - low), max(gap(plane.normal, normal), gap(plane.offset, offset) / far)
 
 
-@kernel(
-    "plane fit: rms",
-    of="cloud.segmentation.plane.fit_plane",
-    error="|rms - rms*| / √λ3",
-    condition="1 + max|p| / √λ3",
-    constant=0.02,
-)
+@kernel("plane fit: rms")
 def _plane_rms(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A table with a vanishing rms, at up to 10 m."""
     turn = rotation(rng) if t < 1.0 else np.eye(3)  # at the end: rms of exactly zero
@@ -157,13 +125,7 @@ def _plane_rms(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 + float(np.abs(points).max()) / size, gap(fit_plane(points, PlaneConfig()).rms_m, wanted) / size
 
 
-@kernel(
-    "plane from coefficients",
-    of="types.Plane.from_coefficients",
-    error="|abcd - abcd*| / max|abcd*|",
-    condition="1",
-    constant=2.0,
-)
+@kernel("plane from coefficients")
 def _coefficients(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Coefficients of any scale, down to where squares underflow and up to where they overflow."""
     abcd = rng.normal(size=4) * span(abs(2.0 * t - 1.0), 1.0, 1e280 if t > 0.5 else 1e-280)
@@ -171,14 +133,7 @@ def _coefficients(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, gap(Plane.from_coefficients(abcd).coefficients, reference) / float(np.abs(reference).max())
 
 
-@kernel(
-    "height over the table",
-    of="types.Plane.height",
-    error="|h - h*| / |h*|",
-    condition="(|a x| + |b y| + |c z| + |d|) / |h|",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("height over the table")
 def _height(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points at 1.2 m come closer and closer to the table."""
     plane = Plane.from_coefficients([0.1, -0.5, -0.8, 1.0])
@@ -201,13 +156,7 @@ def _far_cloud(t: float, rng: np.random.Generator, n: int = 60) -> tuple[Cloud, 
     return Cloud(points), mean, deviation, float(np.abs(points).max() / real(deviation).min())
 
 
-@kernel(
-    "object identity: grasp",
-    of="grasp.hold._measure",
-    error="of mean and mean deviation / smallest deviation",
-    condition="max|p| / smallest deviation",
-    constant=1.0,
-)
+@kernel("object identity: grasp")
 def _hold(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
     computed = _measure(cloud)
@@ -216,13 +165,7 @@ def _hold(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, max(gap(computed[0], mean), gap(computed[1], apart)) / float(min(deviation))
 
 
-@kernel(
-    "object identity: touches",
-    of="models.hand_history.Extent",
-    error="of mean and deviation / smallest deviation",
-    condition="max|p| / smallest deviation",
-    constant=1.0,
-)
+@kernel("object identity: touches")
 def _extent(t: float, rng: np.random.Generator) -> tuple[float, float]:
     cloud, mean, deviation, kappa = _far_cloud(t, rng)
     computed = Extent.of(cloud).numbers
@@ -240,26 +183,14 @@ def _near_round(t: float, rng: np.random.Generator) -> tuple[ObjectAxis, Exact, 
     return found, centre, spread, float(np.abs(points).max())
 
 
-@kernel(
-    "object centroid, original",
-    of="grasp.axis.find_axis",
-    error="|c - c*| / √λ3",
-    condition="max|p| / √λ3",
-    constant=1.0,
-)
+@kernel("object centroid, original")
 def _centroid(t: float, rng: np.random.Generator) -> tuple[float, float]:
     found, centre, spread, far = _near_round(t, rng)
     size = float(eigen(spread)[0][2]) ** 0.5
     return far / size, gap(found.centroid, centre) / size
 
 
-@kernel(
-    "object axis, original",
-    of="grasp.axis.find_axis",
-    error="|a - a*|",
-    condition="(1 + max|p| / √λ3) λ3 / (λ3 - λ2)",
-    constant=1.0,
-)
+@kernel("object axis, original")
 def _axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     found, _, spread, far = _near_round(t, rng)
     values, vectors = eigen(spread)
@@ -267,13 +198,7 @@ def _axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return (1.0 + far / np.sqrt(high)) * high / (high - middle), gap_up_to_sign(found.direction, vectors[:, 2])
 
 
-@kernel(
-    "voxel mean",
-    of="cloud.geometry.pcl_filters.VoxelGrid.mean",
-    error="|m - m*| / mean |x|, per coordinate",
-    condition="1",
-    constant=2.0,
-)
+@kernel("voxel mean")
 def _voxel_mean(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """More and more points in one cell, at 1 m: up to 2^29 numbers of single precision add up exactly in double."""
     count = int(span(t, 2.0, 1000.0))
@@ -283,14 +208,7 @@ def _voxel_mean(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, relative_gap(grid.mean(points)[0], wanted) if len(grid.counts) == 1 else np.inf
 
 
-@kernel(
-    "voxel cell",
-    of="cloud.geometry.pcl_filters.voxel_grid",
-    error="distance from the face of points on its wrong side / edge",
-    condition="max|x| / edge",
-    constant=1.0,
-    epsilon=EPS32,
-)
+@kernel("voxel cell")
 def _voxel_cell(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points on both sides of a face, nearer and nearer to it and at up to 10 km."""
     leaf = 0.0125
@@ -307,14 +225,7 @@ def _voxel_cell(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return face, float(np.abs(position[wrong] - face).max()) if wrong.any() else 0.0
 
 
-@kernel(
-    "neighbour distance",
-    of="cloud.geometry.pcl_filters.mean_neighbour_distance",
-    error="|d - d*| / d*",
-    condition="1",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("neighbour distance")
 def _neighbours(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Clouds of 1e-9 m to 1 km."""
     points = float32_cloud(rng.normal(size=(25, 3)) * span(t, 1e-9, 1e3))
@@ -332,13 +243,7 @@ def _patches(t: float, rng: np.random.Generator) -> Float64:
     return np.asarray(float32_cloud(points).astype(np.float64))
 
 
-@kernel(
-    "normals and curvature",
-    of="cloud.geometry.pcl_filters.normals_and_curvature",
-    error="max(|n - n*|, |k - k*|)",
-    condition="(λ1 + λ2 + λ3 + |m - o|²) / (λ2 - λ1), o the first point near",
-    constant=1.0,
-)
+@kernel("normals and curvature")
 def _normals(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _patches(t, rng)
     normal, curvature = normals_and_curvature(points.astype(np.float32), np.array([0, 24]), 0.02)
@@ -353,13 +258,7 @@ def _normals(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, error
 
 
-@kernel(
-    "unit sphere",
-    of="cloud.geometry.sampling.UnitSphereFrame",
-    error="|q - q*|, radius of the cloud = 1",
-    condition="max|p| / radius",
-    constant=2.0,
-)
+@kernel("unit sphere")
 def _unit_sphere(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = float32_cloud(rng.normal(size=(40, 3)) * 0.05 + span(t, 0.1, 1e4) * np.array([0.2, 0.3, 1.0]))
     frame = UnitSphereFrame.fit(points)
@@ -369,13 +268,7 @@ def _unit_sphere(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, gap(frame.apply_points(points), (exact(points) - mean) / radius)
 
 
-@kernel(
-    "projection and back",
-    of="simulation.view.CameraView",
-    error="|pixel - pixel*| / focal length",
-    condition="(|p| + |eye|) / depth",
-    constant=2.0,
-)
+@kernel("projection and back")
 def _projection(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points on the rays of pixels, by a camera that is farther and farther from the origin of the world."""
     view = CameraView.towards_table(64, 48, 1.0, 0.6)

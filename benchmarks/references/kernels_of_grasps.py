@@ -3,7 +3,8 @@
 
 import mpmath
 import numpy as np
-from reference import (
+
+from benchmarks.references.reference import (
     Exact,
     Float64,
     covariance,
@@ -22,7 +23,6 @@ from reference import (
     span,
     spread_points,
 )
-
 from foretouch.dataset.messages import rotation_from_quaternion
 from foretouch.grasp.config import GeoGraspConfig
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
@@ -33,13 +33,13 @@ from foretouch.grasp.stable import (
     StableSide,
     WeightedPoints,
     _third_moment,
-    local_planes,
     object_frame,
-    onto_surface,
     soft_extremes,
     stable_side,
     weigh_points,
 )
+from foretouch.grasp.stable import _local_planes as planes_at
+from foretouch.grasp.stable import _onto_surface as surface_mean
 from foretouch.types import Plane
 
 CONFIG = GeoGraspConfig()
@@ -49,13 +49,7 @@ def _unit(vector: Exact) -> Exact:
     return vector / norm(vector)
 
 
-@kernel(
-    "distance from the grasp plane",
-    of="grasp.ranking.GraspPlane.distance",
-    error="|d - d*| / d*",
-    condition="|p - o| / d",
-    constant=0.5,
-)
+@kernel("distance from the grasp plane")
 def _plane_distance(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Points nearer and nearer to a plane, up to 10 km from the origin."""
     turn = rotation(rng)
@@ -75,13 +69,7 @@ def _surface(rng: np.random.Generator, n: int, spread: float) -> SurfacePoints:
     return SurfacePoints(xyz, normal, 0.05 + spread * rng.uniform(0.0, 0.05, n))
 
 
-@kernel(
-    "score, original",
-    of="grasp.ranking._two_rankings, _Scale",
-    error="|s - s*|",
-    condition="10 + Σ |p - o| / range of pd + max k / range of k, over both sides",
-    constant=2.0,
-)
+@kernel("score, original")
 def _score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The candidates of a side become alike, down to a range of 2e-8, at which the original's epsilon takes over."""
     axis = rotation(rng)[:, 0]
@@ -107,13 +95,7 @@ def _score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, gap(1.5 * r1 + r2, exact(1.5) * first + second)
 
 
-@kernel(
-    "outlier weights, stable",
-    of="grasp.stable.weigh_points",
-    error="|w - w*|",
-    condition="largest distance / fade",
-    constant=2.0,
-)
+@kernel("outlier weights, stable")
 def _weights(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The distances to the neighbours become more and more equal."""
     distance = (0.002 * (1.0 + span(t, 0.5, 1e-5) * rng.random(40))).astype(np.float32)
@@ -137,13 +119,7 @@ def _object(t: float, rng: np.random.Generator, n: int = 40) -> WeightedPoints:
 PREFERRED = [0.95, 0.3, 0.08]
 
 
-@kernel(
-    "object centroid, stable",
-    of="grasp.stable.object_frame",
-    error="|c - c*| / √λ3",
-    condition="max|p| / √λ3",
-    constant=5.0,
-)
+@kernel("object centroid, stable")
 def _centroid(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _object(t, rng)
     centre, spread = covariance(exact(points.xyz), exact(points.area))
@@ -152,13 +128,7 @@ def _centroid(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.abs(points.xyz).max()) / size, gap(found.centroid, centre) / size
 
 
-@kernel(
-    "object frame, stable",
-    of="grasp.stable.object_frame",
-    error="max(|a - a*|, |across - across*|)",
-    condition="λ3 / (λ3 - λ2) / |across before scaling|, eigenvalues with the preference",
-    constant=20.0,
-)
+@kernel("object frame, stable")
 def _frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points = _object(t, rng)
     plane = Plane.from_coefficients(np.append(rng.normal(size=3), -1.0))
@@ -180,13 +150,7 @@ def _frame(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, max(gap(found.axis, sign * axis), gap(found.across, sign * across / length))
 
 
-@kernel(
-    "asymmetry of the sign, stable",
-    of="grasp.stable._third_moment",
-    error="|s - s*|",
-    condition="Σ w |x|³ / (Σ w x²)^1.5",
-    constant=5.0,
-)
+@kernel("asymmetry of the sign, stable")
 def _asymmetry(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Symmetric but for less and less; one point is farther and farther away."""
     along = rng.normal(size=20) * span(t, 1e-9, 1e3)
@@ -205,13 +169,7 @@ def _flat_frame(rng: np.random.Generator, place: Float64) -> ObjectFrame:
     return ObjectFrame(place, turn[:, 0], turn[:, 1], 0.5, np.eye(3))
 
 
-@kernel(
-    "initial points, stable",
-    of="grasp.stable.soft_extremes",
-    error="|p - p*| / extent",
-    condition="max|p| / extent",
-    constant=5.0,
-)
+@kernel("initial points, stable")
 def _extremes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Objects of 2 cm to 5 m, at up to 1 km."""
     size, place = span(t, 0.02, 5.0), span(t, 0.3, 1e3) * np.array([0.1, 0.2, 1.0])
@@ -231,13 +189,7 @@ def _extremes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.abs(xyz).max() / size), gap(computed, np.stack(ends)) / size
 
 
-@kernel(
-    "candidates, stable",
-    of="grasp.stable.stable_side",
-    error="|p - p*| / voxel",
-    condition="(max|p| + radius) / voxel / smallest weight of a candidate",
-    constant=2.0,
-)
+@kernel("candidates, stable")
 def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Tents around an initial point at up to 1 km; candidates with the weight of half a point and more count."""
     place = span(t, 0.3, 1e3) * np.array([0.1, 0.2, 1.0])
@@ -263,13 +215,7 @@ def _candidates(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(kappa), float(apart.max()) / CONFIG.voxel_m
 
 
-@kernel(
-    "normals and curvature, stable",
-    of="grasp.stable.local_planes",
-    error="max(|n - n*|, |k - k*|)",
-    condition="(|m - o|² + r²) / (λ2 - λ1), o the middle of the contacts",
-    constant=0.5,
-)
+@kernel("normals and curvature, stable")
 def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Two ever narrower patches, up to 0.5 m apart, at up to 1 km."""
     flat = rng.uniform(-1.0, 1.0, (2, 24, 3)) * [0.01, 0.01 * span(t, 0.9, 0.01), 2e-5]
@@ -278,7 +224,7 @@ def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     xyz = (flat + middle[:, None]).reshape(-1, 3) @ turn.T + place
     centres = middle @ turn.T + place
     points = WeightedPoints(xyz, rng.uniform(0.3, 1.0, 48), np.ones(48), 0)
-    normal, curvature = local_planes(points, centres, 0.03)
+    normal, curvature = planes_at(points, centres, 0.03)
     kappa, error = 0.0, 0.0
     for k in range(2):
         squared = ((exact(xyz) - exact(centres[k])) ** 2).sum(axis=1)
@@ -292,13 +238,7 @@ def _local_planes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, error
 
 
-@kernel(
-    "score, stable",
-    of="grasp.stable.StableRanking.pairs",
-    error="|s - s*|",
-    condition="10 + max|p| / Lp + max k / Lk, L the soft maxima of the sides",
-    constant=1.0,
-)
+@kernel("score, stable")
 def _stable_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """All candidates come nearer and nearer to the grasp plane, and the surface gets flat."""
     frame = _flat_frame(rng, np.array([0.1, 0.05, 1.0]))
@@ -330,13 +270,7 @@ def _stable_score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, gap(computed, exact(1.5) * r1 + r2)
 
 
-@kernel(
-    "contact on the surface, stable",
-    of="grasp.stable.onto_surface",
-    error="|p - p*| / 1 mm",
-    condition="(1 + d² / 1 mm² + max|p| / 1 mm), d the distance of the place",
-    constant=10.0,
-)
+@kernel("contact on the surface, stable")
 def _onto_surface(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A place farther and farther off the surface, at up to 1 km."""
     place = span(t, 0.3, 1e3) * np.array([0.1, 0.2, 1.0])
@@ -346,16 +280,10 @@ def _onto_surface(t: float, rng: np.random.Generator) -> tuple[float, float]:
     squared = ((exact(xyz) - exact(place)) ** 2).sum(axis=1)
     weight = exact(points.inlier) * exp(-(squared - squared.min()) / (2 * exact(0.001) ** 2))
     kappa = 1.0 + float(squared.max()) / 1e-6 + np.abs(xyz).max() / 1e-3
-    return float(kappa), gap(onto_surface(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
+    return float(kappa), gap(surface_mean(points, place), weight @ exact(xyz) / weight.sum()) / 0.001
 
 
-@kernel(
-    "rotation of the hand",
-    of="grasp.pose.hand_rotation",
-    error="|R - R*|",
-    condition="1 / sin(g1 - g2, axis)",
-    constant=2.0,
-)
+@kernel("rotation of the hand")
 def _hand(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The contacts are more and more in line with the axis; they are 1e-3 to 1e-300 m apart, and so is the axis long."""
     turn = rotation(rng)
@@ -370,9 +298,7 @@ def _hand(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 / float(sine), gap(hand_rotation(g1, g2, axis), np.column_stack([x, np.cross(z, x), z]))
 
 
-@kernel(
-    "rotation to quaternion", of="grasp.pose.quaternion_xyzw", error="|q - q*| up to sign", condition="1", constant=2.0
-)
+@kernel("rotation to quaternion")
 def _to_quaternion(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Angles that approach a half turn, or zero."""
     axis, angle = rng.normal(size=3), span(abs(2.0 * t - 1.0), 1.0, 1e-12)
@@ -396,13 +322,7 @@ def _matrix(q: Exact) -> Exact:
     )
 
 
-@kernel(
-    "quaternion to rotation",
-    of="dataset.messages.rotation_from_quaternion",
-    error="|R - R*|",
-    condition="1",
-    constant=10.0,
-)
+@kernel("quaternion to rotation")
 def _from_quaternion(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Lengths within 1e-3 of 1."""
     q = rng.normal(size=4)

@@ -4,7 +4,8 @@
 import mpmath
 import numpy as np
 import torch
-from reference import (
+
+from benchmarks.references.reference import (
     EPS32,
     Exact,
     Float64,
@@ -26,7 +27,6 @@ from reference import (
     spread_points,
     sqrt,
 )
-
 from foretouch.cloud.geometry.sampling import UnitSphereFrame
 from foretouch.learning.evaluation.metrics import ObjectErrors, score, skills
 from foretouch.learning.training.calibration import HeldOutPredictions, _quantile_by_object, _shrunk, fit_group
@@ -78,13 +78,7 @@ def _quantile(values: Exact, share: float) -> Exact:
     return ordered[k] + (at - k) * (ordered[k + 1] - ordered[k])
 
 
-@kernel(
-    "features: lengths",
-    of="models.contact.features.ContactScene",
-    error="of all lengths / √λ3",
-    condition="max|p| / √λ3 · √(λ3 / λ1)",
-    constant=0.5,
-)
+@kernel("features: lengths")
 def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points, grasp = _scene(t, rng)
     row = ContactScene(points).describe([grasp])[0]
@@ -110,13 +104,7 @@ def _lengths(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, max(gap(row[_COLUMN[name]], value) for name, value in wanted.items()) / size
 
 
-@kernel(
-    "features: axis",
-    of="models.contact.features.ContactScene",
-    error="|a - a*|",
-    condition="λ3 / (λ3 - λ2)",
-    constant=5.0,
-)
+@kernel("features: axis")
 def _feature_axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     points, _ = _scene(t, rng)
     _, vectors, values = _sizes(points)
@@ -124,13 +112,7 @@ def _feature_axis(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return values[2] / (values[2] - values[1]), gap_up_to_sign(axis, vectors[:, 2])
 
 
-@kernel(
-    "features: slope at the contact",
-    of="models.contact.features._slope",
-    error="|n - n*|",
-    condition="λ3 / (λ2 - λ1)",
-    constant=5.0,
-)
+@kernel("features: slope at the contact")
 def _slopes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The surface around a contact, an ever narrower strip at up to 10 km."""
     hand = rotation(rng)
@@ -149,13 +131,7 @@ def _slopes(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return high / (middle - low), gap_up_to_sign(found, wanted)
 
 
-@kernel(
-    "standardisation",
-    of="models.novelty.standardisation",
-    error="max(|m - m*|, |s - s*|) / s*",
-    condition="max|x| / s",
-    constant=5.0,
-)
+@kernel("standardisation")
 def _standardisation(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A column whose deviation vanishes against its mean, down to 2e-8 of it."""
     rows = 0.5 + span(t, 0.5, 2e-8) * rng.normal(size=(30, 1))
@@ -167,13 +143,7 @@ def _standardisation(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, max(gap(mean[0], centre), gap(deviation[0], wanted)) / float(wanted)
 
 
-@kernel(
-    "novelty score",
-    of="models.novelty.SizeNoveltyDetector",
-    error="|score - score*|",
-    condition="distance / span of the score",
-    constant=5.0,
-)
+@kernel("novelty score")
 def _novelty(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Distances at the middle of an ever narrower span."""
     centre, scale = rng.random(8), rng.uniform(0.5, 2.0, 8)
@@ -188,9 +158,7 @@ def _novelty(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(distance) / (high - low), gap(found, wanted)
 
 
-@kernel(
-    "forest mean", of="models.contact.regressors.Forest.predict", error="|y - y*| / |y*|", condition="1", constant=2.0
-)
+@kernel("forest mean")
 def _forest(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Trees that contradict each other more and more: numbers of half precision add up exactly in double."""
     count = 150
@@ -204,13 +172,7 @@ def _forest(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, relative_gap(forest.predict(np.zeros((1, 2)))[0, 0], v.sum() / count)
 
 
-@kernel(
-    "kernel regression",
-    of="models.contact.regressors.KernelRegression.predict",
-    error="|y - y*| / Σ k |w|",
-    condition="1 + γ/F Σ |z - z_known|",
-    constant=2.0,
-)
+@kernel("kernel regression")
 def _regression(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Rows farther and farther from the training rows, down to kernel values of 1e-300."""
     centre, scale = rng.normal(size=6), rng.uniform(0.1, 2.0, 6)
@@ -226,13 +188,7 @@ def _regression(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 + float(exponent.max()), float(np.max(np.abs(exact(found) - k @ exact(weight)) / size))
 
 
-@kernel(
-    "kernel ridge weights",
-    of="learning.training.contact._ridge_weights",
-    error="|w - w*| / |w*|",
-    condition="cond(K + ridge I)",
-    constant=2.0,
-)
+@kernel("kernel ridge weights")
 def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Training rows that almost coincide, and a vanishing ridge."""
     rows = rng.normal(size=(5, 4)).repeat(2, axis=0) + span(t, 1.0, 1e-9) * rng.normal(size=(10, 4))
@@ -243,13 +199,7 @@ def _ridge(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.linalg.cond(matrix + ridge * np.eye(10))), error
 
 
-@kernel(
-    "calibration: W, slope, spread",
-    of="learning.training.calibration.fit_group",
-    error="relative, of W, slope and spread",
-    condition="1",
-    constant=50.0,
-)
+@kernel("calibration: W, slope, spread")
 def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Readings that vary less and less about 3000 counts: they are centred first."""
     sessions = np.repeat(["a", "b", "c"], 4)
@@ -275,13 +225,7 @@ def _fit(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, error
 
 
-@kernel(
-    "calibration: B",
-    of="learning.training.calibration._shrunk",
-    error="|B - B*| / (deviation · deviation)",
-    condition="1",
-    constant=10.0,
-)
+@kernel("calibration: B")
 def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Moments of 25 pairs of values: from covariances to what has a negative eigenvalue, or almost no variance."""
     diagonal = rng.uniform(0.5, 1.0, (25, 2)) * span(t, 1.0, 1e-9) * 1e4
@@ -305,13 +249,7 @@ def _between(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, error
 
 
-@kernel(
-    "conformal quantile",
-    of="learning.training.calibration._quantile_by_object",
-    error="distance of the level from those for which the returned score is the quantile",
-    condition="number of scores",
-    constant=0.1,
-)
+@kernel("conformal quantile")
 def _conformal(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Objects with very different numbers of samples, at the level where the weights add up exactly."""
     counts = np.sort(rng.integers(1, int(span(t, 3.0, 300.0)), 4))
@@ -336,14 +274,7 @@ def _network(seed: int) -> TouchNet:
     return TouchNet(config).eval()
 
 
-@kernel(
-    "network, folded",
-    of="models.network.folding.fold",
-    error="|y - y*| / max|y*|, against the unfolded network in float64",
-    condition="1",
-    constant=5.0,
-    epsilon=EPS32,
-)
+@kernel("network, folded")
 def _folded(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Batch norms whose running mean outweighs their deviation by up to 1e4: folding in double cancels it."""
     net = _network(int(rng.integers(1 << 30)))
@@ -366,14 +297,7 @@ def _folded(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, float(np.abs(found - wanted).max() / np.abs(wanted).max())
 
 
-@kernel(
-    "batch norm by moments",
-    of="models.network.batch_norm.batch_affine",
-    error="|W' - W'*| / max|W'*|, against torch's batch norm in float64",
-    condition="1",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("batch norm by moments")
 def _batch_norm(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Inputs that vary less and less about their mean, down to 3e-4 of it: they are centred first."""
     x = torch.from_numpy((1.0 + span(t, 1.0, 3e-4) * rng.normal(size=(4, 40, 3))).astype(np.float32))
@@ -393,14 +317,7 @@ def _batch_norm(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, error
 
 
-@kernel(
-    "running statistics",
-    of="models.network.batch_norm.update_statistics",
-    error="|m - m*| / max|m|, after all updates",
-    condition="number of updates",
-    constant=0.5,
-    epsilon=EPS32,
-)
+@kernel("running statistics")
 def _statistics(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """The plain mean over up to 500 batches (momentum None)."""
     count = int(span(t, 1.0, 500.0))
@@ -414,14 +331,7 @@ def _statistics(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return count, max(gap(one, wanted) for one in found) / float(means.abs().max())
 
 
-@kernel(
-    "labelled loss (eq. 2)",
-    of="learning.training.losses.labeled_loss",
-    error="|l - l*| / l*",
-    condition="1",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("labelled loss (eq. 2)")
 def _labelled(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Errors of 1 down to 1e-9, through the chord below 1e-6."""
     error = torch.from_numpy((span(t, 1.0, 1e-9) * rng.normal(size=(8, 50))).astype(np.float32))
@@ -434,14 +344,7 @@ def _labelled(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0, relative_gap(float(found), sum(roots) / 4)
 
 
-@kernel(
-    "feature matching (eqs. 3, 5)",
-    of="learning.training.losses.generator_loss",
-    error="|l - l*| / l*, distance of the batches' means",
-    condition="max|f| / |Δ|",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("feature matching (eqs. 3, 5)")
 def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Batches whose mean features agree more and more."""
     a = rng.uniform(0.5, 1.0, (8, 16)).astype(np.float32)
@@ -453,14 +356,7 @@ def _matching(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return float(np.abs(b).max() / float(np.abs(delta).min())), relative_gap(found, wanted)
 
 
-@kernel(
-    "contrast (eq. 4)",
-    of="learning.training.losses.discriminator_loss",
-    error="|l - l*| / max(|l*|, 1), of all four forms",
-    condition="1",
-    constant=5.0,
-    epsilon=EPS32,
-)
+@kernel("contrast (eq. 4)")
 def _contrast(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Differences of features of 1e-9 to 1e9."""
     a = np.zeros((8, 16), np.float32)
@@ -488,13 +384,7 @@ def _labels(t: float, rng: np.random.Generator) -> tuple[Float64, Float64, Float
     return reference + span(t, 50.0, 1e-6) * rng.normal(size=actual.shape), actual, reference
 
 
-@kernel(
-    "RMSE and skill (R²)",
-    of="learning.evaluation.metrics.score",
-    error="max(|rmse - rmse*| / rmse*, |skill - skill*|)",
-    condition="1 + MSE / MSE of the mean",
-    constant=5.0,
-)
+@kernel("RMSE and skill (R²)")
 def _score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     predicted, actual, reference = _labels(t, rng)
     found = score(predicted, actual, reference)
@@ -511,13 +401,7 @@ def _score(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return kappa, error
 
 
-@kernel(
-    "skill over objects (eq. 1)",
-    of="learning.evaluation.metrics.skills",
-    error="|skill - skill*|",
-    condition="1 + S / R",
-    constant=5.0,
-)
+@kernel("skill over objects (eq. 1)")
 def _skills(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """Models up to 1e6 times worse than the mean of the labels."""
     reference = rng.uniform(1e3, 1e6, (5, 50))
@@ -529,14 +413,7 @@ def _skills(t: float, rng: np.random.Generator) -> tuple[float, float]:
     return 1.0 + float(np.max(squared.sum(axis=0) / reference.sum(axis=0))), error
 
 
-@kernel(
-    "gap of the range check",
-    of="models.network.length_check._nearest",
-    error="|d - d*| / radius of the cloud",
-    condition="min((1 + |t|²) / d, √((1 + |t|²) / ε)), in radii",
-    constant=2.0,
-    epsilon=EPS32,
-)
+@kernel("gap of the range check")
 def _range_gap(t: float, rng: np.random.Generator) -> tuple[float, float]:
     """A contact nearer and nearer to a point of the cloud."""
     cloud = float32_cloud(rng.uniform(-0.05, 0.05, (30, 3)))

@@ -3,11 +3,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mpmath
 import numpy as np
 import numpy.typing as npt
+
+from benchmarks.common import read_csv
 
 mpmath.mp.dps = 40
 
@@ -19,39 +22,41 @@ EPS = float(np.finfo(np.float64).eps)
 EPS32 = float(np.finfo(np.float32).eps)
 
 
+_EPSILONS = {"double": EPS, "single": EPS32}
+
+TABLE_FILE = Path(__file__).parent / "kernels.csv"
+TABLE = {row["kernel"]: row for row in read_csv(TABLE_FILE)}
+"""Of each kernel what is compared, the formula of κ, C and ε; and what was measured last."""
+
+
 @dataclass(frozen=True)
 class Kernel:
     """A kernel with its bound: error <= constant * epsilon * κ."""
 
     name: str
-    of: str  # function or class below `foretouch`
-    error: str  # what is compared, and by what it is divided
-    condition: str  # formula of κ, from the input alone
     constant: float  # C
     epsilon: float  # of the dtype in which the kernel decides, or the tolerance of an iteration
     family: Family  # (t, rng) to κ and error; the inputs are benign at t = 0 and hardest at t = 1
-    group: str  # module of the reference
 
 
 @dataclass(frozen=True)
 class Case:
     """One input of a family."""
 
-    kappa: float
+    condition: float  # κ
     error: float
 
 
 KERNELS: list[Kernel] = []
 
 
-def kernel(
-    name: str, *, of: str, error: str, condition: str, constant: float, epsilon: float = EPS
-) -> Callable[[Family], Family]:
-    """Add a family of inputs to the table."""
+def kernel(name: str) -> Callable[[Family], Family]:
+    """Add the family of inputs of a kernel of the table."""
+    row = TABLE[name]
 
     def add(family: Family) -> Family:
-        group = family.__module__.removeprefix("kernels_of_")
-        KERNELS.append(Kernel(name, of, error, condition, constant, epsilon, family, group))
+        epsilon = _EPSILONS.get(row["epsilon"]) or float(row["epsilon"])
+        KERNELS.append(Kernel(name, float(row["C"]), epsilon, family))
         return family
 
     return add
@@ -61,13 +66,13 @@ def measure(one: Kernel, levels: int, draws: int, seed: int = 0) -> Iterator[Cas
     """Run a kernel on `levels` x `draws` inputs between the benign and the hard end of its family."""
     for level, t in enumerate(np.linspace(0.0, 1.0, levels)):
         for draw in range(draws):
-            kappa, error = one.family(float(t), np.random.default_rng([seed, level, draw]))
-            yield Case(float(kappa), float(error))
+            condition, error = one.family(float(t), np.random.default_rng([seed, level, draw]))
+            yield Case(float(condition), float(error))
 
 
 def ratio(one: Kernel, case: Case) -> float:
     """Error in units of ε κ; the bound is `Kernel.constant`. Infinite where κ or the error is not a number."""
-    value = case.error / (one.epsilon * case.kappa)
+    value = case.error / (one.epsilon * case.condition)
     return value if value >= 0.0 else float("inf")
 
 
@@ -148,7 +153,7 @@ def covariance(points: Exact, weight: Exact | None = None) -> tuple[Exact, Exact
 
 
 def smoothstep(values: Exact, low: Exact, high: Exact) -> Exact:
-    """Reference of `foretouch.grasp.stable.smoothstep`."""
+    """Reference of `foretouch.grasp.stable._smoothstep`."""
     t = np.clip((exact(values) - low) / (high - low), mpmath.mpf(0), mpmath.mpf(1))
     return t * t * (3 - 2 * t)
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import statistics
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.common import cpu_ms, print_rows
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.experiments.tradeoff_perception import overlaps
 from foretouch.libusb import ensure_libusb
@@ -65,21 +63,10 @@ def scenes(width: int, height: int) -> list[tuple[str, Cloud, Labels]]:
     return result
 
 
-def cpu_ms(function: Callable[[Cloud], Labels], cloud: Cloud, repeats: int) -> float:
-    """Median CPU time of a call [ms], all threads of the process; each call gets a new copy of the cloud."""
-    times = []
-    for _ in range(repeats + 1):
-        fresh = Cloud(cloud.xyz.copy())
-        start = time.process_time()
-        function(fresh)
-        times.append((time.process_time() - start) * 1e3)
-    return statistics.median(times[1:])
-
-
 def check_generated() -> None:
     """Objects found and least overlap on the generated scenes."""
     print(f"\n{N_SCENES} generated scenes of {N_OBJECTS} objects, 848x480")
-    print(f"{'effects':<28}{'wrong number':>13}{'least IoU':>11}{'mean IoU':>10}")
+    rows = []
     for name, noise_m, flying in (("exact", 0.0, False), ("noise 1 mm", 0.001, False), ("and flying", 0.001, True)):
         wrong, all_overlaps = 0, []
         for seed in range(N_SCENES):
@@ -88,7 +75,9 @@ def check_generated() -> None:
             labels = ours(image.cloud())
             wrong += int(labels.max()) != N_OBJECTS
             all_overlaps += overlaps(labels, image.labels, OBJECTS)
-        print(f"{name:<28}{wrong:>13}{min(all_overlaps):>11.3f}{np.mean(all_overlaps):>10.3f}")
+        least, mean = min(all_overlaps), float(np.mean(all_overlaps))
+        rows.append({"effects": name, "wrong number": wrong, "least IoU": f"{least:.3f}", "mean IoU": f"{mean:.3f}"})
+    print_rows(rows)
 
 
 def main() -> None:
@@ -99,19 +88,32 @@ def main() -> None:
     options = parser.parse_args()
     ensure_libusb()
     all_scenes = scenes(848, 480) + scenes(1280, 720)
-    print(f"{'scene':<20}{'objects':>9}{'IoU ours':>22}{'Open3D objects':>16}{'IoU Open3D':>22}")
+    rows = []
     for name, cloud, truth in all_scenes:
         mine, theirs = ours(cloud), open3d_pipeline(cloud)
         texts = ["/".join(f"{value:.3f}" for value in overlaps(labels, truth, OBJECTS)) for labels in (mine, theirs)]
-        print(f"{name:<20}{mine.max():>9}{texts[0]:>22}{theirs.max():>16}{texts[1]:>22}")
+        rows.append(
+            {
+                "scene": name,
+                "objects": mine.max(),
+                "IoU ours": texts[0],
+                "Open3D objects": theirs.max(),
+                "IoU Open3D": texts[1],
+            }
+        )
+    print_rows(rows)
     check_generated()
-    print(f"\n{'CPU ms, median':<20}{'ours':>9}{'no order':>10}{'Open3D':>10}")
+    print()
+    rows = []
     for name, cloud, _ in all_scenes:
         flat = cloud.xyz.reshape(-1, 3)
         listed = Cloud(flat[np.isfinite(flat[:, 2])])
-        times = [cpu_ms(ours, cloud, options.repeats), cpu_ms(ours, listed, options.repeats)]
-        peer = cpu_ms(open3d_pipeline, cloud, options.peer_repeats) if options.peer_repeats else float("nan")
-        print(f"{name:<20}{times[0]:>9.2f}{times[1]:>10.2f}{peer:>10.1f}")
+        times = [cpu_ms(lambda one=one: ours(Cloud(one.xyz.copy())), options.repeats) for one in (cloud, listed)]
+        peer = (
+            cpu_ms(lambda cloud=cloud: open3d_pipeline(cloud), options.peer_repeats) if options.peer_repeats else None
+        )
+        rows.append({"CPU ms, median": name, "ours": times[0], "no order": times[1], "Open3D": peer})
+    print_rows(rows)
 
 
 if __name__ == "__main__":

@@ -14,10 +14,15 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scenes import engine, keys, scene, simulate
-from steady_noise import steady_noise
 
+from benchmarks.common import markdown, scene
+from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.errors import SimulationError
+from foretouch.simulation.effects import EFFECTS
+from foretouch.simulation.engine import Engine
+from foretouch.simulation.scene import SceneConfig
+from foretouch.simulation.simulate import Simulation
+from foretouch.simulation.world import SampleKey
 from foretouch.types import GraspSample
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +30,16 @@ Row = tuple[str, float, float, float]  # what, found, least, most
 
 _NOT_BOUND = (-np.inf, np.inf)
 _TH_MF = (("TH", slice(2, 26), 0), ("MF", slice(26, 50), 1))
+
+
+def engine(config: SceneConfig, *outputs: str) -> Engine:
+    """An engine for some keys of the state."""
+    return Engine(config, EFFECTS, outputs)
+
+
+def keys(config: SceneConfig, count: int) -> list[SampleKey]:
+    """The first tries of the first slots."""
+    return [SampleKey(config.seed, slot) for slot in range(count)]
 
 
 def camera() -> Iterator[Row]:
@@ -127,16 +142,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=400, help="grasps of rigid objects")
     arguments = parser.parse_args()
-    rigid = simulate(scene("rigid"), arguments.n)
-    layer_calls = rigid.simulation.timings["contact_layer"].calls
-    rows = [*camera(), *sensor(), *counts(rigid.samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
+    rigid = Simulation(scene("rigid"))
+    samples = [made.sample for made in rigid.samples(arguments.n)]
+    layer_calls = rigid.timings["contact_layer"].calls
+    rows = [*camera(), *sensor(), *counts(samples), ("rigid: calls of the layer solver", layer_calls, 0, 0)]
     rows += [*forces("rigid", 60), *forces("deformables", 60), *repeats("rigid", 40, 4), *repeats("deformables", 40, 4)]
-    print("| what | found | must | |\n|---|---|---|---|")
+    lines = []
     for what, found, least, most in rows:
         bounds = "" if np.isinf(least) else f"{least:g} to {most:g}"
         verdict = "" if not bounds else "ok" if least <= found <= most else "**no**"
-        print(f"| {what} | {found:.3g} | {bounds} | {verdict} |")
-    print(f"\nFailed tries in {arguments.n} rigid grasps: {rigid.simulation.failures_by_reason or 'none'}")
+        lines.append((what, f"{found:.3g}", bounds, verdict))
+    print(markdown(("what", "found", "must", ""), lines))
+    print(f"Failed tries in {arguments.n} rigid grasps: {rigid.failures_by_reason or 'none'}")
     sys.exit(any(not least <= found <= most for _, found, least, most in rows))
 
 

@@ -2,18 +2,16 @@
 """How far does the best grasp move when the cloud changes a little? Both methods of GeoGrasp, real and made objects."""
 
 import argparse
-import csv
-import os
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.common import add_data, cpu_ms, print_rows, write_csv
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, GraspPlan, plan_grasps
-from foretouch.grasp.original_score import OriginalScore
+from foretouch.grasp.original_score import original_score
 from foretouch.types import Cloud, Float32, Float64, Plane
 
 TOP_VIEW = Plane.from_coefficients([0.0, 0.0, 1.0, -1.27])
@@ -35,7 +33,7 @@ CHANGES = (
 def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of the recordings")
+    add_data(parser)
     parser.add_argument(
         "--all", action="store_true", help="also the recorded clouds that did not serve to tune `stable`"
     )
@@ -51,66 +49,44 @@ def main() -> None:
     else:
         print("no recordings: --data or FORETOUCH_DATA; only made objects are measured")
     rows = [row for name, clouds in groups.items() for row in measure(name, clouds)]
-    with arguments.out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["clouds", "n", "quantity", "unit", *METHODS])
-        writer.writeheader()
-        writer.writerows(rows)
-    for row in rows:
-        print(
-            f"{row['clouds']:14} {row['n']:4} {row['quantity']:45} {row['original']:>9} {row['stable']:>9} {row['unit']}"
-        )
+    write_csv(arguments.out, rows)
+    print_rows(rows)
 
 
 def measure(name: str, clouds: list[Float32]) -> Iterator[dict[str, object]]:
     """The rows of the table for some clouds."""
     moved: dict[tuple[str, str], list[float]] = defaultdict(list)
     scores: dict[str, list[tuple[float, bool]]] = defaultdict(list)
-    seconds: dict[str, float] = defaultdict(float)
+    times: dict[str, float] = defaultdict(float)
     for seed, xyz in enumerate(clouds):
-        scorer = OriginalScore.of(Cloud(xyz), TOP_VIEW)
+        scorer = original_score(Cloud(xyz), TOP_VIEW)
         plans = {}
         for method in METHODS:
             plans[method] = plan(xyz, method)
-            seconds[method] += _timed(xyz, method)
+            times[method] += cpu_ms(lambda xyz=xyz, method=method: plan(xyz, method), 1)
         if scorer is not None and scorer.has_axis and all(one.grasps for one in plans.values()):
             for method, one in plans.items():
                 scores[method].append(scorer(contacts(one)))
         for change, other, rotation, shift in changed(xyz, seed):
             for method in METHODS:
                 moved[change, method].append(distance_mm(plans[method], plan(other, method), rotation, shift))
-    row = {"clouds": name, "n": len(clouds)}
+
+    def row(quantity: str, unit: str, values: dict[str, float], form: str) -> dict[str, object]:
+        texts = {method: format(value, form) for method, value in values.items()}
+        return {"clouds": name, "n": len(clouds), "quantity": quantity, "unit": unit, **texts}
+
     for change in CHANGES:
         values = {method: np.array(moved[change, method]) for method in METHODS}
-        yield {
-            **row,
-            "quantity": f"{change}: moved > {MOVED_MM:g} mm",
-            "unit": "%",
-            **{method: f"{100.0 * np.mean(v > MOVED_MM):.2f}" for method, v in values.items()},
-        }
-        yield {
-            **row,
-            "quantity": f"{change}: largest move",
-            "unit": "mm",
-            **{method: f"{v.max():.2f}" for method, v in values.items()},
-        }
+        share = {method: 100.0 * float(np.mean(v > MOVED_MM)) for method, v in values.items()}
+        yield row(f"{change}: moved > {MOVED_MM:g} mm", "%", share, ".2f")
+        yield row(f"{change}: largest move", "mm", {method: v.max() for method, v in values.items()}, ".2f")
     finite = np.isfinite([[score for score, _ in scores[method]] for method in METHODS]).all(axis=0)
-    scorerd = {method: [one for one, ok in zip(scores[method], finite, strict=True) if ok] for method in METHODS}
-    yield {
-        **row,
-        "quantity": f"original's score, mean ({finite.sum()} clouds)",
-        "unit": "",
-        **{method: f"{np.mean([score for score, _ in one]):.3f}" for method, one in scorerd.items()},
-    }
-    yield {
-        **row,
-        "quantity": "R1 >= 1 and R2 >= 1",
-        "unit": "%",
-        **{method: f"{100.0 * np.mean([ok for _, ok in one]):.1f}" for method, one in scorerd.items()},
-    }
-    total = {method: seconds[method] / len(clouds) * 1e3 for method in METHODS}
-    yield {**row, "quantity": "time of a plan", "unit": "ms", **{m: f"{value:.1f}" for m, value in total.items()}}
-    ratio = {method: f"{value / total['original']:.2f}" for method, value in total.items()}
-    yield {**row, "quantity": "time of a plan, ratio", "unit": "", **ratio}
+    scored = {method: [one for one, ok in zip(scores[method], finite, strict=True) if ok] for method in METHODS}
+    means = {method: np.mean(one, axis=0) for method, one in scored.items()}  # of score, and of whether it is reached
+    yield row(f"original's score, mean ({finite.sum()} clouds)", "", {m: v[0] for m, v in means.items()}, ".3f")
+    yield row("R1 >= 1 and R2 >= 1", "%", {m: 100.0 * v[1] for m, v in means.items()}, ".1f")
+    yield row("time of a plan", "ms", {method: times[method] / len(clouds) for method in METHODS}, ".1f")
+    yield row("time of a plan, ratio", "", {m: times[m] / times["original"] for m in METHODS}, ".2f")
 
 
 def plan(xyz: Float32, method: str) -> GraspPlan:
@@ -168,12 +144,6 @@ def made_clouds() -> Iterator[Float32]:
                 }[shape]
                 depth = 1.2 - height + rng.normal(0.0, 0.0007, a.shape)
                 yield np.stack([u, v, depth], axis=-1)[inside].astype(np.float32)
-
-
-def _timed(xyz: Float32, method: str) -> float:
-    start = time.process_time()
-    plan(xyz, method)
-    return time.process_time() - start
 
 
 if __name__ == "__main__":

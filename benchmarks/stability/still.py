@@ -2,27 +2,24 @@
 """How often does the best grasp jump while nothing moves but the camera's noise? See README.md."""
 
 import argparse
-import csv
 import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.common import print_rows, scene, write_csv
 from foretouch.grasp import GraspHold, GraspPlan, HeldGrasp
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.ros.nodes.grasp import GraspNodeConfig
-from foretouch.simulation.scene import load_scene
 from foretouch.simulation.scene_camera import FrameMaker
 from foretouch.types import Float64
 
-FOLDER = Path(__file__).parents[2] / "config" / "scenes"
 # Of each scene, the sample with this number.
 SCENES = (("rigid", 0), ("rigid", 3), ("deformables", 2), ("deformables", 3), ("unseen_objects", 0))
 # The middle of a D415's image of 848 x 480 pixels and 65 degrees: the table and the object are in it.
 CAMERA = {"camera.width": 480, "camera.height": 320, "camera.hfov_deg": 39.67}
 JUMP_M = 0.005
 RATE_HZ = 30.0
-COLUMNS = ("scene", "frames", "method", "hold", "jumps", "largest_mm", "score", "cpu_ms", "cpu_p95_ms", "answered")
 
 
 def main() -> None:
@@ -32,15 +29,10 @@ def main() -> None:
     parser.add_argument("--scene", nargs=2, metavar=("NAME", "SAMPLE"), help="only this one")
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent / "still.csv")
     arguments = parser.parse_args()
-    with arguments.out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        scenes = [(arguments.scene[0], int(arguments.scene[1]))] if arguments.scene else SCENES
-        for name, slot in scenes:
-            for stream in watch(name, slot, arguments.frames):
-                writer.writerow(stream.row())
-                file.flush()
-                print(", ".join(f"{key} {value}" for key, value in stream.row().items()), flush=True)
+    scenes = [(arguments.scene[0], int(arguments.scene[1]))] if arguments.scene else SCENES
+    rows = [one.row() for name, slot in scenes for one in watch(name, slot, arguments.frames)]
+    write_csv(arguments.out, rows)
+    print_rows(rows)
 
 
 class Stream:
@@ -75,22 +67,23 @@ class Stream:
     def row(self) -> dict[str, object]:
         """The figures of the stream."""
         moves = np.linalg.norm(np.diff(self._contacts, axis=0), axis=2).max(axis=1)
-        values = (
-            f"{int((moves > JUMP_M).sum())}",
-            f"{moves.max() * 1e3:.2f}",
-            f"{np.nanmean(self._scores):.3f}",
-            f"{np.median(self._ms):.1f}",
-            f"{np.percentile(self._ms, 95):.1f}",
-            f"{len(self._contacts)}",
-        )
-        first = (self._scene, f"{len(self._ms)}", self._method, f"{self._margin:g}")
-        return dict(zip(COLUMNS, (*first, *values), strict=True))
+        return {
+            "scene": self._scene,
+            "frames": len(self._ms),
+            "method": self._method,
+            "hold": f"{self._margin:g}",
+            "jumps": int((moves > JUMP_M).sum()),
+            "largest_mm": f"{moves.max() * 1e3:.2f}",
+            "score": f"{np.nanmean(self._scores):.3f}",
+            "cpu_ms": f"{np.median(self._ms):.1f}",
+            "cpu_p95_ms": f"{np.percentile(self._ms, 95):.1f}",
+            "answered": len(self._contacts),
+        }
 
 
 def watch(name: str, slot: int, frames: int) -> list[Stream]:
     """The streams of one still scene."""
-    scene = load_scene(FOLDER / f"{name}.yaml").updated(CAMERA)
-    maker, pipeline, node = FrameMaker(scene), Pipeline(), GraspNodeConfig()
+    maker, pipeline, node = FrameMaker(scene(name).updated(CAMERA)), Pipeline(), GraspNodeConfig()
     label = f"{name} {slot}"
     streams = [
         Stream(label, method, hold, node.grasp_hold_tolerance_m)

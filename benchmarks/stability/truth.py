@@ -2,23 +2,21 @@
 """How far are the contacts of both methods of GeoGrasp from the true surface, and do they face each other? See README.md."""
 
 import argparse
-import csv
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.common import print_rows, scene, write_csv
 from foretouch.errors import SimulationError
 from foretouch.grasp import GeoGraspConfig, plan_grasps
 from foretouch.libusb import ensure_libusb
 from foretouch.simulation.effects import EFFECTS
 from foretouch.simulation.engine import Engine
-from foretouch.simulation.scene import load_scene
 from foretouch.simulation.solids import Body
 from foretouch.simulation.world import SampleKey, World
 from foretouch.types import Float64, Grasp
 
-FOLDER = Path(__file__).parents[2] / "config" / "scenes"
 SCENES = ("rigid", "deformables", "unseen_objects", "clutter")
 METHODS = ("original", "stable")
 BACK_M = 0.03  # outside of the planned contact, where a finger starts to close
@@ -37,23 +35,19 @@ def main() -> None:
     arguments = parser.parse_args()
     ensure_libusb()
     rows = [row for name in SCENES for row in measure(name, arguments.count)]
-    with arguments.out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["scene", "n", "quantity", "unit", *METHODS])
-        writer.writeheader()
-        writer.writerows(rows)
-    for row in rows:
-        print(f"{row['scene']:15}{row['n']:4} {row['quantity']:55}{row['original']:>9}{row['stable']:>9} {row['unit']}")
+    write_csv(arguments.out, rows)
+    print_rows(rows)
 
 
 def measure(name: str, count: int) -> list[dict[str, object]]:
     """The rows of one scene: for both methods the mean over all contacts, and over grasps the mean of the worse."""
-    scene = load_scene(FOLDER / f"{name}.yaml")
-    world = World.of(scene)
-    engine = Engine(scene, EFFECTS, ("cloud", "pixels", "bodies"))
+    config = scene(name)
+    world = World.of(config)
+    engine = Engine(config, EFFECTS, ("cloud", "pixels", "bodies"))
     found: dict[tuple[str, str], list[Float64]] = defaultdict(list)
     for slot in range(count):
         try:
-            state = engine.run(SampleKey(scene.seed, slot))
+            state = engine.run(SampleKey(config.seed, slot))
         except SimulationError:
             continue  # clutter found no place, or hides the object
         shape = (world.view.height, world.view.width)
@@ -66,7 +60,7 @@ def measure(name: str, count: int) -> list[dict[str, object]]:
         if not all(plan.grasps for plan in plans.values()):
             continue
         for method, plan in plans.items():
-            errors = contact_errors(state.bodies[0], world, plan.grasps[0], scene.grasps.insertion_m)
+            errors = contact_errors(state.bodies[0], world, plan.grasps[0], config.grasps.insertion_m)
             for quantity, values in zip(QUANTITIES, errors, strict=True):
                 found[quantity, method].append(values)
     n = len(next(iter(found.values())))

@@ -184,7 +184,7 @@ class Touch:
     """A tactile reading of both fingers [counts].
 
     Raises:
-        TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.check_touch`.
+        TactileError: If a shape is wrong. Values are checked by `foretouch.tactile.touch_faults`.
     """
 
     pdc_th: float  # static pressure of the thumb

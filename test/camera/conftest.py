@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, TimeoutConfig
+from foretouch.camera import RealSenseConfig, SyntheticCamera, TimeoutConfig, realsense
 from foretouch.simulation import DepthImage, random_scene
 
 WIDTH, HEIGHT = 424, 240
@@ -40,7 +40,8 @@ def source(images: list[DepthImage]) -> Iterator[SyntheticCamera]:
 
 
 @pytest.fixture
-def config() -> RealSenseConfig:
+def config(monkeypatch: pytest.MonkeyPatch) -> RealSenseConfig:
     """The size of the images, and timeouts that a test can wait for."""
-    timeouts = TimeoutConfig(start_s=0.6, stall_s=0.2, reopen_s=0.5, backoff_min_s=0.05, backoff_max_s=0.2)
+    monkeypatch.setattr(realsense, "_BACKOFF_S", (0.05, 0.2))
+    timeouts = TimeoutConfig(start_s=0.6, stall_s=0.2, reopen_s=0.5)
     return RealSenseConfig(width=WIDTH, height=HEIGHT, timeouts=timeouts)

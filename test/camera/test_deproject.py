@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.camera import Deprojector, pinhole_matrix
 from foretouch.camera.device import realsense
-from foretouch.camera.stream import lens_of
+from foretouch.camera.stream import _lens_of
 from foretouch.errors import CameraError, MissingDependencyError
 
 
@@ -29,34 +31,38 @@ def _intrinsics(rs: Any, model: str, coefficients: list[float]) -> Any:
     return i
 
 
-@pytest.mark.parametrize("model", ["none", "brown_conrady", "inverse_brown_conrady"])
-@pytest.mark.parametrize("coefficients", [[0.0] * 5, [0.1, -0.05, 0.002, -0.003, 0.02]])
-def test_directions_are_those_of_the_library(rs: Any, model: str, coefficients: list[float]) -> None:
-    i = _intrinsics(rs, model, coefficients)
-    ours = lens_of(i)
-    theirs = np.array([[rs.rs2_deproject_pixel_to_point(i, [u, v], 1.0) for u in range(64)] for v in range(48)])
-    # The library computes in float32: coordinates are below 1, ten iterations of a few roundings each.
-    np.testing.assert_allclose(ours.x, theirs[..., 0], atol=5e-7)
-    np.testing.assert_allclose(ours.y, theirs[..., 1], atol=5e-7)
+def test_directions_are_those_of_the_library(rs: Any) -> None:
+    def check(model: str, coefficients: list[float]) -> None:
+        i = _intrinsics(rs, model, coefficients)
+        ours = _lens_of(i)
+        theirs = np.array([[rs.rs2_deproject_pixel_to_point(i, [u, v], 1.0) for u in range(64)] for v in range(48)])
+        # The library computes in float32: coordinates are below 1, ten iterations of a few roundings each.
+        np.testing.assert_allclose(ours.x, theirs[..., 0], atol=5e-7)
+        np.testing.assert_allclose(ours.y, theirs[..., 1], atol=5e-7)
+
+    models = ("none", "brown_conrady", "inverse_brown_conrady")
+    every_case(product(models, ([0.0] * 5, [0.1, -0.05, 0.002, -0.003, 0.02])), check)
 
 
 def test_distortion_is_undone_by_projecting_again(rs: Any) -> None:
     i = _intrinsics(rs, "inverse_brown_conrady", [0.05, -0.02, 0.001, -0.001, 0.0])
-    lens = lens_of(i)
+    lens = _lens_of(i)
     pixel = rs.rs2_project_point_to_pixel(i, [float(lens.x[40, 60]), float(lens.y[40, 60]), 1.0])
     np.testing.assert_allclose(pixel, [60.0, 40.0], atol=0.01)
 
 
 def test_a_model_without_an_inverse_is_named(rs: Any) -> None:
     with pytest.raises(CameraError, match="distortion model kannala_brandt4: cannot be deprojected"):
-        lens_of(_intrinsics(rs, "kannala_brandt4", [0.1, 0.0, 0.0, 0.0, 0.0]))
+        _lens_of(_intrinsics(rs, "kannala_brandt4", [0.1, 0.0, 0.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize("model", ["brown_conrady", "inverse_brown_conrady"])
-@pytest.mark.parametrize("coefficients", [[-0.3, -0.3, 0.0, 0.0, -0.3], [-2.0, 0.0, 0.0, 0.0, 0.0], [1e300] * 5])
-def test_a_distortion_that_the_iteration_does_not_undo_is_refused(model: str, coefficients: list[float]) -> None:
-    with pytest.raises(CameraError, match=r"distortion \[.*\]: is not undone by 10 iterations"):
-        Deprojector.of_lens(pinhole_matrix(64, 48), 64, 48, model, coefficients)
+def test_a_distortion_that_the_iteration_does_not_undo_is_refused() -> None:
+    def check(model: str, coefficients: list[float]) -> None:
+        with pytest.raises(CameraError, match=r"distortion \[.*\]: is not undone by 10 iterations"):
+            Deprojector.of_lens(pinhole_matrix(64, 48), 64, 48, model, coefficients)
+
+    strong = ([-0.3, -0.3, 0.0, 0.0, -0.3], [-2.0, 0.0, 0.0, 0.0, 0.0], [1e300] * 5)
+    every_case(product(("brown_conrady", "inverse_brown_conrady"), strong), check)
 
 
 def test_a_pixel_by_hand() -> None:
@@ -66,14 +72,8 @@ def test_a_pixel_by_hand() -> None:
     xyz = Deprojector.of_lens(matrix, 5, 3).points(depth)
     np.testing.assert_allclose(xyz[2, 4], [0.01, 0.01, 0.5], rtol=1e-6)
     assert np.isnan(xyz).all(axis=-1).sum() == 14
-
-
-def test_the_unit_of_depth_scales_all_three() -> None:
-    depth = np.full((3, 5), 1000, np.uint16)
-    lens = Deprojector.of_lens(pinhole_matrix(5, 3), 5, 3)
-    np.testing.assert_allclose(lens.points(depth, 0.0001), lens.points(depth) / 10.0, rtol=1e-6)
-
-
-def test_an_image_of_another_size_is_refused() -> None:
+    np.testing.assert_allclose(
+        Deprojector.of_lens(matrix, 5, 3).points(depth, 0.0001)[2, 4], xyz[2, 4] / 10.0, rtol=1e-6
+    )
     with pytest.raises(CameraError, match=r"depth image: shape \(4, 5\) is not the lens's \(3, 5\)"):
-        Deprojector.of_lens(pinhole_matrix(5, 3), 5, 3).points(np.zeros((4, 5), np.uint16))
+        Deprojector.of_lens(matrix, 5, 3).points(np.zeros((4, 5), np.uint16))

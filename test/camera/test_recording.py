@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.errors import FileError
 from foretouch.types import Cloud
 
 
 def _record(path: Path, source: SyntheticCamera, config: RealSenseConfig, count: int) -> list[Cloud]:
     clouds: list[Cloud] = []
-    with open_camera(config.replace(record_to=str(path)), source) as camera:
+    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         camera.read(0.0)
         for _ in range(count):
             source.feed()
@@ -38,7 +38,7 @@ def test_a_recording_plays_back_bit_for_bit(
     path = tmp_path / "seen.db3"
     config = config.replace(align=align)
     recorded = _record(path, source, config, 5)
-    with open_camera(_playing(path, config)) as camera:
+    with RealSenseCamera(_playing(path, config)) as camera:
         played = {cloud.stamp_ns: cloud for cloud in camera}
         status = camera.status
     assert status.state == "ended"
@@ -59,7 +59,7 @@ def test_a_slow_reader_of_a_recording_loses_nothing(
     path = tmp_path / "seen.db3"
     recorded = _record(path, source, config, 6)
     played = []
-    with open_camera(_playing(path, config)) as camera:
+    with RealSenseCamera(_playing(path, config)) as camera:
         for cloud in camera:
             time.sleep(0.05)
             played.append(cloud.stamp_ns)
@@ -71,13 +71,13 @@ def test_in_real_time_the_pace_is_that_of_the_recording(
     tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
 ) -> None:
     path = tmp_path / "seen.db3"
-    with open_camera(config.replace(record_to=str(path)), source) as camera:
+    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         camera.read(0.0)
         for _ in range(4):
             source.feed()
             camera.read(1.0)
             time.sleep(0.2)
-    with open_camera(_playing(path, config).replace(real_time=True)) as camera:
+    with RealSenseCamera(_playing(path, config).replace(real_time=True)) as camera:
         arrived = [time.monotonic() for _ in camera]
     # The library may hand out the first frame late while it starts; from then on it keeps the pace.
     assert 3 <= len(arrived) <= 4
@@ -90,7 +90,7 @@ def test_a_gap_in_a_recording_is_told_and_waited_for(
     path = tmp_path / "seen.db3"
     recorded = []
     patient = config.timeouts.replace(reopen_s=30.0, start_s=30.0)
-    with open_camera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
+    with RealSenseCamera(config.replace(record_to=str(path), timeouts=patient), source) as camera:
         camera.read(0.0)
         for pause_s in (0.1, 0.1, 1.0, 0.1):  # the longest is more than `reopen_s` of the player
             time.sleep(pause_s)
@@ -100,7 +100,7 @@ def test_a_gap_in_a_recording_is_told_and_waited_for(
             recorded.append(cloud.stamp_ns)
     told: list[str] = []
     playing = _playing(path, config).replace(real_time=True)
-    with open_camera(playing, on_change=lambda status: told.append(status.state)) as camera:
+    with RealSenseCamera(playing, on_change=lambda status: told.append(status.state)) as camera:
         played = [cloud.stamp_ns for cloud in camera]
     assert played[-3:] == recorded[-3:]
     assert told == ["streaming", "stalled", "streaming", "ended"]
@@ -110,7 +110,7 @@ def test_a_gap_in_a_recording_is_told_and_waited_for(
 def test_a_recording_repeats_when_asked_to(tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig) -> None:
     path = tmp_path / "seen.db3"
     recorded = _record(path, source, config, 3)
-    with open_camera(_playing(path, config, repeat=True)) as camera:
+    with RealSenseCamera(_playing(path, config, repeat=True)) as camera:
         stamps = [cloud.stamp_ns for cloud, _ in zip(camera, range(7), strict=False)]
     first = [cloud.stamp_ns for cloud in recorded]
     assert stamps == [*first, *first, first[0]]
@@ -120,7 +120,7 @@ def test_a_reconnected_camera_records_to_the_next_file(
     tmp_path: Path, source: SyntheticCamera, config: RealSenseConfig
 ) -> None:
     path = tmp_path / "seen.db3"
-    with open_camera(config.replace(record_to=str(path)), source) as camera:
+    with RealSenseCamera(config.replace(record_to=str(path)), source) as camera:
         for opening in range(2):
             while camera.status.opened == opening:
                 camera.read(0.01)
@@ -131,18 +131,18 @@ def test_a_reconnected_camera_records_to_the_next_file(
                 camera.read(0.05)
             source.plug()
     for name in ("seen.db3", "seen-2.db3"):
-        with open_camera(_playing(tmp_path / name, config)) as camera:
+        with RealSenseCamera(_playing(tmp_path / name, config)) as camera:
             assert len(list(camera)) == 1
 
 
 def test_files_that_cannot_be_played_are_named(tmp_path: Path, config: RealSenseConfig) -> None:
     with pytest.raises(FileError, match=r"gone\.db3: no such file"):
-        open_camera(_playing(tmp_path / "gone.db3", config))
+        RealSenseCamera(_playing(tmp_path / "gone.db3", config))
     for name in ("bad.db3", "bad.bag"):
         path = tmp_path / name
         path.write_bytes(b"no recording" * 100)
         with (
-            open_camera(_playing(path, config)) as camera,
+            RealSenseCamera(_playing(path, config)) as camera,
             pytest.raises(FileError, match=rf"{name}: not a RealSense recording"),
         ):
             camera.read(1.0)
@@ -152,5 +152,5 @@ def test_a_recording_is_never_overwritten(tmp_path: Path, source: SyntheticCamer
     path = tmp_path / "precious.db3"
     path.write_bytes(b"precious")
     with pytest.raises(FileError, match=r"precious\.db3: exists"):
-        open_camera(config.replace(record_to=str(path)), source)
+        RealSenseCamera(config.replace(record_to=str(path)), source)
     assert path.read_bytes() == b"precious"

@@ -4,30 +4,31 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.camera.device import realsense
-from foretouch.camera.stream import Frames, FrameStream
+from foretouch.camera.stream import FrameStream
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage
 from foretouch.types import Cloud
 
 
-def _next(source: SyntheticCamera, stream: FrameStream) -> Frames:
+def _next(source: SyntheticCamera, stream: FrameStream) -> tuple[Any, Any]:
     source.feed()
     frames = stream.wait(1.0)
     assert frames is not None
-    assert (frames.colour is not None) == stream.wants_colour
+    assert (frames[1] is not None) == stream.wants_colour
     return frames
 
 
 def _cloud(source: SyntheticCamera, config: RealSenseConfig) -> Cloud:
     stream = FrameStream(source.find(), config)
     try:
-        return stream.cloud(_next(source, stream))
+        return stream.cloud(*_next(source, stream))
     finally:
         stream.close()
 
@@ -47,8 +48,8 @@ def test_points_are_those_of_the_librarys_own_pointcloud(
     source = SyntheticCamera(images[:1])
     stream = FrameStream(source.find(), config.replace(align=align))
     frames = _next(source, stream)
-    ours = stream.cloud(frames).xyz
-    joined = stream._join.make(*(frame for frame in (frames.depth, frames.colour) if frame is not None))
+    ours = stream.cloud(*frames).xyz
+    joined = stream._join(*(frame for frame in frames if frame is not None))
     depth = (joined if stream._align is None else stream._align.process(joined)).get_depth_frame()
     theirs = np.asanyarray(rs.pointcloud().calculate(depth).get_vertices(2)).reshape(ours.shape)
     stream.close()
@@ -75,11 +76,11 @@ def test_depth_brought_to_colour_is_in_the_colour_frame(images: list[DepthImage]
 def test_colour_outlives_its_frame(images: list[DepthImage], config: RealSenseConfig) -> None:
     source = SyntheticCamera(images[:1])
     stream = FrameStream(source.find(), config.replace(align="colour_to_depth"))
-    cloud = stream.cloud(_next(source, stream))
+    cloud = stream.cloud(*_next(source, stream))
     assert cloud.rgb is not None
     before = cloud.rgb.copy()
     for _ in range(40):  # more than the library's pool holds
-        stream.cloud(_next(source, stream))
+        stream.cloud(*_next(source, stream))
     stream.close()
     assert np.array_equal(cloud.rgb, before)
 
@@ -114,4 +115,4 @@ def test_a_refused_stream_leaves_the_device_free(source: SyntheticCamera, config
     stream = FrameStream(source.find(), config)
     assert _next(source, stream) is not None
     stream.close()
-    assert open_camera(config, source).status.opened == 0
+    assert RealSenseCamera(config, source).status.opened == 0

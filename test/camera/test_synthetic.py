@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.errors import CameraError
 from foretouch.simulation import DepthImage, DepthScene, random_scene
 
@@ -18,10 +18,10 @@ def test_it_feeds_at_its_rate_and_its_thread_ends(images: list[DepthImage]) -> N
     source = SyntheticCamera(images, fps=50)
     with source:
         time.sleep(0.5)
-    fed = source.number
+    fed = source._number
     assert 10 <= fed <= 27
     time.sleep(0.1)
-    assert source.number == fed
+    assert source._number == fed
     assert not any(thread.name == "synthetic-camera" for thread in threading.enumerate())
 
 
@@ -34,7 +34,7 @@ def test_frames_may_be_made_one_by_one(config: RealSenseConfig) -> None:
         return scene.moved(0, np.array([0.002 * number, 0.0, 0.0])).render()
 
     source = SyntheticCamera(frame)
-    with open_camera(config, source) as camera:
+    with RealSenseCamera(config, source) as camera:
         camera.read(0.0)
         for number in range(3):
             assert source.feed() == number
@@ -62,5 +62,5 @@ def test_opening_and_closing_under_full_feed_is_safe(images: list[DepthImage], c
     fast = config.replace(fps=300, align="colour_to_depth")
     with source:
         for _ in range(15):
-            with open_camera(fast, source) as camera:
+            with RealSenseCamera(fast, source) as camera:
                 assert camera.read(2.0) is not None

@@ -13,6 +13,7 @@ from foretouch.cli import doctor
 Call = Callable[..., Any]
 
 
+@pytest.mark.slow
 def test_this_environment_has_no_problem(call: Call) -> None:
     answer = call("doctor", "--json")
     problems = [

@@ -122,6 +122,7 @@ def test_an_unfinished_run_is_refused_in_one_line(
     assert f"{tmp_path}: is an unfinished run" in record["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_released_model_recognises_its_training_data(call: Call, real_data: Path) -> None:
     answer = call("evaluate", "default", real_data / "vision2tactile", "--json")

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+from bag_builders import read_bag
 from corpus.clouds import object_cases, scene_cases
 
 from foretouch.cloud.io.files import read_cloud, write_cloud
-from foretouch.dataset.bag import read_bag
 from foretouch.dataset.bag_writer import write_bag
 from foretouch.dataset.store import Store
 from foretouch.dataset.store_writer import StoreWriter
@@ -54,8 +54,8 @@ def _file(suffix: str, folder: Path, cloud: Cloud) -> Cloud:
     return read_cloud(folder / f"cloud{suffix}")
 
 
-def _bag(compression: Literal["none", "zstd"], folder: Path, cloud: Cloud) -> Cloud:
-    write_bag(folder / "bag", [cloud], compression=compression)
+def _bag(folder: Path, cloud: Cloud) -> Cloud:
+    write_bag(folder / "bag", [cloud])
     (read,) = read_bag(folder / "bag")
     return Cloud(read.xyz.copy(), None if read.rgb is None else read.rgb.copy())
 
@@ -72,8 +72,7 @@ def _store(folder: Path, cloud: Cloud) -> Cloud:
 
 _FORMATS: dict[str, Callable[[Path, Cloud], Cloud]] = {
     **{suffix[1:]: partial(_file, suffix) for suffix in (".npy", ".npz", ".pcd", ".ply")},
-    "bag": partial(_bag, "none"),
-    "bag zstd": partial(_bag, "zstd"),
+    "bag": _bag,
     "store": _store,
 }
 """Writes a cloud below a folder and reads it back."""

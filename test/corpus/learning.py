@@ -152,7 +152,7 @@ def _scores(predicted: Any, actual: Any, reference: Any) -> dict[str, list[float
 
 def _ranges(low: float, high: float) -> list[Any]:
     ranges = TactileRanges(pdc_th=(low, high))
-    return [ranges.scale(np.full(TOUCH_SIZE, 2500.0)), ranges.unscale(np.full(TOUCH_SIZE, 0.5))]
+    return [ranges.scale(np.full(TOUCH_SIZE, 2500.0))]
 
 
 def _compared(objects: int, squares: Any, reference: Any) -> list[str]:

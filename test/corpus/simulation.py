@@ -15,12 +15,12 @@ import numpy as np
 from corpus.outcome import nearly
 
 from foretouch.config import Settings, setting_infos
-from foretouch.errors import ForetouchError
+from foretouch.errors import ForetouchError, TactileError
 from foretouch.simulation.contact import Command, ContactProblem, Layer, solve_contact
 from foretouch.simulation.objects import TriangleMesh
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 
 Cases = Iterator[tuple[Any, ...]]
 
@@ -206,8 +206,8 @@ def _sample(document: Mapping[str, Any]) -> list[Any]:
     scene = SceneConfig.from_mapping({"objects": [_CAN], "max_attempts": 2, **document})
     (sample,) = Simulation(scene).samples(1)
     for touch in (sample.touch, sample.tare):
-        if touch is not None and scene.fingers.dead is None:
-            check_touch(touch).require()
+        if touch is not None and scene.fingers.dead is None and (faults := touch_faults(touch)):
+            raise TactileError("; ".join(faults))
     touches = [touch.vector() for touch in (sample.touch, sample.tare) if touch is not None]
     xyz = sample.cloud.xyz[np.isfinite(sample.cloud.xyz).all(axis=-1)]
     return [dict(sample.extra), sample.grasp.g1, sample.grasp.g2, sample.grasp.rotation, *touches, xyz]

@@ -4,17 +4,19 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_builders import make_clouds, read_bag
+from every_case import every_case
+from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording, read_bag
+from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording, is_recording
 from foretouch.dataset.bag_writer import BagWriter, write_bag
 from foretouch.errors import DatasetError, FileError, ForetouchError
 from foretouch.types import Cloud
@@ -22,16 +24,6 @@ from foretouch.types import Cloud
 TOPIC = "/foretouch/points"
 KILTED = get_typestore(Stores.ROS2_KILTED)
 NOETIC = get_typestore(Stores.ROS1_NOETIC)
-
-
-def make_clouds(rng: np.random.Generator, count: int = 6, shape: tuple[int, ...] = (12, 16)) -> list[Cloud]:
-    clouds = []
-    for number in range(count):
-        xyz = rng.normal(size=(*shape, 3)).astype(np.float32)
-        xyz.reshape(-1, 3)[number % 5] = np.nan
-        rgb = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
-        clouds.append(Cloud(xyz, rgb, "camera", 1_700_000_000_123_456_789 + number * 33_333_333))
-    return clouds
 
 
 def assert_same(read: Cloud, written: Cloud) -> None:
@@ -70,77 +62,61 @@ def foreign_message(store, xyz: np.ndarray, *, stamp_ns: int, seq: int | None = 
 
 
 def write_foreign(
-    path: Path, messages: list, plugin: StoragePlugin = StoragePlugin.SQLITE3, topic: str = "/cloud"
+    path: Path, messages: list, plugin: StoragePlugin = StoragePlugin.SQLITE3, mode: CompressionMode | None = None
 ) -> None:
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection(topic, POINT_CLOUD_TYPE, typestore=KILTED)
+    writer = Writer(path, version=8, storage_plugin=plugin)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=KILTED)
         for number, message in enumerate(messages):
             writer.write(connection, 10 + number, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
 
 
-@pytest.mark.parametrize("compression", ["zstd", "none"])
-@pytest.mark.parametrize("shape", [(12, 16), (40,), (0,)])
-def test_what_is_written_is_read(tmp_path, rng, compression, shape):
-    clouds = make_clouds(rng, shape=shape) if shape != (0,) else [Cloud(np.empty((0, 3), np.float32), stamp_ns=5)]
-    assert write_bag(tmp_path / "bag", clouds, compression=compression) == len(clouds)
-    read = list(read_bag(tmp_path / "bag"))
-    assert len(read) == len(clouds)
-    for one, other in zip(read, clouds, strict=True):
-        assert_same(one, other)
+def test_what_is_written_is_read(tmp_path, rng):
+    def check(name: str, clouds: list[Cloud]) -> None:
+        assert write_bag(tmp_path / name, clouds) == len(clouds)
+        read = list(read_bag(tmp_path / name))
+        assert len(read) == len(clouds)
+        for one, other in zip(read, clouds, strict=True):
+            assert_same(one, other)
 
-
-def test_many_chunks_keep_their_order(tmp_path, rng):
-    clouds = make_clouds(rng, count=9, shape=(150, 200))  # 480 kB each, chunks close at 1 MiB
-    write_bag(tmp_path / "bag", clouds, compression="none")
-    assert [c.stamp_ns for c in read_bag(tmp_path / "bag")] == [c.stamp_ns for c in clouds]
+    cases = [
+        ("images", make_clouds(rng)),
+        ("objects", make_clouds(rng, shape=(40,))),
+        ("empty", [Cloud(np.empty((0, 3), np.float32), stamp_ns=5)]),
+        ("many chunks", make_clouds(rng, count=9, shape=(150, 200))),  # 480 kB each, chunks close at 1 MiB
+    ]
+    every_case(cases, check)
 
 
 def test_the_mcap_library_agrees_and_accepts_the_checksums(tmp_path, rng):
-    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
-    support = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
     clouds = make_clouds(rng)
     write_bag(tmp_path / "bag", clouds)
-    with (tmp_path / "bag" / "bag.mcap").open("rb") as stream:
-        others = reader.make_reader(stream, validate_crcs=True, decoder_factories=[support.DecoderFactory()])
-        messages = list(others.iter_decoded_messages())
-    assert [m.channel.topic for m in messages] == [TOPIC] * len(clouds)
-    for message, cloud in zip(messages, clouds, strict=True):
-        points = np.frombuffer(bytes(message.decoded_message.data), "<f4").reshape(12, 16, 4)
-        np.testing.assert_array_equal(points[..., :3], cloud.xyz)
-        assert message.decoded_message.header.frame_id == cloud.frame_id
-        assert message.message.log_time == cloud.stamp_ns
-
-
-def test_chunks_carry_their_checksum(tmp_path, rng):
-    write_bag(tmp_path / "bag", make_clouds(rng))
     content = (tmp_path / "bag" / "bag.mcap").read_bytes()
-    header_length = int.from_bytes(content[9:17], "little")
-    chunk = 17 + header_length
+    chunk = 17 + int.from_bytes(content[9:17], "little")  # after the header
     assert content[chunk] == 0x06
     assert content[chunk + 33 : chunk + 37] != bytes(4)
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as stream:
+        found = [(channel.topic, message) for _, channel, message in make_reader(stream, True).iter_messages()]
+    for (topic, message), cloud in zip(found, clouds, strict=True):
+        assert (topic, message.log_time) == (TOPIC, cloud.stamp_ns)
+        content = KILTED.deserialize_cdr(message.data, POINT_CLOUD_TYPE)
+        np.testing.assert_array_equal(content.data.view("<f4").reshape(12, 16, 4)[..., :3], cloud.xyz)
 
 
-@pytest.mark.parametrize("plugin", list(StoragePlugin))
-def test_bag_of_others_with_an_odd_layout(tmp_path, rng, plugin):
+def test_bags_of_others_with_an_odd_layout_and_any_compression(tmp_path, rng):
     xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
-    write_foreign(tmp_path / "bag", [foreign_message(KILTED, xyz, stamp_ns=3_000_000_004)], plugin)
-    (cloud,) = read_bag(tmp_path / "bag")
-    np.testing.assert_array_equal(cloud.xyz, xyz)
-    assert (cloud.frame_id, cloud.stamp_ns) == ("lidar", 3_000_000_004)
 
+    def check(plugin: StoragePlugin, mode: CompressionMode | None) -> None:
+        path = tmp_path / f"{plugin.name}{mode and mode.name}"
+        write_foreign(path, [foreign_message(KILTED, xyz, stamp_ns=3_000_000_004)], plugin, mode)
+        (cloud,) = read_bag(path)
+        np.testing.assert_array_equal(cloud.xyz, xyz)
+        assert (cloud.frame_id, cloud.stamp_ns) == ("lidar", 3_000_000_004)
 
-@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
-@pytest.mark.parametrize("plugin", list(StoragePlugin))
-def test_compressed_bag_of_others(tmp_path, rng, plugin, mode):
-    xyz = rng.normal(size=(3, 5, 3)).astype(np.float32)
-    writer = Writer(tmp_path / "bag", version=8, storage_plugin=plugin)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/cloud", POINT_CLOUD_TYPE, typestore=KILTED)
-        message = foreign_message(KILTED, xyz, stamp_ns=7)
-        writer.write(connection, 10, KILTED.serialize_cdr(message, POINT_CLOUD_TYPE))
-    (cloud,) = read_bag(tmp_path / "bag")
-    np.testing.assert_array_equal(cloud.xyz, xyz)
+    modes = (None, CompressionMode.FILE, CompressionMode.MESSAGE)
+    every_case([(plugin, mode) for plugin in StoragePlugin for mode in modes], check)
 
 
 def test_ros1_bag(tmp_path, rng):
@@ -184,33 +160,30 @@ def test_messages_are_passed_on_as_recorded(tmp_path, rng):
     assert [m.data for m in messages if m.topic == "/said"] == said
 
 
-def test_own_message_types_travel(tmp_path):
+def test_topics_are_listed_with_types_counts_and_fields(tmp_path, rng):
     with BagWriter(tmp_path / "bag") as writer:
-        writer.define("my_msgs/msg/Reading", "std_msgs/Header header\nint16[] electrodes\n")
+        writer.definitions.register("my_msgs/msg/Reading", "std_msgs/Header header\nint16[] electrodes\n")
         writer.write("/tactile", "my_msgs/msg/Reading", 0, b"\0\1\0\0")
-    (topic,) = Recording(tmp_path / "bag").topics
-    assert (topic.type, topic.count, topic.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
+        for cloud in make_clouds(rng, count=4):
+            writer.write_cloud(cloud, "/a/points")
+    with Recording(tmp_path / "bag") as recording:
+        points, tactile = recording.topics
+    assert (points.name, points.type, points.count) == ("/a/points", POINT_CLOUD_TYPE, 4)
+    assert (tactile.type, tactile.count, tactile.fields) == ("my_msgs/msg/Reading", 1, ("header", "electrodes"))
 
 
-def test_topics_are_listed_with_types_and_counts(tmp_path, rng):
-    write_bag(tmp_path / "bag", make_clouds(rng, count=4), "/a/points")
-    (topic,) = Recording(tmp_path / "bag").topics
-    assert (topic.name, topic.type, topic.count) == ("/a/points", POINT_CLOUD_TYPE, 4)
-
-
-def test_missing_topic_names_the_known_ones(tmp_path, rng):
-    write_bag(tmp_path / "bag", make_clouds(rng))
-    with pytest.raises(FileError, match=r"bag: /points: no such topic; known: /foretouch/points \(.*PointCloud2, 6\)"):
-        list(read_bag(tmp_path / "bag", "/points"))
-
-
-def test_topic_of_another_type(tmp_path):
+def test_a_topic_that_is_absent_empty_or_of_another_type_is_named(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/said", "std_msgs/msg/String")
+    with pytest.raises(FileError, match=r"bag: /points: no such topic; known: /said \(std_msgs/msg/String, 0\)"):
+        list(read_bag(tmp_path / "bag", "/points"))
     with pytest.raises(FileError, match="/said: holds std_msgs/msg/String, not sensor_msgs/msg/PointCloud2"):
         list(read_bag(tmp_path / "bag", "/said"))
     with pytest.raises(FileError, match=r"no topic of sensor_msgs/msg/PointCloud2; known: /said"):
         list(read_bag(tmp_path / "bag"))
+    assert write_bag(tmp_path / "empty", []) == 0
+    with pytest.raises(FileError, match="/foretouch/points: holds no messages"):
+        list(read_bag(tmp_path / "empty"))
 
 
 def test_several_topics_of_clouds_must_be_chosen_from(tmp_path, rng):
@@ -225,24 +198,18 @@ def test_several_topics_of_clouds_must_be_chosen_from(tmp_path, rng):
     assert_same(cloud, second)
 
 
-def test_recording_without_messages(tmp_path):
-    assert write_bag(tmp_path / "bag", []) == 0
-    with pytest.raises(FileError, match="/foretouch/points: holds no messages"):
-        list(read_bag(tmp_path / "bag"))
-
-
-def test_nothing_is_overwritten(tmp_path, rng):
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(FileError, match="exists already and is not overwritten"):
-        write_bag(tmp_path / "bag", make_clouds(rng))
-
-
-def test_a_failure_leaves_no_half_recording(tmp_path, rng):
+def test_nothing_is_overwritten_and_a_failure_leaves_no_half_recording(tmp_path, rng):
     (cloud,) = make_clouds(rng, count=1)
     early = Cloud(cloud.xyz, None, "camera", -1)
     with pytest.raises(DatasetError, match="stamp_ns: -1 is before 1970"):
         write_bag(tmp_path / "bag", [cloud, early])
     assert not (tmp_path / "bag").exists()
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(FileError, match="exists already and is not overwritten"):
+        write_bag(tmp_path / "bag", [cloud])
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileError, match="Not a directory"):
+        write_bag(tmp_path / "file" / "bag", [cloud])
 
 
 def test_a_topic_has_one_type_and_a_type_a_definition(tmp_path):
@@ -250,7 +217,7 @@ def test_a_topic_has_one_type_and_a_type_a_definition(tmp_path):
         writer.add_topic("/said", "std_msgs/msg/String")
         with pytest.raises(DatasetError, match="/said: holds std_msgs/msg/String, not std_msgs/msg/Bool"):
             writer.add_topic("/said", "std_msgs/msg/Bool")
-        with pytest.raises(DatasetError, match="/x: no definition of nobodys_msgs/msg/X"):
+        with pytest.raises(DatasetError, match="nobodys_msgs/msg/X: no definition is known"):
             writer.add_topic("/x", "nobodys_msgs/msg/X")
 
 
@@ -274,48 +241,51 @@ def test_a_message_cut_short_names_itself(tmp_path, rng):
         list(read_bag(tmp_path / "cut"))
 
 
-@pytest.mark.parametrize("name", ["absent", "notes.txt", "folder"])
-def test_what_is_no_recording(tmp_path, name):
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path, rng):
     (tmp_path / "notes.txt").write_text("no recording")
     (tmp_path / "folder").mkdir()
-    assert not is_recording(tmp_path / name)
-    with pytest.raises(FileError, match=r"does not exist|is no recording: neither"):
-        list(read_bag(tmp_path / name))
+    bomb = tmp_path / "bomb"
+    bomb.mkdir()
+    text = "a: &a [x, x, x, x, x, x, x, x, x]\n"
+    for one, other in zip("abcdefghij", "bcdefghijk", strict=True):
+        text += f"{other}: &{other} [{', '.join([f'*{one}'] * 9)}]\n"
+    (bomb / "metadata.yaml").write_text(text)
+    cases = [(tmp_path / name, "does not exist|is no recording: neither") for name in ("absent", "notes.txt", "folder")]
+    cases.append((bomb, "metadata.yaml: not YAML: more than 100000 values, aliases included"))
+    for suffix in (".mcap", ".db3", ".bag"):
+        for number, content in enumerate((b"", b"not what the name says" * 100)):
+            (tmp_path / f"{number}{suffix}").write_bytes(content)
+            cases.append((tmp_path / f"{number}{suffix}", f"{number}{suffix}: truncated or damaged: "))
+        os.mkfifo(tmp_path / f"fifo{suffix}")
+        cases.append((tmp_path / f"fifo{suffix}", "is a FIFO, not a regular file"))
+    for number, metadata in enumerate(("", "rosbag2_bagfile_information: 3", "a: [", "\0")):
+        write_bag(tmp_path / f"bag{number}", make_clouds(rng, 1))
+        (tmp_path / f"bag{number}" / "metadata.yaml").write_text(metadata)
+        cases.append((tmp_path / f"bag{number}", "truncated or damaged|not YAML"))
+
+    def check(path: Path, message: str) -> None:
+        with pytest.raises(FileError, match=message) as caught:
+            list(read_bag(path))
+        assert "\n" not in str(caught.value)
+
+    every_case(cases, check)
+    assert not any(is_recording(tmp_path / name) for name in ("absent", "notes.txt", "folder"))
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
-@pytest.mark.parametrize("content", [b"", b"not what the name says" * 100])
-def test_files_that_only_bear_the_name(tmp_path, suffix, content):
-    path = tmp_path / f"x{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(FileError, match=f"x{suffix}: truncated or damaged: ") as caught:
-        list(read_bag(path))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("plugin", list(StoragePlugin))
-@pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.97, 0.999])
-def test_cut_storage_is_told_in_one_line(tmp_path, rng, plugin, part):
+def test_storage_that_is_cut_off_is_refused_in_one_line(tmp_path, rng):
     messages = [foreign_message(KILTED, rng.normal(size=(30, 40, 3)).astype(np.float32), stamp_ns=n) for n in range(4)]
-    write_foreign(tmp_path / "bag", messages, plugin)
-    (storage,) = [p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3")]
-    content = storage.read_bytes()
-    storage.write_bytes(content[: int(part * len(content))])
-    with pytest.raises(FileError, match="bag: ") as caught:
-        list(read_bag(tmp_path / "bag"))
-    assert "\n" not in str(caught.value)
 
+    def check(plugin: StoragePlugin, part: float) -> None:
+        path = tmp_path / f"{plugin.name}{part}"
+        write_foreign(path, messages, plugin)
+        (storage,) = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
+        content = storage.read_bytes()
+        storage.write_bytes(content[: int(part * len(content))])
+        with pytest.raises(FileError, match=f"{path.name}: ") as caught:
+            list(read_bag(path))
+        assert "\n" not in str(caught.value)
 
-@pytest.mark.parametrize(
-    ("metadata", "told"),
-    [("", "damaged"), ("rosbag2_bagfile_information: 3", "damaged"), ("a: [", "damaged"), ("\0", "damaged")],
-)
-def test_damaged_metadata(tmp_path, rng, metadata, told):
-    write_bag(tmp_path / "bag", make_clouds(rng))
-    (tmp_path / "bag" / "metadata.yaml").write_text(metadata)
-    with pytest.raises(FileError, match=told) as caught:
-        list(read_bag(tmp_path / "bag"))
-    assert "\n" not in str(caught.value)
+    every_case([(plugin, part) for plugin in StoragePlugin for part in (0.0, 0.001, 0.3, 0.7, 0.97, 0.999)], check)
 
 
 def test_fewer_messages_than_declared(tmp_path, rng):
@@ -328,39 +298,20 @@ def test_fewer_messages_than_declared(tmp_path, rng):
         next(read)
 
 
-@pytest.mark.parametrize("compression", ["zstd", "none"])
-def test_a_flipped_byte_is_seen_or_does_no_harm(tmp_path, rng, compression):
-    clouds = make_clouds(rng)
-    write_bag(tmp_path / "bag", clouds, compression=compression)
+def test_a_flipped_byte_is_detected_or_does_no_harm(tmp_path, rng):
+    clouds = make_clouds(rng, 3)
+    write_bag(tmp_path / "bag", clouds)
     content = (tmp_path / "bag" / "bag.mcap").read_bytes()
-    seen = 0
-    for trial, place in enumerate(np.linspace(0, len(content) - 1, 120).astype(int)):
+    detected = 0
+    for place in np.linspace(0, len(content) - 1, 80).astype(int):
         damaged = bytearray(content)
         damaged[place] ^= 1 << rng.integers(8)
-        folder = tmp_path / f"bag{trial}"
-        shutil.copytree(tmp_path / "bag", folder)
-        (folder / "bag.mcap").write_bytes(damaged)
+        (tmp_path / "bag" / "bag.mcap").write_bytes(damaged)
         try:
-            read = list(read_bag(folder))
+            read = list(read_bag(tmp_path / "bag"))
         except ForetouchError:
-            seen += 1
+            detected += 1
             continue
         for one, other in zip(read, clouds, strict=True):
             assert_same(one, other)
-    assert seen > 60
-
-
-def test_the_metadata_of_a_bag_cannot_bomb(tmp_path: Path) -> None:
-    text = "a: &a [x, x, x, x, x, x, x, x, x]\n"
-    for one, other in zip("abcdefghij", "bcdefghijk", strict=True):
-        text += f"{other}: &{other} [{', '.join([f'*{one}'] * 9)}]\n"
-    (tmp_path / "metadata.yaml").write_text(text)
-    with pytest.raises(FileError, match=r"metadata.yaml: not YAML: more than 100000 values, aliases included"):
-        Recording(tmp_path)
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
-def test_a_recording_that_is_a_fifo_is_refused(tmp_path: Path, suffix: str) -> None:
-    os.mkfifo(tmp_path / f"x{suffix}")
-    with pytest.raises(FileError, match=r"is a FIFO, not a regular file"):
-        Recording(tmp_path / f"x{suffix}")
+    assert detected > 40

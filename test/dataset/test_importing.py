@@ -81,15 +81,13 @@ class Faults:
 def write_topics(path: Path, faults: Faults | None = None) -> None:
     """Two clouds; grasp "a" on the first is executed two seconds later, with 100 more counts in its hold."""
     faults = faults or Faults()
-    definitions = Definitions()
     start = 1_700_000_000 * NS
     with BagWriter(path) as writer:
-        for name in ("GraspArray", "ExecutedGrasp", "BiotacAll"):
-            writer.define(f"foretouch_msgs/msg/{name}", definitions.text(f"foretouch_msgs/msg/{name}"))
 
         def write(topic: str, kind: str, at_ns: int, message: SimpleNamespace) -> None:
             type_name = f"foretouch_msgs/msg/{kind}"
-            data = bytes(definitions.store.serialize_cdr(message, type_name))
+            writer.add_topic(topic, type_name)
+            data = bytes(writer.definitions.store.serialize_cdr(message, type_name))
             writer.write(topic, type_name, at_ns + faults.ago_ns, data)
 
         def write_cloud(xyz: np.ndarray, at_ns: int) -> None:
@@ -222,9 +220,6 @@ def test_another_tactile_type_is_one_file_and_one_line(tmp_path: Path, monkeypat
     write_topics(tmp_path / "bag")
     store = Definitions().store
     with Recording(tmp_path / "bag") as bag, BagWriter(tmp_path / "other") as writer:
-        for topic in bag.topics:
-            if topic.name.startswith("/foretouch") and topic.type.startswith("foretouch"):
-                writer.define(topic.type, Definitions().text(topic.type))
         for message in bag.messages():
             data, kind = message.data, message.type
             if message.topic == "/rh/tactile":

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from foretouch.cloud.io.files import write_cloud
 from foretouch.dataset.bag import POINT_CLOUD_TYPE, Recording
-from foretouch.dataset.bag_writer import BagWriter, write_bag
+from foretouch.dataset.bag_writer import BagWriter, serialize_cloud, write_bag
 from foretouch.dataset.messages import read_header
 from foretouch.dataset.playlist import CLOUDS, Entry, Pace, cloud_is_object, entries, other_topics
 from foretouch.dataset.source import STAMP_STEP_NS, open_source
@@ -31,20 +30,17 @@ def entry_at(at_ns: int, topic: str = CLOUDS) -> Entry:
     return Entry("", topic, at_ns, b"")
 
 
-def test_files_become_stamped_messages(tmp_path):
-    for number in (1, 2):
-        write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
-    first, second = entries(open_source(tmp_path, frame_id="lens"))
-    assert read_header(first.data) == (STAMP_STEP_NS, "lens")
-    content = STORE.deserialize_cdr(second.data, POINT_CLOUD_TYPE)
-    np.testing.assert_array_equal(content.data.view("<f4"), np.full(15, 2.0))
-
-
-def test_an_unreadable_file_is_a_refusal_in_its_place(tmp_path):
+def test_files_become_stamped_messages_and_an_unreadable_one_a_refusal(tmp_path):
     for number in (1, 2, 3):
-        write_cloud(tmp_path / f"{number}.npz", cloud_of(number))
-    (tmp_path / "2.npz").write_bytes(b"no archive")
-    assert [bool(entry.refusal) for entry in entries(open_source(tmp_path))] == [False, True, False]
+        write_cloud(tmp_path / f"{number}.npy", cloud_of(number))
+    (tmp_path / "2.npy").write_bytes(b"no archive")
+    source = open_source(tmp_path, frame_id="lens")
+    first, second, third = entries(source)
+    assert [bool(one.refusal) for one in (first, second, third)] == [False, True, False]
+    assert read_header(first.data) == (STAMP_STEP_NS, "lens")
+    content = STORE.deserialize_cdr(third.data, POINT_CLOUD_TYPE)
+    np.testing.assert_array_equal(content.data.view("<f4"), np.full(15, 3.0))
+    assert other_topics(source) == ()
 
 
 def test_a_recording_is_played_byte_for_byte(tmp_path):
@@ -64,56 +60,40 @@ def test_a_recording_is_played_byte_for_byte(tmp_path):
     assert [t.name for t in other_topics(source)] == ["/said", "/unwanted"]
 
 
-def test_a_message_that_is_no_cdr_is_refused_and_the_rest_goes_on(tmp_path):
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_cloud(cloud_of(1, 10))
-        writer.write("/foretouch/points", POINT_CLOUD_TYPE, 15, b"\0\1\0\0broken")
-        writer.write_cloud(cloud_of(2, 20))
-    refusals = [entry.refusal for entry in entries(open_source(tmp_path / "bag"))]
-    assert refusals[0] == refusals[2] == ""
-    assert "/foretouch/points[1]: truncated or damaged" in refusals[1]
-
-
-def test_a_cloud_whose_sizes_do_not_add_up_is_played_as_recorded(tmp_path):
-    with BagWriter(tmp_path / "good") as writer:
-        writer.write_cloud(cloud_of(1, 10))
-    with Recording(tmp_path / "good") as recording:
-        content = recording.content(next(recording.messages()))
+def test_a_message_that_is_no_cdr_is_refused_and_one_with_wrong_sizes_is_played(tmp_path):
+    content = STORE.deserialize_cdr(serialize_cloud(cloud_of(1, 10)), POINT_CLOUD_TYPE)
     content.width += 1
     data = bytes(STORE.serialize_cdr(content, POINT_CLOUD_TYPE))
     with BagWriter(tmp_path / "bag") as writer:
-        writer.write("/points", POINT_CLOUD_TYPE, 0, data)
-    (entry,) = entries(open_source(tmp_path / "bag"))
-    assert (entry.refusal, entry.data) == ("", data)
+        writer.write("/points", POINT_CLOUD_TYPE, 10, data)
+        writer.write("/points", POINT_CLOUD_TYPE, 15, b"\0\1\0\0broken")
+        writer.write_cloud(cloud_of(2, 20), "/points")
+    first, second, third = entries(open_source(tmp_path / "bag"))
+    assert (first.refusal, first.data) == ("", data)
+    assert "/points[1]: truncated or damaged" in second.refusal
+    assert third.refusal == ""
 
 
-@pytest.mark.parametrize(("shape", "alone"), [((4, 6), False), ((24,), True)])
-def test_files_that_are_no_image_hold_an_object(tmp_path, shape, alone):
-    (tmp_path / "0.npz").write_bytes(b"unreadable: the next one decides")
-    write_cloud(tmp_path / "1.npz", cloud_of(1, shape=shape))
-    assert cloud_is_object(open_source(tmp_path)) is alone
-
-
-def test_recordings_hold_what_a_camera_saw(tmp_path):
+def test_files_that_are_no_image_hold_an_object_and_recordings_what_a_camera_delivers(tmp_path):
+    for name, shape in (("images", (4, 6)), ("objects", (24,))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0.npz").write_bytes(b"unreadable: the next one decides")
+        write_cloud(tmp_path / name / "1.npz", cloud_of(1, shape=shape))
+        assert cloud_is_object(open_source(tmp_path / name)) is (name == "objects")
     write_bag(tmp_path / "bag", [cloud_of(1)])
     assert not cloud_is_object(open_source(tmp_path / "bag"))
+    (tmp_path / "images" / "1.npz").write_bytes(b"unreadable too")
+    assert not cloud_is_object(open_source(tmp_path / "images"))
 
 
-def test_recorded_times_are_kept():
+def test_recorded_times_are_kept_or_a_rate_paces_the_clouds():
     pace = Pace()
     assert [pace.due_s(entry_at(t)) for t in (5_000_000_000, 5_500_000_000, 6_000_000_000)] == [0.0, 0.5, 1.0]
-    assert pace.length_ns == 1_500_000_000
-    assert pace.length_s == 1.5
-
-
-def test_a_rate_paces_the_clouds_and_the_others_follow_them():
-    pace = Pace(rate_hz=4.0)
+    assert (pace.length_ns, pace.length_s) == (1_500_000_000, 1.5)
+    pace = Pace(rate_hz=4.0)  # the others follow the cloud before them
     times = [pace.due_s(entry_at(t, topic)) for t, topic in ((0, "/a"), (1, CLOUDS), (2, "/a"), (9, CLOUDS), (9, "/a"))]
     assert times == [0.0, 0.0, 0.0, 0.25, 0.25]
     assert pace.length_s == 0.5
-
-
-def test_a_round_of_one_cloud_has_a_length():
     pace = Pace()
     pace.due_s(entry_at(7))
-    assert pace.length_ns == STAMP_STEP_NS
+    assert pace.length_ns == STAMP_STEP_NS  # of a single cloud

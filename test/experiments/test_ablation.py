@@ -9,10 +9,8 @@ from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.ablation.results import NOTHING, ablation_rows, ablation_tables
 from foretouch.experiments.ablation.variants import FEATURE_SETS, FULL, ModelVariant, fit_variants
 from foretouch.learning.data import labels_of
-from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.training.contact import ContactPredictor, describe_samples
 from foretouch.models.contact.estimator import by_modality
 from foretouch.models.contact.hand_features import CHECKED, CONDITIONS, FEATURES, SLOPE_FEATURES
@@ -82,17 +80,18 @@ def _row(table: str, name: str, who: str, squared: float) -> dict:
 def test_differences_are_from_the_full_model_or_from_no_adaptation(tmp_path: Path) -> None:
     objects = [f"o{k}" for k in range(8)]
     rows = [_row("parts", FULL, one, 5.0) for one in objects] + [_row("parts", "less", one, 6.0) for one in objects]
-    rows += [_row("lean", NOTHING, one, 8.0) for one in objects] + [_row("lean", "tare", one, 4.0) for one in objects]
-    table = ablation_rows(rows, BootstrapConfig(draws=200))
+    rows += [_row("lean", "nothing", one, 8.0) for one in objects] + [_row("lean", "tare", one, 4.0) for one in objects]
+    experiment = find_experiment("ablation")
+    table = experiment.tabulate(experiment.resolve("smoke", {}), rows)
     by_name = {(row["table"], row["predictor"]): row for row in table if row["modality"] == "E_TH"}
     assert by_name["parts", "less"]["difference"] == pytest.approx(-0.1)
     assert by_name["parts", "less"]["difference_verdict"] == "worse"
     assert by_name["lean", "tare"]["difference"] == pytest.approx(0.4)
-    tables = ablation_tables(table)
+    tables = experiment.summarise(table)
     assert tables[0].notes == ["parts: mean skill of full .50, less .40▼", "lean: mean skill of nothing .20, tare .60▲"]
     assert [one.title.rpartition(" ")[2] for one in tables[1:]] == ["`full`", "`nothing`"]
     assert tables[1].rows[1][1].startswith("0.400 (-0.100 ▼")
-    (figure,) = find_experiment("ablation").draw(table, tmp_path)
+    (figure,) = experiment.draw(table, tmp_path)
     assert figure.stat().st_size > 5000
 
 

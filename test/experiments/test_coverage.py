@@ -9,8 +9,7 @@ from contact_model_builders import FEW_TREES, with_tares
 from experiment_samples import make_samples
 
 from foretouch.experiments import find_experiment, run_sweep
-from foretouch.experiments.coverage import coverage_rows
-from foretouch.experiments.coverage.results import coverage_table, coverage_tables, wilson_interval
+from foretouch.experiments.coverage import coverage_rows, coverage_table, wilson_interval
 from foretouch.experiments.shared.folds import by_object, split_objects
 from foretouch.learning.data import labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
@@ -64,7 +63,7 @@ def test_each_block_of_time_has_other_grasps() -> None:
 
 def test_means_outside_the_accepted_range_are_marked() -> None:
     rows = [_row("left out", "", f"o{k}", 0.6 + 0.02 * k, touches) for k in range(8) for touches in (0, 1)]
-    found, table, each = coverage_tables(coverage_table(rows, FEW_DRAWS))
+    found, table, each = find_experiment("coverage").summarise(coverage_table(rows, FEW_DRAWS))
     assert all("☒" in cell for row in table.rows for cell in row[1:])
     assert [row[0] for row in table.rows] == ["no touch", "1 touch"]
     assert len(each.rows) == 8

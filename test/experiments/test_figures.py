@@ -5,7 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from foretouch.experiments import find_experiment
-from foretouch.experiments.shared.figures import draw_intervals, draw_series, modality_panels
+from foretouch.experiments.shared import figures
+from foretouch.experiments.shared.figures import draw_intervals, draw_series
 from foretouch.experiments.shared.p1 import P1, draw_errors
 from foretouch.tactile import MODALITIES
 
@@ -45,17 +46,34 @@ def test_lines_over_touches(axes) -> None:
 
 def test_errors_at_one_table_stand_beside_each_other(axes) -> None:
     names = ("mean", "trees", "contact", P1)
-    draw_errors(axes, [{"predictor": k, "table": "within", "rmse": 40.0} for k in names], ["within"], names, "rmse")
+    draw_errors(
+        axes,
+        [{"predictor": k, "table": "within", "rmse": 40.0} for k in names],
+        tables=["within"],
+        predictors=names,
+        values="rmse",
+    )
     markers = [line[0][0] for line in lines(axes) if line[1] == [40.0]]
     assert markers == sorted(set(markers))
     assert sum(markers) == pytest.approx(0.0)
     assert axes.get_ylim()[0] == 0.0
 
 
-def test_each_line_has_a_panel_for_each_modality() -> None:
-    figure, found = modality_panels(8.0, (1.0, 2.0), ("above", ""))
-    assert [[modality for _, modality in line] for line in found] == [list(MODALITIES)] * 2
-    assert [axes.get_title() for axes in figure.axes[3:5]] == ["above: E_MF", "PDC_TH"]
+def test_each_line_has_a_panel_for_each_modality(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    monkeypatch.setattr(figures, "save_small", lambda figure, path: drawn.append(figure) or path)
+    rows = [{"modality": name, "value": k} for k, name in enumerate(MODALITIES)]
+    lines = [
+        figures.Line(
+            1.0, rows, lambda axes, own: axes.plot([row["value"] for row in own], label="a"), title, legend=place
+        )
+        for title, place in (("above", "right upper"), ("", ""))
+    ]
+    assert figures.save_panels(tmp_path / "a.png", 8.0, lines, sharex=True) == [tmp_path / "a.png"]
+    axes = drawn[0].axes
+    assert [one.get_title() for one in axes[3:5]] == ["above: E_MF", "PDC_TH"]
+    assert [one.lines[0].get_ydata().tolist() for one in axes] == [[k] for k in range(4)] * 2
+    assert len(drawn[0].legends) == 1
 
 
 def test_an_experiment_may_have_no_figure(tmp_path) -> None:

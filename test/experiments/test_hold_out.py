@@ -17,8 +17,8 @@ from foretouch.experiments.framework.manifest import read_results
 from foretouch.experiments.hold_out.splits import NEW, OBJECT_KNOWN
 from foretouch.experiments.hold_out.transfer import TRANSFER_METHODS
 from foretouch.experiments.shared.folds import some_grasps, some_objects, split_objects, touch_draws
-from foretouch.experiments.shared.rows import select
 from foretouch.experiments.shared.simulated_data import RealAndSimulated
+from foretouch.experiments.shared.tables import select
 from foretouch.learning.data import Dataset, labels_of, load_dataset, make_folds
 from foretouch.learning.evaluation.baselines import object_mean
 from foretouch.learning.evaluation.metrics import score

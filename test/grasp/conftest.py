@@ -1,13 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small objects seen from above, and the comparison with the original GeoGrasp."""
+"""Small objects seen from above."""
 
 from __future__ import annotations
-
-import importlib.util
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -28,17 +22,3 @@ def box_cloud() -> Cloud:
     depth = 1.2 + 30.0 * across**2 + rng.normal(0.0, 0.0005, along.shape)
     xyz = np.stack([across, along, depth], axis=-1).reshape(-1, 3)
     return Cloud(xyz.astype(np.float32))
-
-
-@pytest.fixture(scope="session")
-def parity() -> Iterator[ModuleType]:
-    """The comparison of the benchmark, which the tests share."""
-    path = Path(__file__).parents[2] / "benchmarks" / "geograsp" / "parity.py"
-    spec = importlib.util.spec_from_file_location("geograsp_parity", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]

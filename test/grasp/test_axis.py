@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.errors import CloudError
 from foretouch.grasp import GeoGraspConfig, object_axis
@@ -21,26 +22,28 @@ def _rod(direction, n=400):
     return (points + rng.normal(0.0, 0.005, (n, 3))).astype(np.float32)
 
 
-@pytest.mark.parametrize("direction", [[1, 0.2, 0], [0.1, 1, 0.1], [0.3, 0.3, 1], [1, 1, 1]])
-def test_finds_the_long_direction(direction, top_view):
-    axis = find_axis(_rod(direction), top_view, CONFIG)
-    assert abs(axis.direction @ direction) / np.linalg.norm(direction) > 0.99
-    assert axis.ratio < 0.2
-    np.testing.assert_allclose(axis.centroid, [0.0, 0.0, 1.0], atol=0.02)
+def test_finds_the_long_direction(top_view):
+    def check(*direction):
+        axis = find_axis(_rod(direction), top_view, CONFIG)
+        assert abs(axis.direction @ direction) / np.linalg.norm(direction) > 0.99
+        assert axis.ratio < 0.2
+        np.testing.assert_allclose(axis.centroid, [0.0, 0.0, 1.0], atol=0.02)
+
+    every_case([(1, 0.2, 0), (0.1, 1, 0.1), (0.3, 0.3, 1), (1, 1, 1)], check)
 
 
-@pytest.mark.parametrize(
-    ("direction", "sign"),
-    [
-        ([1.0, 0.1, 0.0], -1),  # flat and along x: towards -x
-        ([0.1, 1.0, 0.0], 1),  # flat and along y: towards +y
-        ([0.4, 0.0, 0.9], -1),  # steep: towards the camera
-    ],
-)
-def test_sign_in_top_view_whatever_the_order_of_points(direction, sign, top_view, rng):
-    for _ in range(5):
-        xyz = rng.permutation(_rod(direction))
-        assert np.sign(find_axis(xyz, top_view, CONFIG).direction @ direction) == sign
+def test_sign_in_top_view_whatever_the_order_of_points(top_view, rng):
+    def check(direction, sign):
+        for _ in range(5):
+            xyz = rng.permutation(_rod(direction))
+            assert np.sign(find_axis(xyz, top_view, CONFIG).direction @ direction) == sign
+
+    cases = {
+        "flat and along x: towards -x": ([1.0, 0.1, 0.0], -1),
+        "flat and along y: towards +y": ([0.1, 1.0, 0.0], 1),
+        "steep: towards the camera": ([0.4, 0.0, 0.9], -1),
+    }
+    every_case(cases, check)
 
 
 def test_sign_does_not_hang_on_the_sign_of_the_planes_normal():
@@ -51,14 +54,11 @@ def test_sign_does_not_hang_on_the_sign_of_the_planes_normal():
         np.testing.assert_array_equal(*axes)
 
 
-@pytest.mark.parametrize(("axis", "coordinate"), [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)])
-def test_sides_in_top_view_lie_across_the_axis(axis, coordinate, top_view):
-    assert side_coordinate(np.array(axis), top_view) == coordinate
-
-
-@pytest.mark.parametrize(("axis", "coordinate"), [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)])
-def test_sides_in_side_view(axis, coordinate):
-    assert side_coordinate(np.array(axis), SIDE_VIEW) == coordinate
+def test_sides_lie_across_the_axis(top_view):
+    top = [([0.9, 0.3, 0.3], 1), ([0.3, 0.9, 0.3], 0), ([0.1, 0.1, 0.99], 0)]
+    side = [([0.95, 0.1, 0.3], 2), ([0.1, 0.99, 0.1], 0), ([0.2, 0.1, 0.97], 0)]
+    for plane, cases in ((top_view, top), (SIDE_VIEW, side)):
+        assert [side_coordinate(np.array(axis), plane) for axis, _ in cases] == [one for _, one in cases]
 
 
 def test_a_ball_has_a_ratio_near_one(top_view):
@@ -75,11 +75,8 @@ def test_an_outlier_does_not_turn_the_axis(top_view):
     assert abs(with_outliers @ without) > 0.9999
 
 
-def test_points_in_one_voxel_have_no_axis(top_view):
+def test_clouds_without_an_axis_are_named(top_view):
     with pytest.raises(CloudError, match=r"60 points in 1 voxel of 0\.0125 m have no axis"):
         object_axis(Cloud(np.full((60, 3), 0.501, np.float32)), top_view, CONFIG)
-
-
-def test_two_points_have_no_axis(top_view):
     with pytest.raises(CloudError, match="2 finite points"):
         object_axis(Cloud(np.ones((2, 3), np.float32)), top_view, CONFIG)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.geograsp import parity
 from foretouch.cloud.geometry.pixel_grid import PixelGrid
 from foretouch.cloud.io.files import read_cloud
 from foretouch.grasp import GeoGraspConfig, plan_grasps
@@ -20,7 +21,7 @@ def _paths(real_data):
     return sorted((real_data / "vision2tactile").glob("*/*/cloud-object.pcd"))
 
 
-def test_sampled_rows_equal_the_original(reference, real_data, parity, rng):
+def test_sampled_rows_equal_the_original(reference, real_data, rng):
     rows = parity.read_reference(real_data)
     chosen = [rows[i] for i in np.sort(rng.choice(len(rows), 150, replace=False))]
     found = parity.compare_all(chosen)
@@ -29,7 +30,7 @@ def test_sampled_rows_equal_the_original(reference, real_data, parity, rng):
 
 
 @pytest.mark.slow
-def test_all_rows_equal_the_original(reference, real_data, parity):
+def test_all_rows_equal_the_original(reference, real_data):
     rows = parity.read_reference(real_data)
     assert len(rows) == 2400
     found = parity.compare_all(rows)
@@ -37,19 +38,19 @@ def test_all_rows_equal_the_original(reference, real_data, parity):
     assert {name: n for name, n in found.items() if name not in OPEN | {"score"}} == {}
 
 
-def test_sign_of_the_axis_is_the_originals_in_top_view(reference, real_data, parity):
+def test_sign_of_the_axis_is_the_originals_in_top_view(reference, real_data):
     rows = [row for row in parity.read_reference(real_data)[::40] if abs(row.plane.normal[2]) > 0.9]
     assert len(rows) == 20
     assert parity.compare_all(rows)["axis_sign"] == 0
 
 
-def test_executed_grasps_are_initial_points_of_a_shifted_plane(reference, real_data, parity):
+def test_executed_grasps_are_initial_points_of_a_shifted_plane(reference, real_data):
     executed = parity.read_executed(real_data)
     assert len(executed) == 400
     assert sum(parity.reproduces(grasp, grasp.slide_m) for grasp in executed) >= 362
 
 
-def test_executed_grasps_off_the_middle_have_another_slide(reference, real_data, parity):
+def test_executed_grasps_off_the_middle_have_another_slide(reference, real_data):
     rest = [g for g in parity.read_executed(real_data)[::8] if not parity.reproduces(g, g.slide_m)]
     assert rest
     assert all(parity.explaining_slide(grasp) is not None for grasp in rest)

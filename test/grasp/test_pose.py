@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from foretouch.errors import GraspError
-from foretouch.grasp.pose import hand_rotation, is_parallel, quaternion_xyzw
+from foretouch.grasp.pose import check_rotation, fast_accept_rotations, hand_rotation, is_parallel, quaternion_xyzw
 
 X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-1.0, 1.0, allow_subnormal=False)] * 3).map(np.array)
@@ -52,19 +52,23 @@ def test_contacts_along_the_axis_follow_the_least_aligned_coordinate():
     assert is_parallel(np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.0, 1.0]), Y)
 
 
-def test_coincident_contacts_are_refused():
-    with pytest.raises(GraspError, match=r"g1 - g2: .* has no direction"):
-        hand_rotation(X, X, Y)
-
-
-def test_axis_without_length_is_refused():
-    with pytest.raises(GraspError, match=r"axis: .* has no direction"):
-        hand_rotation(X, Y, np.zeros(3))
-
-
-def test_contact_that_is_not_finite_is_refused():
-    with pytest.raises(GraspError, match="has no direction"):
-        hand_rotation(np.array([np.nan, 0.0, 0.0]), Y, Z)
+def test_what_has_no_pose_is_refused():
+    for contacts, message in (
+        ((X, X, Y), r"g1 - g2: .* has no direction"),
+        ((X, Y, np.zeros(3)), r"axis: .* has no direction"),
+        ((np.array([np.nan, 0.0, 0.0]), Y, Z), "has no direction"),
+    ):
+        with pytest.raises(GraspError, match=message):
+            hand_rotation(*contacts)
+    for matrix in (
+        np.diag([1.0, 1.0, -1.0]),
+        np.eye(3) * 2.0,
+        np.full((3, 3), np.nan),
+        np.eye(2),
+        np.full((3, 3), 1e300),
+    ):
+        with pytest.raises(GraspError, match=r"rotation: .* is not a rotation matrix"):
+            quaternion_xyzw(matrix)
 
 
 def test_quaternion_agrees_with_scipy():
@@ -75,28 +79,29 @@ def test_quaternion_agrees_with_scipy():
         np.testing.assert_allclose(quaternion * np.sign(expected[3]), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("axis", [X, Y, Z, (X + Y) / np.sqrt(2.0), (Y - X) / np.sqrt(2.0)])
-def test_quaternion_of_a_half_turn_has_its_first_component_positive(axis):
-    quaternion = quaternion_xyzw(2.0 * np.outer(axis, axis) - np.eye(3))
-    leading = axis[np.flatnonzero(axis)[0]]
-    np.testing.assert_allclose(quaternion, [*(axis * np.sign(leading)), 0.0], atol=1e-12)
+def test_quaternion_of_a_half_turn_has_its_first_component_positive():
+    for axis in (X, Y, Z, (X + Y) / np.sqrt(2.0), (Y - X) / np.sqrt(2.0)):
+        quaternion = quaternion_xyzw(2.0 * np.outer(axis, axis) - np.eye(3))
+        leading = axis[np.flatnonzero(axis)[0]]
+        np.testing.assert_allclose(quaternion, [*(axis * np.sign(leading)), 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), np.eye(3) * 2.0, np.full((3, 3), np.nan), np.eye(2)])
-def test_quaternion_of_no_rotation_is_refused(matrix):
-    with pytest.raises(GraspError, match="is not a rotation matrix"):
-        quaternion_xyzw(matrix)
-
-
-@pytest.mark.parametrize("length", [1e-300, 1e-200, 1e160, 1e300])
-def test_contacts_whose_squared_distance_is_out_of_range_have_a_direction(length):
-    np.testing.assert_allclose(hand_rotation(length * X, -length * X, Y), hand_rotation(X, -X, Y), atol=1e-15)
-
-
-@pytest.mark.parametrize("scale", [1e-323, 1e-161, 1e-155, 1e155])
-def test_lengths_whose_squares_are_no_normal_numbers_have_the_same_rotation(scale):
+def test_lengths_whose_squares_are_out_of_range_have_the_same_rotation():
+    for length in (1e-300, 1e-200, 1e160, 1e300):
+        np.testing.assert_allclose(hand_rotation(length * X, -length * X, Y), hand_rotation(X, -X, Y), atol=1e-15)
     g1, axis = np.array([2.0, 4.0, -4.0]), np.array([1.0, 0.5, 0.25])
     expected = hand_rotation(g1, np.zeros(3), axis)
-    np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
-    assert not is_parallel(scale * g1, np.zeros(3), axis)
+    for scale in (1e-323, 1e-161, 1e-155, 1e155):
+        np.testing.assert_allclose(hand_rotation(scale * g1, np.zeros(3), axis), expected, rtol=0.0, atol=1e-15)
+        assert not is_parallel(scale * g1, np.zeros(3), axis)
     np.testing.assert_allclose(hand_rotation(g1, np.zeros(3), 1e-155 * axis), expected, rtol=0.0, atol=1e-15)
+
+
+def test_what_is_accepted_at_once_is_a_rotation(rng):
+    turns = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(40)])
+    turns[:30] *= rng.uniform(0.999, 1.001, (30, 1, 1))
+    turns[30], turns[31], turns[32] = 1e300, np.diag([1.0, 1.0, -1.0]), np.eye(3)
+    found = fast_accept_rotations(turns)
+    assert found[32]
+    for one in turns[found]:
+        check_rotation(one)

@@ -4,11 +4,72 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from foretouch.grasp.ranking import ContactSide, GraspPlane, SurfacePoints, initial_score, rank_pairs
+from foretouch.errors import CloudError
+from foretouch.grasp import GeoGraspConfig
+from foretouch.grasp.ranking import (
+    ContactSide,
+    GraspPlane,
+    SurfacePoints,
+    contact_radius,
+    contact_side,
+    find_grasp_plane,
+    initial_score,
+    rank_pairs,
+)
+
+CONFIG = GeoGraspConfig()
+Y = np.array([0.0, 1.0, 0.0])
 
 AXIS = np.array([0.0, 1.0, 0.0])
 CENTROID = np.zeros(3)
 GRASP_PLANE = GraspPlane(origin=CENTROID, normal=AXIS, first=0, second=1, n_points=2, width_m=0.1)
+
+
+def test_initial_points_are_the_extremes_near_the_plane():
+    xyz = np.array([[-9, 0.02, 1], [-1, 0.001, 1], [0, 0, 1], [2, -0.006, 1], [5, 0.0071, 1]], np.float32)
+    grasp_plane = find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
+    assert (grasp_plane.first, grasp_plane.second, grasp_plane.n_points) == (1, 3, 3)
+    assert grasp_plane.width_m == pytest.approx(np.hypot(3.0, 0.007))
+
+    # The first of equal extremes counts.
+    xyz = np.array([[0, 0, 1], [1, 0, 1], [1, 0.001, 1], [0, 0.001, 1]], np.float32)
+    grasp_plane = find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
+    assert (grasp_plane.first, grasp_plane.second) == (0, 1)
+
+
+def test_a_plane_without_two_contacts_is_reported():
+    xyz = np.array([[0, 0.1, 1], [1, -0.1, 1]], np.float32)
+    with pytest.raises(CloudError, match=r"no point within 7 mm .* spans -0.100 ... 0.100 m"):
+        find_grasp_plane(xyz, np.array([0.0, 0.0, 1.0]), Y, 0, 0.007)
+    with pytest.raises(CloudError, match="the 1 points near the grasp plane leave no two contacts"):
+        find_grasp_plane(np.ones((1, 3), np.float32), np.ones(3), Y, 0, 0.007)
+
+
+def test_two_spheres_of_candidates_stay_apart():
+    for width, radius in ((0.2, 0.05), (0.1, 0.035), (0.06, 0.021)):
+        assert contact_radius(width, CONFIG) == pytest.approx(radius)
+
+
+def test_candidates_average_their_voxels(rng):
+    xyz = rng.uniform([-0.02, -0.02, 0.98], [0.02, 0.02, 1.02], (400, 3)).astype(np.float32)
+    candidates, initial, n_near = contact_side(xyz, 7, 0.015, CONFIG)
+    assert n_near == np.count_nonzero(np.linalg.norm(xyz.astype(float) - xyz[7], axis=1) < 0.015)
+    np.testing.assert_allclose(np.linalg.norm(candidates.normal, axis=1), 1.0)
+    np.testing.assert_array_equal(initial.xyz[0], xyz[7])
+    cells = {tuple(cell) for cell in np.floor(candidates.xyz / CONFIG.voxel_m).astype(int)}
+    assert len(cells) == len(candidates.xyz)
+
+
+def test_a_point_without_a_normal_takes_it_from_its_voxel():
+    plane = np.column_stack(
+        [*(g.ravel() for g in np.meshgrid(np.arange(20) * 0.002, np.arange(20) * 0.002)), np.ones(400)]
+    )
+    lonely = [[0.5, 0.0, 1.0]]
+    xyz = np.concatenate([plane, lonely]).astype(np.float32)
+    candidates, initial, n_near = contact_side(xyz, 400, 0.02, CONFIG)
+    assert n_near == 1
+    assert np.isnan(candidates.normal).all()
+    assert np.isnan(initial.curvature).all()
 
 
 def _points(points, curvature, side):
@@ -25,24 +86,20 @@ def _sides():
     return ContactSide(a, p1, 3), ContactSide(b, p2, 3)
 
 
-def test_the_ideal_pair_scores_as_worked_by_hand():
+def test_pairs_score_as_worked_by_hand():
     ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     # pd = k = 0 but for 1e-8 over the range; u across the axis: R1 = 2 + 10 · 0.2 = 4; c = 1: R2 = 2 + 2 = 4.
     assert (ranking.first[0], ranking.second[0]) == (0, 0)
     assert ranking.score[0] == pytest.approx(1.5 * 4.0 + 4.0, abs=1e-4)
-
-
-def test_a_worse_pair_scores_as_worked_by_hand():
-    ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
     pair = np.flatnonzero((ranking.first == 1) & (ranking.second == 1))[0]
     # pd = k = 0.5 on both sides: R1 = 4 - 1, R2 = 4 - 1.
     assert ranking.score[pair] == pytest.approx(1.5 * 3.0 + 3.0, abs=1e-4)
-
-
-def test_equal_pairs_keep_the_order_of_the_loops():
-    ranking = rank_pairs(_sides(), GRASP_PLANE, CENTROID)
+    # Equal pairs keep the order of the loops.
     mirrored = [(a, b) for a, b in zip(ranking.first, ranking.second, strict=True) if {a, b} == {0, 1}]
     assert mirrored == [(0, 1), (1, 0)]
+    score, reason = initial_score(_sides(), GRASP_PLANE, CENTROID)
+    # pd = 0, k = 0.25: R1 = 4, R2 = 4 - 0.5.
+    assert (reason, score) == ("", pytest.approx(1.5 * 4.0 + 3.5, abs=1e-4))
 
 
 def test_candidates_inside_the_object_are_skipped():
@@ -53,12 +110,12 @@ def test_candidates_inside_the_object_are_skipped():
     assert ranking.counts["n_pairs_inside"] == 3
 
 
-@pytest.mark.parametrize(("x", "kept"), [(0.0499, True), (0.0497, False)])
-def test_the_second_side_has_two_percent_of_slack(x, kept):
+def test_the_second_side_has_two_percent_of_slack():
     a, b = _sides()
     # Distances to the centroid span 40 ... 60 mm, so p2, at 50 mm, is at 0.5 of them and the limit at 0.49, or 49.8 mm.
-    others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
-    assert (0 in rank_pairs((a, b._replace(candidates=others)), GRASP_PLANE, CENTROID).second) == kept
+    for x, kept in ((0.0499, True), (0.0497, False)):
+        others = _points([[x, 0.0, 0.0], [0.04, 0.0001, 0.0], [0.06, 0.0002, 0.0]], [0.0, 0.1, 0.2], 1.0)
+        assert (0 in rank_pairs((a, b._replace(candidates=others)), GRASP_PLANE, CENTROID).second) == kept
 
 
 def test_a_candidate_without_a_normal_never_ranks():
@@ -78,25 +135,14 @@ def test_a_grasp_along_the_axis_never_ranks():
     assert ranking.counts["n_pairs_low"] > 0
 
 
-def test_initial_points_score_as_worked_by_hand():
-    score, reason = initial_score(_sides(), GRASP_PLANE, CENTROID)
-    # pd = 0, k = 0.25: R1 = 4, R2 = 4 - 0.5.
-    assert reason == ""
-    assert score == pytest.approx(1.5 * 4.0 + 3.5, abs=1e-4)
-
-
-def test_one_candidate_gives_no_score():
+def test_initial_points_without_a_score_have_a_reason():
     a, b = _sides()
     xyz, normal, curvature = a.candidates.xyz[:1], a.candidates.normal[:1], a.candidates.curvature[:1]
     one = a._replace(candidates=SurfacePoints(xyz, normal, curvature))
     score, reason = initial_score((one, b), GRASP_PLANE, CENTROID)
     assert np.isnan(score)
     assert reason == "no score: the candidates of the first side do not differ (1 of them)"
-
-
-def test_an_initial_point_without_a_normal_gives_no_score():
-    sides = _sides()
-    sides[1].initial.curvature[0] = np.nan
-    score, reason = initial_score(sides, GRASP_PLANE, CENTROID)
+    b.initial.curvature[0] = np.nan
+    score, reason = initial_score((a, b), GRASP_PLANE, CENTROID)
     assert np.isnan(score)
     assert "the second initial point" in reason

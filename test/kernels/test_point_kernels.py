@@ -146,8 +146,8 @@ def test_plans_of_hard_objects() -> None:
         },
         stable: {
             "_node_sums": reference.node_sums,
-            "local_planes": reference.local_planes,
-            "onto_surface": reference.onto_surface,
+            "_local_planes": reference.local_planes,
+            "_onto_surface": reference.onto_surface,
         },
     }
 
@@ -166,4 +166,4 @@ def test_plans_of_hard_objects() -> None:
                 np.testing.assert_allclose(one.rotation, other.rotation, rtol=0.0, atol=1e-8)
                 np.testing.assert_allclose(one.score, other.score, rtol=0.0, atol=1e-7)
 
-    every_case({one.name: (one.cloud, one.plane) for one in object_cases() if one.cloud.size <= _MOST // 2}, check)
+    every_case({one.name: (one.cloud, one.plane) for one in object_cases() if one.cloud.size <= _MOST // 3}, check)

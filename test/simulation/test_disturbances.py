@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "simulation"))
-from steady_noise import steady_noise
-
+from benchmarks.simulation.steady_noise import steady_noise
 from foretouch.simulation.disturbances import (
     WANDER_COUNTS,
     WANDER_S,

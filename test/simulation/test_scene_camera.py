@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sim_builders import CAN, EVERY_CAMERA_FAULT, run, scene
 
-from foretouch.camera import RealSenseConfig, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig
 from foretouch.camera.device import realsense
 from foretouch.cloud.segmentation.segment import SegmentationConfig, segment
 from foretouch.errors import MissingDependencyError
@@ -90,7 +90,7 @@ def test_it_comes_through_the_software_device_to_the_millimetre_and_the_stamp() 
     config = scene(CAN, camera=SMALL)
     schedule = ScheduleConfig(dwell_s=0.4)
     settings = RealSenseConfig(width=212, height=160, fps=30)
-    with scene_camera(config, schedule, 30) as device, open_camera(settings, device) as camera:
+    with scene_camera(config, schedule, 30) as device, RealSenseCamera(settings, device) as camera:
         seen = [cloud for cloud in (camera.read(2.0) for _ in range(20)) if cloud is not None]
     assert len(seen) == 20
     slots = [schedule.slot(cloud.stamp_ns) for cloud in seen]

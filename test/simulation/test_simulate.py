@@ -14,7 +14,7 @@ from foretouch.grasp import plan_grasps
 from foretouch.simulation.scene import SceneConfig
 from foretouch.simulation.simulate import Simulation, replay
 from foretouch.simulation.world import SampleKey, World
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 from foretouch.types import GraspSample
 
 FULL = {
@@ -48,8 +48,7 @@ def test_a_sample_is_whole() -> None:
     (one,) = made(scene(), 1)
     assert one.touch is not None
     assert one.tare is not None
-    assert check_touch(one.touch).valid
-    assert check_touch(one.tare).valid
+    assert touch_faults(one.touch) == touch_faults(one.tare) == ()
     assert one.touch.pdc_th > one.tare.pdc_th  # pressure rises
     assert (one.tare.e_th - one.touch.e_th).max() > 20  # and electrodes fall
     assert one.extra["force_th_n"] == pytest.approx(one.extra["target_th"], rel=1e-3)

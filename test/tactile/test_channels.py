@@ -3,12 +3,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from every_case import every_case
 from numpy.testing import assert_allclose
 
 from foretouch.errors import ConfigError, TactileError
-from foretouch.tactile.channels import (
+from foretouch.tactile import (
     MODALITIES,
     P1_RANGES,
     P2_RANGES,
@@ -16,7 +15,6 @@ from foretouch.tactile.channels import (
     columns,
     electrode_normals,
     electrode_positions,
-    load_ranges,
     modality_size,
 )
 
@@ -25,29 +23,17 @@ def test_modalities_fill_the_vector_of_fifty_once() -> None:
     assert sorted(columns(MODALITIES)) == list(range(50))
     assert [modality_size(name) for name in MODALITIES] == [1, 1, 24, 24]
     assert columns(["E_MF", "PDC_MF"]).tolist() == [*range(26, 50), 1]
-
-
-def test_unknown_modality_is_named() -> None:
     with pytest.raises(TactileError, match=r"'PAC_TH' is none of PDC_TH, PDC_MF"):
         columns(["PAC_TH"])
 
 
-def test_p2_scaling_by_hand() -> None:
+def test_scaling_by_hand() -> None:
     counts = P2_RANGES.low.copy()
     counts[0], counts[1], counts[2], counts[26] = 2950.0, 2300.0, 100.0, 1160.0
-    scaled = P2_RANGES.scale(counts)
     # (2950 - 2500) / 900, the upper end, the lower end, (1160 - 500) / 3300
-    assert_allclose(scaled[[0, 1, 2, 26]], [0.5, 1.0, 0.0, 0.2], rtol=1e-15)
-
-
-def test_p1_divides_the_labels() -> None:
-    counts = np.full(50, 1000.0)
-    assert_allclose(P1_RANGES.scale(counts)[[0, 1, 2, 26]], [1000 / 3100, 0.5, 1000 / 3500, 1000 / 3800], rtol=1e-15)
-
-
-@given(st.lists(st.floats(-1e4, 1e4), min_size=50, max_size=50))
-def test_unscale_inverts_scale(values: list[float]) -> None:
-    assert_allclose(P2_RANGES.unscale(P2_RANGES.scale(values)), values, atol=1e-9)
+    assert_allclose(P2_RANGES.scale(counts)[[0, 1, 2, 26]], [0.5, 1.0, 0.0, 0.2], rtol=1e-15)
+    labels = P1_RANGES.scale(np.full(50, 1000.0))  # P1 divides by the upper ends
+    assert_allclose(labels[[0, 1, 2, 26]], [1000 / 3100, 0.5, 1000 / 3500, 1000 / 3800], rtol=1e-15)
 
 
 def test_outside_flags_ends_and_nan() -> None:
@@ -56,46 +42,32 @@ def test_outside_flags_ends_and_nan() -> None:
     assert P2_RANGES.outside(counts).nonzero()[0].tolist() == [1, 2]
 
 
-def test_file_overrides_part(tmp_path) -> None:
-    path = tmp_path / "hand.yaml"
-    path.write_text("pdc_th: [2400, 3300]\n")
-    ranges = load_ranges(path)
-    assert ranges.of("PDC_TH") == (2400.0, 3300.0)
-    assert ranges.of("E_MF") == P2_RANGES.of("E_MF")
-    assert load_ranges("p1") is P1_RANGES
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("pdc_th: [3400, 2500]", r"hand.yaml: .*pdc_th: \[3400.0, 2500.0\] is not \[low, high\]"),
-        ("pdc_th: [1, 2, 3]", r"pdc_th: \[1.0, 2.0, 3.0\] is not"),
-        ("pac: [1, 2]", r"pac: unknown setting; known: pdc_th"),
-        ("pdc_th: 3", "is not a list"),
-    ],
-)
-def test_bad_file_is_named(tmp_path, text: str, message: str) -> None:
-    path = tmp_path / "hand.yaml"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_ranges(path)
-
-
-def test_settings_roundtrip() -> None:
+def test_settings_may_be_given_in_part_and_bad_ones_are_named() -> None:
     assert TactileRanges.from_mapping(P1_RANGES.to_mapping()) == P1_RANGES
+    ranges = TactileRanges.from_mapping({"pdc_th": [2400, 3300]})
+    assert (ranges.of("PDC_TH"), ranges.of("E_MF")) == ((2400.0, 3300.0), P2_RANGES.of("E_MF"))
+
+    def check(change: dict[str, object], message: str) -> None:
+        with pytest.raises(ConfigError, match=message):
+            TactileRanges.from_mapping(change, "hand.yaml")
+
+    cases = [
+        ({"pdc_th": [3400, 2500]}, r"hand.yaml: .*pdc_th: \[3400.0, 2500.0\] is not \[low, high\]"),
+        ({"pdc_th": [1, 2, 3]}, r"pdc_th: \[1.0, 2.0, 3.0\] is not"),
+        ({"e_mf": [0.0, 1e-9]}, r"e_mf: \[0.0, 1e-09\]: high - low is not between 1e-06 and 1e\+12 counts"),
+        ({"pac": [1, 2]}, r"pac: unknown setting; known: pdc_th"),
+        ({"pdc_th": 3}, "is not a list"),
+    ]
+    every_case(cases, check)
 
 
-def test_positions_are_metres_and_mirrored() -> None:
-    positions = electrode_positions()
+def test_electrodes_are_mirrored_metres_with_radial_normals_towards_the_pad() -> None:
+    positions, normals = electrode_positions(), electrode_normals()
     assert positions.shape == (24, 3)
     assert_allclose(positions[0], [0.00982, -0.00398, -0.00277], atol=1e-12)
     assert_allclose(positions[10:20], positions[:10] * [1, -1, 1])
     assert_allclose(positions[21] * [1, -1, 1], positions[22])
     assert len(np.unique(positions, axis=0)) == 24
-
-
-def test_normals_are_radial_and_point_to_the_pad() -> None:
-    positions, normals = electrode_positions(), electrode_normals()
     assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert_allclose(np.cross(normals, positions * [0, 1, 1]), 0.0, atol=1e-15)
     assert np.all(normals[:, 2] < 0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from every_case import every_case
 
 from foretouch.errors import ConfigError, TactileError
 from foretouch.tactile.messages import TACTILE_TYPES, TactileConfig, make_reader
@@ -86,18 +87,18 @@ def test_the_csv_of_biotac_sp_ros_has_no_stamp_and_says_so() -> None:
     np.testing.assert_array_equal(other.counts, expected(2, 0))
 
 
-@pytest.mark.parametrize(
-    ("text", "rule"),
-    [
+def test_lines_that_are_none_are_refused() -> None:
+    def check(text: str, rule: str) -> None:
+        with pytest.raises(TactileError, match=rule):
+            make_reader(TactileConfig(type="std_msgs/String")).read(String(data=text))
+
+    cases = [
         ("", "1 fields, a line of biotac_sp_ros has 163"),
         (line(2), "109 fields"),
         (line().replace(",1001", ",x", 1), "could not convert"),
         (line().replace(",1001", ",nan", 1), "not finite"),
-    ],
-)
-def test_lines_that_are_none_are_refused(text: str, rule: str) -> None:
-    with pytest.raises(TactileError, match=rule):
-        make_reader(TactileConfig(type="std_msgs/String")).read(String(data=text))
+    ]
+    every_case(cases, check)
 
 
 def state(**channels: Any) -> Any:
@@ -117,6 +118,8 @@ def test_channels_of_a_tactile_state_by_name_and_place() -> None:
         make_reader(last).read(state(rh_th=finger(4)))
     with pytest.raises(TactileError, match="TH: 20 values, 25 are needed"):
         make_reader(last).read(state(TH=finger(4)[:20], MF=finger(1)))
+    with pytest.raises(TactileError, match="TactileState: a count is not finite"):
+        make_reader(last).read(state(TH=np.r_[finger(4)[:24], np.nan], MF=finger(1)))
 
 
 def test_names_of_no_finger_and_types_that_are_not_supported_are_refused() -> None:

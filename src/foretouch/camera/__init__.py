@@ -3,8 +3,8 @@
 
 from foretouch.camera.config import FilterConfig, RealSenseConfig, TimeoutConfig
 from foretouch.camera.deproject import Deprojector, pinhole_matrix
-from foretouch.camera.device import DeviceSource, FileSource, LiveSource, list_devices
-from foretouch.camera.realsense import CameraState, CameraStatus, RealSenseCamera, open_camera
+from foretouch.camera.device import DeviceSource, list_devices
+from foretouch.camera.realsense import CameraState, CameraStatus, RealSenseCamera
 from foretouch.camera.synthetic import SyntheticCamera, SyntheticFrame
 
 __all__ = [
@@ -12,15 +12,12 @@ __all__ = [
     "CameraStatus",
     "Deprojector",
     "DeviceSource",
-    "FileSource",
     "FilterConfig",
-    "LiveSource",
     "RealSenseCamera",
     "RealSenseConfig",
     "SyntheticCamera",
     "SyntheticFrame",
     "TimeoutConfig",
     "list_devices",
-    "open_camera",
     "pinhole_matrix",
 ]

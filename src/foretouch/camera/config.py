@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of the RealSense camera and of the library's filters."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError
@@ -23,7 +23,6 @@ class SpatialConfig(Settings):
     magnitude: int = setting(2, "Number of passes", minimum=1, maximum=5)
     smooth_alpha: float = setting(0.5, "Weight of the pixel itself; 1 does not smooth", minimum=0.25, maximum=1.0)
     smooth_delta: int = setting(20, "Larger steps are edges and are preserved", minimum=1, maximum=50)
-    holes_fill: int = setting(0, "Holes to fill: 0 none, 1 to 4 up to 2, 4, 8, 16 px, 5 all", minimum=0, maximum=5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +32,6 @@ class TemporalConfig(Settings):
     enabled: bool = setting(False, "Whether frames are averaged over time")
     smooth_alpha: float = setting(0.4, "Weight of the new frame; 1 does not smooth", minimum=0.0, maximum=1.0)
     smooth_delta: int = setting(20, "Larger steps are motion and are preserved", minimum=1, maximum=100)
-    persistence: int = setting(
-        3, "Reuse of the last valid value, the library's modes 0 (never) to 8", minimum=0, maximum=8
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,15 +44,15 @@ class HoleFillingConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class FilterConfig(Settings):
-    """The library's filters, in the order it recommends: decimation, spatial, temporal, hole filling."""
+    """The library's filters, in the order it recommends: decimation, spatial, temporal, hole filling.
 
-    decimation: DecimationConfig = field(default_factory=DecimationConfig)
-    spatial: SpatialConfig = field(default_factory=SpatialConfig)
-    temporal: TemporalConfig = field(default_factory=TemporalConfig)
-    hole_filling: HoleFillingConfig = field(default_factory=HoleFillingConfig)
-    disparity: bool = setting(
-        True, "Whether the spatial and temporal filters work on disparity, where noise is uniform"
-    )
+    The spatial and temporal filters work on disparity, where noise is uniform.
+    """
+
+    decimation: DecimationConfig = DecimationConfig()
+    spatial: SpatialConfig = SpatialConfig()
+    temporal: TemporalConfig = TemporalConfig()
+    hole_filling: HoleFillingConfig = HoleFillingConfig()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,19 +66,11 @@ class TimeoutConfig(Settings):
     reopen_s: float = setting(
         3.0, "A camera without a frame for longer is opened again", unit="s", minimum=0.05, maximum=600.0
     )
-    backoff_min_s: float = setting(0.5, "Pause after the first failed attempt", unit="s", minimum=0.01, maximum=60.0)
-    backoff_max_s: float = setting(
-        10.0, "Longest pause between attempts; each is twice the last", unit="s", minimum=0.01, maximum=600.0
-    )
-    give_up_s: float = setting(
-        0.0, "Iteration fails after this time without a frame; 0 never", unit="s", minimum=0.0, maximum=86400.0
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for low, high in (("stall_s", "reopen_s"), ("backoff_min_s", "backoff_max_s")):
-            if getattr(self, low) > getattr(self, high):
-                raise ConfigError(f"TimeoutConfig.{low}: {getattr(self, low)} is above {high}, {getattr(self, high)}")
+        if self.stall_s > self.reopen_s:
+            raise ConfigError(f"TimeoutConfig.stall_s: {self.stall_s} is above reopen_s, {self.reopen_s}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +89,8 @@ class RealSenseConfig(Settings):
         choices=("none", "colour_to_depth", "depth_to_colour"),
         read_only=True,
     )
-    filters: FilterConfig = field(default_factory=FilterConfig)
-    timeouts: TimeoutConfig = field(default_factory=TimeoutConfig)
+    filters: FilterConfig = FilterConfig()
+    timeouts: TimeoutConfig = TimeoutConfig()
     real_time: bool = setting(True, "Whether a recording plays in real time; if not, no frame is lost", read_only=True)
     repeat: bool = setting(False, "Whether a recording starts again at its end", read_only=True)
     frame_id: str = setting(

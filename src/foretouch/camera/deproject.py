@@ -23,13 +23,7 @@ _UNDONE = 1e-3  # largest change of x/z and y/z in the last iteration: 1 mm at 1
 
 
 def pinhole_matrix(width: int, height: int, hfov_deg: float = 65.0) -> Float64:
-    """(3, 3) float64 intrinsics of square pixels and a centred axis; the D415 has 65 degrees.
-
-    Args:
-        width: [px]
-        height: [px]
-        hfov_deg: Horizontal field of view [deg]; f = W / (2 tan(HFOV / 2)).
-    """
+    """(3, 3) float64 intrinsics [px] of square pixels, a centred axis and a horizontal field of view; the D415 has 65 deg."""
     # Rounded to float32 as a device stores it, so that frames sent through one stay bit-equal.
     focal = float(np.float32(width / (2.0 * np.tan(np.radians(hfov_deg) / 2.0))))
     return np.array([[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]])
@@ -93,11 +87,11 @@ class Deprojector:
 
 
 def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tuple[Float64, Float64]:
-    """Undistort normalised coordinates by fixed-point iteration, as librealsense's rsutil.h does.
+    """Undistort normalised coordinates (H, W) by fixed-point iteration, as librealsense's rsutil.h does.
 
     Args:
-        x: (H, W) float64.
-        y: (H, W) float64.
+        x: Along the rows.
+        y: Along the columns.
         k: (5,) float64, k1, k2, p1, p2, k3.
         scaled_shift: Whether the tangential shift is computed from the point times its radial factor. This is the
             only difference between the library's two models.
@@ -109,7 +103,11 @@ def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tup
     with np.errstate(all="ignore"):  # a diverging iteration overflows
         for _ in range(_ITERATIONS):
             last_x, last_y = straight_x, straight_y
-            straight_x, straight_y = _undistort_once(x, y, straight_x, straight_y, k, scaled_shift=scaled_shift)
+            r2 = last_x * last_x + last_y * last_y
+            radial = 1.0 + ((k[4] * r2 + k[1]) * r2 + k[0]) * r2
+            at_x, at_y = (one * (radial if scaled_shift else 1.0) for one in (last_x, last_y))
+            straight_x = (x - (2.0 * k[2] * at_x * at_y + k[3] * (r2 + 2.0 * at_x * at_x))) / radial
+            straight_y = (y - (2.0 * k[3] * at_x * at_y + k[2] * (r2 + 2.0 * at_y * at_y))) / radial
         change = float(np.maximum(np.abs(straight_x - last_x), np.abs(straight_y - last_y)).max(initial=0.0))
     if not change <= _UNDONE:
         raise CameraError(
@@ -117,16 +115,3 @@ def _undistort(x: Float64, y: Float64, k: Float64, *, scaled_shift: bool) -> tup
             f"{_UNDONE:g} is allowed"
         )
     return straight_x, straight_y
-
-
-def _undistort_once(
-    x: Float64, y: Float64, straight_x: Float64, straight_y: Float64, k: Float64, *, scaled_shift: bool
-) -> tuple[Float64, Float64]:
-    """One iteration, from the last estimate of the straight coordinates."""
-    r2 = straight_x * straight_x + straight_y * straight_y
-    radial = 1.0 + ((k[4] * r2 + k[1]) * r2 + k[0]) * r2
-    scale = radial if scaled_shift else 1.0
-    at_x, at_y = straight_x * scale, straight_y * scale
-    shift_x = 2.0 * k[2] * at_x * at_y + k[3] * (r2 + 2.0 * at_x * at_x)
-    shift_y = 2.0 * k[3] * at_x * at_y + k[2] * (r2 + 2.0 * at_y * at_y)
-    return (x - shift_x) / radial, (y - shift_y) / radial

@@ -35,29 +35,21 @@ class DeviceSource:
     """Provides a device each time that one is opened.
 
     Attributes:
-        reopens: Whether opening a silent device again may help; a recording would only restart.
+        reopens: Whether opening a silent device again may help; a recording ends, and would only restart.
     """
 
     reopens = True
 
     def find(self) -> Any:
-        """Return the `pyrealsense2.device`.
-
-        Raises:
-            CameraError: If it is not available now.
-        """
+        """The `pyrealsense2.device`; a `CameraError` if it is not available now."""
         raise NotImplementedError
 
     def present(self, device: Any) -> bool:
         """Whether a device that was found is still available."""
         raise NotImplementedError
 
-    def ended(self, device: Any) -> bool:  # noqa: ARG002
-        """Whether it has sent its last frame; never for live devices."""
-        return False
 
-
-class LiveSource(DeviceSource):
+class _LiveSource(DeviceSource):
     """A device on the USB bus.
 
     Args:
@@ -70,26 +62,22 @@ class LiveSource(DeviceSource):
 
     def find(self) -> Any:
         """See `DeviceSource`."""
-        rs = realsense()
-        devices = list(self._context.query_devices())
-        serials = [_info(device, rs.camera_info.serial_number) for device in devices]
+        devices = {_info(one, realsense().camera_info.serial_number): one for one in self._context.query_devices()}
+        wanted = f"camera {self._serial}" if self._serial else "camera"
         if not devices:
-            raise CameraError(f"{self._wanted()}: no RealSense device is connected")
+            raise CameraError(f"{wanted}: no RealSense device is connected")
         if not self._serial:
-            return devices[0]
-        if self._serial not in serials:
-            raise CameraError(f"{self._wanted()}: is not connected; connected: {', '.join(serials)}")
-        return devices[serials.index(self._serial)]
+            return next(iter(devices.values()))
+        if self._serial not in devices:
+            raise CameraError(f"{wanted}: is not connected; connected: {', '.join(devices)}")
+        return devices[self._serial]
 
     def present(self, device: Any) -> bool:
         """See `DeviceSource`."""
         return bool(device.is_connected())
 
-    def _wanted(self) -> str:
-        return f"camera {self._serial}" if self._serial else "camera"
 
-
-class FileSource(DeviceSource):
+class _FileSource(DeviceSource):
     """A file of the library's own recorder.
 
     Args:
@@ -109,11 +97,7 @@ class FileSource(DeviceSource):
             raise FileError(self._path, "no such file")
 
     def find(self) -> Any:
-        """See `DeviceSource`.
-
-        Raises:
-            FileError: If it is not a RealSense recording.
-        """
+        """See `DeviceSource`; a `FileError` if it is not a RealSense recording."""
         rs = realsense()
         try:
             # Each time a new context: one context refuses to load the same file twice.
@@ -127,28 +111,16 @@ class FileSource(DeviceSource):
         """See `DeviceSource`."""
         return self._path.is_file()
 
-    def ended(self, device: Any) -> bool:
-        """Whether the last frame was played."""
-        return bool(device.current_status() == realsense().playback_status.stopped)
-
 
 def source_of(config: RealSenseConfig) -> DeviceSource:
-    """Make the source that the settings name.
-
-    Raises:
-        FileError: If they name a file that is absent.
-    """
+    """The source that the settings name; a `FileError` if it is a file that is absent."""
     if config.file:
-        return FileSource(config.file, real_time=config.real_time)
-    return LiveSource(config.serial)
+        return _FileSource(config.file, real_time=config.real_time)
+    return _LiveSource(config.serial)
 
 
 def list_devices() -> list[str]:
-    """Name and serial number of each device on the bus.
-
-    Raises:
-        MissingDependencyError: If pyrealsense2 or libusb is missing.
-    """
+    """Name and serial number of each device on the bus; raises as `realsense`."""
     return [describe(device) for device in realsense().context().query_devices()]
 
 

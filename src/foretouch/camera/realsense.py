@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from foretouch.camera.config import RealSenseConfig, TimeoutConfig
-from foretouch.camera.device import DeviceSource, describe, source_of
+from foretouch.camera.device import DeviceSource, describe, realsense, source_of
 from foretouch.camera.stream import FilterChain, FrameStream
 from foretouch.errors import CameraError, FileError
 from foretouch.types import Cloud
@@ -24,6 +24,7 @@ from foretouch.types import Cloud
 _LOG = logging.getLogger(__name__)
 _SLICE_S = 0.05  # longest uninterrupted wait for a frame
 _START_OF_PLAY_S = 1.0
+_BACKOFF_S = (0.5, 10.0)  # pause after the first failed attempt, and the longest
 
 CameraState = Literal["reconnecting", "streaming", "stalled", "absent", "ended", "closed"]
 
@@ -63,7 +64,7 @@ class CameraStatus:
         return self.state in {"streaming", "ended", "closed"} or (self.state == "reconnecting" and not self.failures)
 
 
-class Watchdog:
+class _Watchdog:
     """Decides from times alone whether to wait, to report the camera as stalled, or to open it again.
 
     Attributes:
@@ -79,18 +80,14 @@ class Watchdog:
         self.failures = 0
         self.next_attempt_s = 0.0
 
-    def opened(self, now_s: float) -> None:
-        """Note that a device was opened; its first frame may take longer."""
-        self._last_frame_s, self._streaming = now_s, False
-
-    def frame(self, now_s: float) -> None:
-        """Note a frame that a cloud could be made of."""
-        self._last_frame_s, self._streaming = now_s, True
-        self.failures = 0
+    def note(self, now_s: float, *, streaming: bool) -> None:
+        """Note a frame that a cloud could be made of, or that a device was opened, whose first frame may take longer."""
+        self._last_frame_s, self._streaming = now_s, streaming
+        self.failures = 0 if streaming else self.failures
 
     def failed(self, now_s: float) -> float:
         """Note a failed attempt; returns the pause before the next [s], twice the last one."""
-        pause = min(self.config.backoff_min_s * 2.0 ** min(self.failures, 60), self.config.backoff_max_s)
+        pause = min(_BACKOFF_S[0] * 2.0 ** min(self.failures, 60), _BACKOFF_S[1])
         self.failures += 1
         self.next_attempt_s = now_s + pause
         return pause
@@ -109,52 +106,46 @@ class Watchdog:
         return "stalled" if silent > self.config.stall_s else "wait"
 
 
-def open_camera(
-    config: RealSenseConfig | None = None,
-    source: DeviceSource | None = None,
-    on_change: Callable[[CameraStatus], None] | None = None,
-) -> RealSenseCamera:
-    """Make a camera, which is a context manager and an iterator of organised clouds.
+class RealSenseCamera:
+    """A context manager and an iterator of organised clouds.
+
+    A device that is absent, unplugged or silent is reported in `status` and tried again.
 
     Args:
-        config: The settings; defaults for None.
+        config: The settings.
         source: Where the device comes from, instead of what the settings name.
         on_change: Called by the reading thread when the state changes; None logs it.
+
+    Attributes:
+        config: The settings.
 
     Raises:
         FileError: If the settings name a recording that is absent, or a file to record to that exists.
         MissingDependencyError: If pyrealsense2 is missing.
     """
-    return RealSenseCamera(config or RealSenseConfig(), source, on_change or _log)
-
-
-class RealSenseCamera:
-    """See `open_camera`. A device that is absent, unplugged or silent is reported in `status` and tried again."""
 
     def __init__(
-        self, config: RealSenseConfig, source: DeviceSource | None, on_change: Callable[[CameraStatus], None]
+        self,
+        config: RealSenseConfig,
+        source: DeviceSource | None = None,
+        on_change: Callable[[CameraStatus], None] | None = None,
     ) -> None:
-        self._config = config
-        self._on_change = on_change
+        self.config = config
+        self._on_change = on_change or _log
         self._source = source_of(config) if source is None else source
         if config.record_to and Path(config.record_to).exists():
             raise FileError(config.record_to, "exists; a recording is never overwritten")
         self._device: Any = None
         self._stream: FrameStream | None = None
-        self._watchdog = Watchdog(config.timeouts)
+        self._watchdog = _Watchdog(config.timeouts)
         self._dropped: Counter[str] = Counter()
         self._last_number: int | None = None
         self._frame_at_s: float | None = None
         self._status = CameraStatus()
 
-    @property
-    def config(self) -> RealSenseConfig:
-        """The settings."""
-        return self._config
-
     def reconfigure(self, config: RealSenseConfig) -> None:
         """Apply new filters and timeouts, from any thread; other settings need a new camera."""
-        self._config = self._config.replace(filters=config.filters, timeouts=config.timeouts)
+        self.config = self.config.replace(filters=config.filters, timeouts=config.timeouts)
         self._watchdog.config = config.timeouts
         stream = self._stream
         if stream is not None:
@@ -164,8 +155,7 @@ class RealSenseCamera:
     def status(self) -> CameraStatus:
         """The state, its reason, and the counts so far."""
         last = self._frame_at_s
-        since = None if last is None else time.monotonic() - last
-        return replace(self._status, since_frame_s=since)
+        return replace(self._status, since_frame_s=None if last is None else time.monotonic() - last)
 
     def read(self, timeout_s: float) -> Cloud | None:
         """Return the next cloud.
@@ -194,20 +184,11 @@ class RealSenseCamera:
         return None
 
     def __iter__(self) -> Iterator[Cloud]:
-        """Clouds until the recording ends or the camera is closed.
-
-        Raises:
-            CameraError: If no frame came for `timeouts.give_up_s`.
-        """
-        limit = self._config.timeouts.give_up_s
-        last = time.monotonic()
+        """Clouds until the recording ends or the camera is closed."""
         while self._status.state not in {"ended", "closed"}:
             cloud = self.read(_SLICE_S)
             if cloud is not None:
                 yield cloud
-                last = time.monotonic()
-            elif limit and time.monotonic() - last > limit:
-                raise CameraError(f"no frame for {limit:g} s: {self._status.state}: {self._status.reason}")
 
     def close(self) -> None:
         """Release the device; afterwards nothing can be read."""
@@ -239,16 +220,16 @@ class RealSenseCamera:
             self._retry_later("reconnecting", f"cannot be opened: {' '.join(str(err).split())}")
             return
         self._last_number = None
-        self._watchdog.opened(time.monotonic())
+        self._watchdog.note(time.monotonic(), streaming=False)
         self._update(opened=self._status.opened + 1, device=describe(self._device))
         self._set_state("reconnecting", "opened, waiting for the first frame")
 
     def _config_for_this_attempt(self) -> RealSenseConfig:
         """Record to a new file each time: the library would overwrite the first one."""
-        path, opened = Path(self._config.record_to), self._status.opened
-        if not self._config.record_to or not opened:
-            return self._config
-        return self._config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
+        path, opened = Path(self.config.record_to), self._status.opened
+        if not self.config.record_to or not opened:
+            return self.config
+        return self.config.replace(record_to=str(path.with_stem(f"{path.stem}-{opened + 1}")))
 
     def _wait(self, stream: FrameStream, timeout_s: float) -> Cloud | None:
         frames = stream.wait(timeout_s)
@@ -257,18 +238,21 @@ class RealSenseCamera:
             self._on_silence(now, "no frame")
             return None
         self._frame_at_s = now
-        self._count_missed(int(frames.depth.get_frame_number()))
-        if stream.wants_colour and frames.colour is None:
+        number = int(frames[0].get_frame_number())
+        if self._last_number is not None and number > self._last_number + 1:  # of this opening
+            self._drop("missed", number - self._last_number - 1)
+        self._last_number = number
+        if stream.wants_colour and frames[1] is None:
             self._drop("no_colour")
             self._on_silence(now, "depth without colour")
             return None
         try:
-            cloud = stream.cloud(frames)
+            cloud = stream.cloud(*frames)
         except RuntimeError as err:
             self._drop("bad_frame")
             self._on_silence(now, f"the library refuses the frames ({' '.join(str(err).split())})")
             return None
-        self._watchdog.frame(now)
+        self._watchdog.note(now, streaming=True)
         self._update(received=self._status.received + 1, delivered=self._status.delivered + 1)
         self._set_state("streaming", "")
         return cloud
@@ -277,8 +261,12 @@ class RealSenseCamera:
         """Handle the lack of a cloud; `what` describes it in the reason."""
         silent_s = self._watchdog.silent_s(now)
         # A recording may not be playing yet just after its start.
-        if self._source.ended(self._device) and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
-            self._on_end()
+        ended = not self._source.reopens and self._device.current_status() == realsense().playback_status.stopped
+        if ended and (self._last_number is not None or silent_s > _START_OF_PLAY_S):
+            self._release()
+            repeat = self.config.repeat
+            state: CameraState = "reconnecting" if repeat else "ended"
+            self._set_state(state, "the recording restarts" if repeat else "the recording has ended")
             return
         decision = self._watchdog.decide(now)
         reason = f"{what} for {silent_s:.1f} s"
@@ -291,23 +279,10 @@ class RealSenseCamera:
         elif decision != "wait":
             self._set_state("stalled", reason)
 
-    def _on_end(self) -> None:
-        self._release()
-        if self._config.repeat:
-            self._set_state("reconnecting", "the recording restarts")
-        else:
-            self._set_state("ended", "the recording has ended")
-
     def _retry_later(self, state: CameraState, reason: str) -> None:
         pause = self._watchdog.failed(time.monotonic())
         self._update(failures=self._watchdog.failures)
         self._set_state(state, f"{reason}; attempt {self._watchdog.failures + 1} in {pause:g} s")
-
-    def _count_missed(self, number: int) -> None:
-        """Count frames whose numbers were skipped since the last depth frame of this opening."""
-        if self._last_number is not None and number > self._last_number + 1:
-            self._drop("missed", number - self._last_number - 1)
-        self._last_number = number
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._dropped[reason] += count

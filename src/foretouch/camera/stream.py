@@ -9,8 +9,7 @@ the interpreter lock, so a full queue that waits for its reader (a recording rea
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -26,14 +25,6 @@ _Frame = TypeVar("_Frame")
 _DEPTH_FRAMES = 1  # of a live camera only the newest is kept: a late reader skips frames, as their numbers show
 _COLOUR_FRAMES = 8
 _BUFFERED_COLOUR_FRAMES = 32  # more than one camera period of any rate
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """A depth frame of the library and the colour frame nearest in time, None if there is none or none was wanted."""
-
-    depth: Any
-    colour: Any | None = None
 
 
 class FrameStream:
@@ -62,52 +53,39 @@ class FrameStream:
         lossless = bool(device.is_playback()) and not config.real_time
         when_full: Literal["wait", "drop_oldest"] = "wait" if lossless else "drop_oldest"
         # Unlimited until all streams have started: the library must not wait while it starts one.
-        self._depth_queue: BoundedQueue[Any] = BoundedQueue(None, when_full=when_full)
-        self._colour_queue: BoundedQueue[Any] = BoundedQueue(None, when_full=when_full)
+        self._depth_queue, self._colour_queue = (BoundedQueue[Any](None, when_full=when_full) for _ in range(2))
         self._open: list[Any] = []
         try:
             self._period_ms = self._start(rs, exact=not device.is_playback())
         except BaseException:
             self.close()
             raise
-        self._colours: ColourBuffer[Any] = ColourBuffer(self._period_ms, lambda frame: float(frame.get_timestamp()))
+        self._colours = _ColourBuffer[Any](self._period_ms, lambda frame: float(frame.get_timestamp()))
 
     @property
     def wants_colour(self) -> bool:
         """Whether a depth frame is used only with a colour frame."""
         return self._align is not None
 
-    def wait(self, timeout_s: float) -> Frames | None:
-        """The next depth frame with its colour frame.
+    def wait(self, timeout_s: float) -> tuple[Any, Any | None] | None:
+        """The next depth frame, and the colour frame nearest in time, if one is wanted and came; None without depth.
 
-        Args:
-            timeout_s: Longest wait for depth; its colour may take two periods more [s].
-
-        Returns:
-            The frames, or None if no depth came in time.
+        Its colour may take two periods more than the longest wait for depth [s].
         """
         self._drain_colour()  # a recording that is read at our pace waits while this queue is full
         depth = self._depth_queue.get(timeout_s)
         if depth is None:
             return None
-        return Frames(depth, self._colour_for(float(depth.get_timestamp())) if self.wants_colour else None)
+        return depth, self._colour_for(float(depth.get_timestamp())) if self.wants_colour else None
 
-    def cloud(self, frames: Frames) -> Cloud:
-        """Frames filtered, aligned and deprojected.
-
-        Args:
-            frames: With colour where `wants_colour`.
-
-        Returns:
-            (H, W, 3) float32 [m], NaN where there is no depth; rgb where the settings align colour.
-        """
-        stamp_ns = self._stamp_ns(frames.depth, time.time_ns())
-        parts = [frames.depth] if frames.colour is None else [frames.depth, frames.colour]
-        frameset = self.filters.process(self._join.make(*parts))
+    def cloud(self, depth: Any, colour: Any | None) -> Cloud:
+        """(H, W, 3) points of a depth frame filtered, aligned and deprojected, and rgb where the settings align colour."""
+        stamp_ns = self._stamp_ns(depth, time.time_ns())
+        frameset = self.filters.process(self._join(*([depth] if colour is None else [depth, colour])))
         if self._align is not None:
             frameset = self._align.process(frameset)
-        depth = frameset.get_depth_frame()
-        points = self._deprojector(depth).points(np.asanyarray(depth.get_data()), depth.get_units())
+        image = frameset.get_depth_frame()
+        points = self._deprojector(image).points(np.asanyarray(image.get_data()), image.get_units())
         # The library owns the pixels and uses them again: copied before the frame goes.
         rgb = None if self._align is None else np.array(frameset.get_color_frame().get_data())
         return Cloud(points, rgb, self._config.optical_frame, stamp_ns)
@@ -153,9 +131,9 @@ class FrameStream:
         give_up = time.monotonic() + 2.0 * self._period_ms / 1000.0
         while True:
             self._drain_colour()
-            colour = self._colours.nearest(stamp_ms)
+            colour, is_past = self._colours.nearest(stamp_ms)
             left_s = give_up - time.monotonic()
-            if colour is not None or left_s <= 0.0 or self._colours.is_past(stamp_ms):
+            if colour is not None or left_s <= 0.0 or is_past:
                 return colour
             frame = self._colour_queue.get(left_s)
             if frame is not None:
@@ -169,7 +147,7 @@ class FrameStream:
         intrinsics = depth.get_profile().as_video_stream_profile().get_intrinsics()
         key = repr(intrinsics)
         if self._lens is None or self._lens[0] != key:
-            self._lens = (key, lens_of(intrinsics))
+            self._lens = (key, _lens_of(intrinsics))
         return self._lens[1]
 
     def _stamp_ns(self, depth: Any, arrived_ns: int) -> int:
@@ -188,41 +166,29 @@ class FilterChain:
     """
 
     def __init__(self, config: FilterConfig) -> None:
-        rs = realsense()
-        option = rs.option
+        rs, option = realsense(), realsense().option
+        spatial, temporal = config.spatial, config.temporal
+        smoothing = spatial.enabled or temporal.enabled
+        amounts = ((option.filter_smooth_alpha, "smooth_alpha"), (option.filter_smooth_delta, "smooth_delta"))
+        steps = (
+            (
+                config.decimation,
+                config.decimation.enabled,
+                rs.decimation_filter,
+                ((option.filter_magnitude, "magnitude"),),
+            ),
+            (config, smoothing, lambda: rs.disparity_transform(True), ()),
+            (spatial, spatial.enabled, rs.spatial_filter, ((option.filter_magnitude, "magnitude"), *amounts)),
+            (temporal, temporal.enabled, rs.temporal_filter, amounts),
+            (config, smoothing, lambda: rs.disparity_transform(False), ()),
+            (config.hole_filling, config.hole_filling.enabled, rs.hole_filling_filter, ((option.holes_fill, "mode"),)),
+        )
         self._blocks: list[Any] = []
-        if config.decimation.enabled:
-            self._add(rs.decimation_filter(), {option.filter_magnitude: config.decimation.magnitude})
-        smoothing = config.spatial.enabled or config.temporal.enabled
-        if smoothing and config.disparity:
-            self._add(rs.disparity_transform(True))
-        if config.spatial.enabled:
-            self._add(
-                rs.spatial_filter(),
-                {
-                    option.filter_magnitude: config.spatial.magnitude,
-                    option.filter_smooth_alpha: config.spatial.smooth_alpha,
-                    option.filter_smooth_delta: config.spatial.smooth_delta,
-                    option.holes_fill: config.spatial.holes_fill,
-                },
-            )
-        if config.temporal.enabled:
-            self._add(
-                rs.temporal_filter(),
-                {
-                    option.filter_smooth_alpha: config.temporal.smooth_alpha,
-                    option.filter_smooth_delta: config.temporal.smooth_delta,
-                    option.holes_fill: config.temporal.persistence,
-                },
-            )
-        if smoothing and config.disparity:
-            self._add(rs.disparity_transform(False))
-        if config.hole_filling.enabled:
-            self._add(rs.hole_filling_filter(), {option.holes_fill: config.hole_filling.mode})
-
-    def __len__(self) -> int:
-        """Number of processing blocks, the conversions to disparity and back included."""
-        return len(self._blocks)
+        for settings, enabled, make, options in steps:
+            if enabled:
+                self._blocks.append(make())
+                for one, name in options:
+                    self._blocks[-1].set_option(one, float(getattr(settings, name)))
 
     def process(self, frames: Any) -> Any:
         """Filter the depth of a frameset; colour is only decimated, where the library does so."""
@@ -230,13 +196,8 @@ class FilterChain:
             frames = block.process(frames).as_frameset()
         return frames
 
-    def _add(self, block: Any, options: Mapping[Any, float] | None = None) -> None:
-        for name, value in (options or {}).items():
-            block.set_option(name, float(value))
-        self._blocks.append(block)
 
-
-class ColourBuffer(Generic[_Frame]):
+class _ColourBuffer(Generic[_Frame]):
     """The last colour frames, by stamp.
 
     Args:
@@ -254,21 +215,17 @@ class ColourBuffer(Generic[_Frame]):
         """Add a frame; the oldest is dropped when there are too many."""
         self._frames.append(frame)
 
-    def nearest(self, stamp_ms: float) -> _Frame | None:
-        """Return the frame that matches `stamp_ms`, or None.
+    def nearest(self, stamp_ms: float) -> tuple[_Frame | None, bool]:
+        """The frame that matches a stamp, if any, and whether a later one has arrived, so that none will match any more.
 
         Frames that are too old for it or later ones are dropped.
         """
         while self._frames and self._time_ms(self._frames[0]) < stamp_ms - self._tolerance_ms:
             self._frames.popleft()
         best = min(self._frames, key=lambda frame: abs(self._time_ms(frame) - stamp_ms), default=None)
-        if best is None or abs(self._time_ms(best) - stamp_ms) > self._tolerance_ms:
-            return None
-        return best
-
-    def is_past(self, stamp_ms: float) -> bool:
-        """Whether a later frame has arrived, so that none will match any more."""
-        return bool(self._frames) and self._time_ms(self._frames[-1]) > stamp_ms + self._tolerance_ms
+        if best is not None and abs(self._time_ms(best) - stamp_ms) > self._tolerance_ms:
+            best = None
+        return best, bool(self._frames) and self._time_ms(self._frames[-1]) > stamp_ms + self._tolerance_ms
 
 
 class _FramesetMaker:
@@ -276,42 +233,35 @@ class _FramesetMaker:
 
     def __init__(self) -> None:
         rs = realsense()
-        self._parts: list[Any] = []
+        self._parts: tuple[Any, ...] = ()
         self._made = rs.frame_queue(1)
-        self._block = rs.processing_block(self._join)
+        self._block = rs.processing_block(
+            lambda _, source: source.frame_ready(source.allocate_composite_frame(list(self._parts)))
+        )
         self._block.start(self._made)
 
-    def make(self, *frames: Any) -> Any:
-        """Join frames into a `pyrealsense2.composite_frame`."""
-        self._parts = list(frames)
+    def __call__(self, *frames: Any) -> Any:
+        self._parts = frames
         self._block.invoke(frames[0])
-        self._parts = []
+        self._parts = ()
         return self._made.wait_for_frame().as_frameset()
 
-    def _join(self, _frame: Any, source: Any) -> None:
-        source.frame_ready(source.allocate_composite_frame(self._parts))
 
-
-def lens_of(intrinsics: Any) -> Deprojector:
-    """Compute the pixel directions from the library's intrinsics.
-
-    Raises:
-        CameraError: If the distortion model is not supported.
-    """
+def _lens_of(intrinsics: Any) -> Deprojector:
+    """Pixel directions from the library's intrinsics; a `CameraError` if the distortion model is not supported."""
     i = intrinsics
     matrix = np.array([[i.fx, 0.0, i.ppx], [0.0, i.fy, i.ppy], [0.0, 0.0, 1.0]])
-    model = str(i.model).rpartition(".")[2]
-    return Deprojector.of_lens(matrix, i.width, i.height, model, tuple(i.coeffs))
+    return Deprojector.of_lens(matrix, i.width, i.height, str(i.model).rpartition(".")[2], tuple(i.coeffs))
 
 
 def _keep_in(queue: BoundedQueue[Any]) -> Callable[[Any], None]:
-    """Make a callback for the library's thread."""
+    """A callback for the library's thread."""
 
-    def receive(frame: Any) -> None:
+    def put(frame: Any) -> None:
         frame.keep()  # the library lends only a few frames otherwise
         queue.put(frame)
 
-    return receive
+    return put
 
 
 def _aligner(config: RealSenseConfig) -> Any | None:

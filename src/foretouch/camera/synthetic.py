@@ -57,7 +57,9 @@ class SyntheticCamera(DeviceSource):
         serial: str = "synthetic",
         stamp_ns: Callable[[int], int | None] | None = None,
     ) -> None:
-        self._frame = frames if callable(frames) else _repeated(frames)
+        if not callable(frames) and not frames:
+            raise CameraError("synthetic camera: no frames to feed")
+        self._frame = frames if callable(frames) else lambda number: frames[number % len(frames)]
         self._stamp_ns: Callable[[int], int | None] = stamp_ns or (lambda _: time.time_ns())
         self._fps = fps
         first = self._frame(0)
@@ -81,17 +83,8 @@ class SyntheticCamera(DeviceSource):
         """See `DeviceSource`."""
         return self._plugged
 
-    @property
-    def number(self) -> int:
-        """Number of frames fed."""
-        return self._number
-
     def feed(self) -> int:
-        """Feed one frame now and return its number.
-
-        Raises:
-            CameraError: If the frame has another size than the first.
-        """
+        """Feed one frame now and return its number; a `CameraError` if it has another size than the first."""
         with self._lock:
             number = self._number
             frame = self._frame(number)
@@ -99,7 +92,9 @@ class SyntheticCamera(DeviceSource):
                 raise CameraError(f"synthetic frame {number}: shape {frame.depth_mm.shape} is not {self._shape}")
             stamp_ns = self._stamp_ns(number)
             if self._plugged and stamp_ns is not None:
-                self._send(frame, number, stamp_ns / 1e6)
+                images: list[npt.NDArray[Any]] = [frame.depth_mm, frame.rgb][: 1 + self.colour]
+                for sensor, profile, image in zip(self._sensors, self._profiles, images, strict=False):
+                    sensor.on_video_frame(_video_frame(profile, image, number, stamp_ns / 1e6))
             self._number += 1
             return number
 
@@ -138,11 +133,6 @@ class SyntheticCamera(DeviceSource):
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _send(self, frame: SyntheticFrame, number: int, stamp_ms: float) -> None:
-        images: tuple[npt.NDArray[Any], ...] = (frame.depth_mm, frame.rgb) if self.colour else (frame.depth_mm,)
-        for sensor, profile, image in zip(self._sensors, self._profiles, images, strict=False):
-            sensor.on_video_frame(_video_frame(profile, image, number, stamp_ms))
-
     def _run(self) -> None:
         due = time.monotonic()
         while not self._stopping.is_set():
@@ -151,12 +141,6 @@ class SyntheticCamera(DeviceSource):
             # A frame that took too long to make delays the next ones; these are not sent in a burst.
             due = max(due + 1.0 / self._fps, time.monotonic())
             self._stopping.wait(due - time.monotonic())
-
-
-def _repeated(frames: Sequence[SyntheticFrame]) -> Callable[[int], SyntheticFrame]:
-    if not frames:
-        raise CameraError("synthetic camera: no frames to feed")
-    return lambda number: frames[number % len(frames)]
 
 
 def _software_device(frame: SyntheticFrame, fps: int, serial: str) -> tuple[Any, list[Any], list[Any]]:

@@ -16,12 +16,14 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Literal
 
 from foretouch.cli.output import announce, print_json, print_table, print_text, progress_bar
+from foretouch.errors import ForetouchError, MissingDependencyError
 
 if TYPE_CHECKING:
     from packaging.specifiers import SpecifierSet
@@ -96,21 +98,13 @@ def _self_test(names: Sequence[str], *, as_json: bool) -> int:
 
 def _examine() -> Iterator[Finding]:
     """Run all checks, the fastest first."""
-    yield _python()
+    old, version = sys.version_info < (3, 11), platform.python_version()
+    fix = "make setup PYTHON=python3.11" if old else ""
+    yield Finding("Python", "mismatch" if old else "ok", f"{version} {platform.machine()}", fix)
     yield from _requirements()
     yield from _imports()
-    yield from _ros()
-    yield _kernels()
     yield _shared_memory()
-    yield from _models()
-    yield _camera()
-
-
-def _python() -> Finding:
-    version = platform.python_version()
-    if sys.version_info < (3, 11):
-        return Finding("Python", "mismatch", version, "make setup PYTHON=python3.11")
-    return Finding("Python", "ok", f"{version} {platform.machine()}")
+    yield from _own_parts()
 
 
 def _requirements() -> Iterator[Finding]:
@@ -159,17 +153,11 @@ def _imports() -> Iterator[Finding]:
     ):
         if importlib.util.find_spec(name.split()[0]) is not None:
             yield _tried(name, code, fix)
-
-
-def _ros() -> Iterator[Finding]:
+    prepared = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
     distro = os.environ.get("ROS_DISTRO") or f"{_wheels_of_ros()}, wheels of PyPI"
-    environment = "from foretouch.ros.runtime.environment import prepare_environment; prepare_environment()"
-    yield _tried(f"rclpy loads ({distro})", f"{environment}; import rclpy", "pip install 'foretouch[ros]'")
-    yield _tried(
-        "foretouch_msgs loads",
-        f"{environment}; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()",
-        "pip install ./foretouch_msgs",
-    )
+    yield _tried(f"rclpy loads ({distro})", f"{prepared}; import rclpy", "pip install 'foretouch[ros]'")
+    message = f"{prepared}; from foretouch_msgs.msg import TouchPrediction; TouchPrediction()"
+    yield _tried("foretouch_msgs loads", message, "pip install ./foretouch_msgs")
     for name, why in (
         ("launch_ros", "launch files"),
         ("sensor_msgs_py", "comparison in tests"),
@@ -177,16 +165,6 @@ def _ros() -> Iterator[Finding]:
     ):
         present = _failure(f"import {name}") is None
         yield Finding(name, "ok" if present else "optional", "present" if present else f"absent: only for {why}")
-
-
-def _kernels() -> Finding:
-    from foretouch.errors import MissingDependencyError
-
-    try:
-        import foretouch.kernels  # noqa: F401
-    except MissingDependencyError as err:
-        return Finding("compiled kernels", "mismatch", str(err), "apt install gcc, then install foretouch again")
-    return Finding("compiled kernels", "ok", "loaded")
 
 
 def _shared_memory() -> Finding:
@@ -200,34 +178,49 @@ def _shared_memory() -> Finding:
     return Finding(name, state, f"{free_mb:.0f} MB free", fix)
 
 
-def _models() -> Iterator[Finding]:
-    """Load the default model and the other released ones, and compare each with its card."""
-    from foretouch.errors import ForetouchError
-    from foretouch.models import DEFAULT_MODEL, available_models, load_model
+def _own_parts() -> Iterator[Finding]:
+    """The compiled kernels, the released models, which are compared with their cards, and the camera."""
+    kernels = _checked("compiled kernels", "mismatch", "apt install gcc, then install foretouch again", _load_kernels)
+    yield kernels
+    if kernels.state != "ok":
+        return
+    from foretouch.models import DEFAULT_MODEL, available_models
 
-    for name in [DEFAULT_MODEL, *(other for other in available_models() if other != DEFAULT_MODEL)]:
+    for name in (DEFAULT_MODEL, *(other for other in available_models() if other != DEFAULT_MODEL)):
         what = "default model" if name == DEFAULT_MODEL else f"model {name}"
-        try:
-            model = load_model(name)
-        except (ForetouchError, ImportError) as err:
-            yield Finding(what, "broken", str(err), "pip install --force-reinstall foretouch")
-            continue
-        intervals = "with intervals" if model.calibration is not None else "without intervals and online adaptation"
-        yield Finding(what, "ok", f"{model.name} {model.sha256[:12]} {intervals}")
+        yield _checked(what, "broken", "pip install --force-reinstall foretouch", partial(_load_model, name))
+    yield _checked("RealSense", "optional", "", _list_cameras)
 
 
-def _camera() -> Finding:
-    from foretouch.errors import ForetouchError
+def _load_kernels() -> str:
+    import foretouch.kernels  # noqa: F401
 
+    return "loaded"
+
+
+def _load_model(name: str) -> str:
+    from foretouch.models import load_model
+
+    model = load_model(name)
+    intervals = "with intervals" if model.calibration is not None else "without intervals and online adaptation"
+    return f"{model.name} {model.sha256[:12]} {intervals}"
+
+
+def _list_cameras() -> str:
+    from foretouch.camera import list_devices
+
+    found = list_devices()
+    if not found:
+        raise MissingDependencyError("no RealSense device is connected")
+    return ", ".join(found)
+
+
+def _checked(name: str, otherwise: State, fix: str, check: Callable[[], str]) -> Finding:
+    """What a function returns, or in another state the error that it raises."""
     try:
-        from foretouch.camera import list_devices
-
-        devices = list_devices()
+        return Finding(name, "ok", check())
     except (ForetouchError, ImportError) as err:
-        return Finding("RealSense", "optional", str(err))
-    if not devices:
-        return Finding("RealSense", "optional", "no RealSense device is connected")
-    return Finding("RealSense", "ok", ", ".join(devices))
+        return Finding(name, otherwise, str(err), fix)
 
 
 def _tried(name: str, code: str, fix: str) -> Finding:
@@ -242,5 +235,4 @@ def _failure(code: str) -> str | None:
     )
     if done.returncode == 0:
         return None
-    lines: list[str] = done.stderr.strip().splitlines()
-    return lines[-1] if lines else f"exit status {done.returncode}"
+    return (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]

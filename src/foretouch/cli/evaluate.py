@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """`foretouch evaluate`: score a model and the baselines on a dataset."""
 
+from __future__ import annotations
+
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from foretouch.cli.inputs import seed_number
 from foretouch.cli.output import announce, print_json, print_table, warn
 from foretouch.errors import ConfigError
 from foretouch.tactile import MODALITIES
+
+if TYPE_CHECKING:
+    from foretouch.learning.data import Dataset
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,20 +55,21 @@ def run(arguments: argparse.Namespace) -> int:
     data = load_dataset(arguments.dataset)
     result = evaluate_model(arguments.model, data, data.parts(arguments.split), seed=arguments.seed)
     scores = dict(result["scores"])
-    record = {"split": arguments.split, "data_sha256": data.sha256, "samples": result["samples"]}
-    record |= {
-        "unfamiliar": result["unfamiliar"],
-        "same_data": result["same_data"],
-        **scores.pop("model"),
-        "baselines": scores,
-    }
-    if arguments.json:
-        print_json({"model": arguments.model, "dataset": arguments.dataset, **record})
-        return 0
-    if result["same_data"]:
-        warn("the model was trained on this dataset: its scores are training scores, not test scores")
-    show_scores(result, arguments.split)
+    record = {"split": arguments.split, "samples": result["samples"], "unfamiliar": result["unfamiliar"]}
+    record |= {**scores.pop("model"), "baselines": scores}
+    if not _printed(arguments, data, result["same_data"], record):
+        show_scores(result, arguments.split)
     return 0
+
+
+def _printed(arguments: argparse.Namespace, data: Dataset, same_data: bool, record: Mapping[str, Any]) -> bool:
+    """Print the record with --json; else warn of scores on training data, and return False."""
+    if arguments.json:
+        named = {"model": arguments.model, "dataset": arguments.dataset, "data_sha256": data.sha256}
+        print_json({**named, "same_data": same_data, **record})
+    elif same_data:
+        warn("the model was trained on this dataset: its scores are training scores, not test scores")
+    return bool(arguments.json)
 
 
 def _run_prequential(arguments: argparse.Namespace) -> int:
@@ -72,19 +78,16 @@ def _run_prequential(arguments: argparse.Namespace) -> int:
     from foretouch.models.registry import load_model
 
     data = load_dataset(arguments.dataset)
-    samples = [sample for sample in data.samples if sample.touch is not None]
-    history = [
-        sample for path in arguments.history for sample in load_dataset(path).samples if sample.touch is not None
-    ]
+    earlier = [load_dataset(path) for path in arguments.history]
+    samples, history = (
+        [sample for one in datasets for sample in one.samples if sample.touch is not None]
+        for datasets in ([data], earlier)
+    )
     model = load_model(arguments.model)
     result = evaluate_prequential(model, samples, history)
     same = model.card["data"].get("sha256") in (data.sha256, *data.aliases)
-    if arguments.json:
-        record = {"model": arguments.model, "dataset": arguments.dataset, "data_sha256": data.sha256, "same_data": same}
-        print_json({**record, **result})
+    if _printed(arguments, data, same, result):
         return 0
-    if same:
-        warn("the model was trained on this dataset: its scores are training scores, not test scores")
     for name, fingers in result["restarted"].items():
         warn(f"{name}: readings jumped, the memory of {' and '.join(fingers)} was started again")
     rows = [
@@ -112,19 +115,13 @@ def show_scores(result: Mapping[str, Any], split: str) -> None:
         result: Result of `evaluate_model`.
         split: Split for the title.
     """
-    scores = result["scores"]
-    rows = [
-        [
-            key if name == "model" else "",
-            name,
-            f"{row[key]['rmse']:.1f}",
-            f"{row[key]['nrmse']:.4f}",
-            f"{row[key]['skill']:+.3f}",
-            "" if row[key]["coverage90"] is None else f"{row[key]['coverage90']:.3f}",
-        ]
-        for key in scores["model"]
-        for name, row in scores.items()
-    ]
+    rows = []
+    for key in result["scores"]["model"]:
+        for name, by_modality in result["scores"].items():
+            one = by_modality[key]
+            inside = "" if one["coverage90"] is None else f"{one['coverage90']:.3f}"
+            numbers = (f"{one['rmse']:.1f}", f"{one['nrmse']:.4f}", f"{one['skill']:+.3f}", inside)
+            rows.append([key if name == "model" else "", name, *numbers])
     title = (
         f"{result['samples']} samples ({result['unfamiliar']} flagged unfamiliar), split {split}; "
         "rmse in counts; skill: 0 is the training mean, 1 is perfect; inside: share of readings in the 90 % interval"

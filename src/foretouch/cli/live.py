@@ -28,7 +28,7 @@ _MAX_ROWS = 8  # of a table
 
 
 def live_panel(view: View, title: str, waiting: str = "") -> FittedPanel:
-    """Draw the state of each node with its problems, the answers so far, the last grasp executed and the last prediction.
+    """Draw the state of each node, its problems, the answers so far, the last executed grasp and prediction.
 
     Args:
         view: What the graph has reported.

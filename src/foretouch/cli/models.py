@@ -10,7 +10,6 @@ from foretouch.cli.output import print_json, print_table, print_text
 from foretouch.errors import ModelError
 
 _SPLITS = ("random", "time", "object")
-_MEAN = "mean"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,35 +38,19 @@ def run(arguments: argparse.Namespace) -> int:
     return int(any(record["status"] != "ok" for record in records))
 
 
-def model_files(card_path: Path) -> list[Path]:
-    """The files of a model besides its card: weights, calibration, and cards and files of an ensemble's members.
-
-    Raises:
-        ModelError: If a card cannot be read.
-    """
-    from foretouch.models.card import read_card
-
-    card = read_card(card_path)
-    files: list[Path] = []
-    for member in card.get("members", []):
-        path = card_path.with_name(Path(str(member)).name)
-        files += [path, *model_files(path)]
-    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
-    return files + [card_path.with_name(Path(str(name)).name) for name in names if name]
-
-
 def _record(name: str) -> dict[str, Any]:
     """The JSON object of one model; loading it compares every file with its hash in the card."""
     from foretouch.checked_files import file_sha256
     from foretouch.models.registry import find_card, load_model
 
     try:
-        model = load_model(name)
-        files = model_files(find_card(name))
-        hashes = {path.name: {"sha256": file_sha256(path), "bytes": path.stat().st_size} for path in files}
+        model, path = load_model(name), find_card(name)
     except ModelError as err:
         return {"status": "damaged", "name": name, "reason": str(err)}
     card = model.card
+    names = [card.get("weights"), (card.get("calibration") or {}).get("weights")]
+    files = [path.with_name(Path(str(one)).name) for one in names if one]
+    hashes = {file.name: {"sha256": file_sha256(file), "bytes": file.stat().st_size} for file in files}
     return {
         "status": "ok",
         "name": model.name,
@@ -83,12 +66,11 @@ def _record(name: str) -> dict[str, Any]:
 
 def _skills(card: Mapping[str, Any]) -> dict[str, float]:
     """Mean skill over the modalities by split: 0 equals the mean of the training labels, 1 is perfect."""
-    found = {}
-    for split, scores in card.get("skill", {}).items():
-        values = [score["skill"] for score in scores.values() if "skill" in score]
-        if values:
-            found[split] = sum(values) / len(values)
-    return found
+    skills = {
+        split: [score["skill"] for score in scores.values() if "skill" in score]
+        for split, scores in card.get("skill", {}).items()
+    }
+    return {split: sum(values) / len(values) for split, values in skills.items() if values}
 
 
 def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -104,9 +86,9 @@ def _calibration(card: Mapping[str, Any]) -> dict[str, Any] | None:
         return None
     groups = {}
     for name, group in facts.get("regimes", {}).items():
-        coverage = [shares[_MEAN] for shares in group.get("coverage", {}).values() if _MEAN in shares]
-        mean = sum(coverage) / len(coverage) if coverage else None
-        groups[name] = {"objects": group.get("objects"), "samples": group.get("samples"), "coverage": mean}
+        shares = [share["mean"] for share in group.get("coverage", {}).values() if "mean" in share]
+        coverage = sum(shares) / len(shares) if shares else None
+        groups[name] = {"objects": group.get("objects"), "samples": group.get("samples"), "coverage": coverage}
     objects = max((one["objects"] or 0 for one in groups.values()), default=0)
     return {"level": facts.get("level"), "objects": objects, "promise": objects / (objects + 1), "regimes": groups}
 

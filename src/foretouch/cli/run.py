@@ -112,10 +112,9 @@ def run(arguments: argparse.Namespace) -> int:
     announce("starting the nodes")
     with graph:
         if not graph.started:
-            states = "; ".join(
-                f"{n}: {node.state_name}" for n, node in graph.nodes.items() if node.state_name != "active"
-            )
-            raise ForetouchError(f"a node did not start; see its log ({states})")
+            states = {name: node.state_name for name, node in graph.nodes.items() if node.state_name != "active"}
+            listed = "; ".join(f"{name}: {state}" for name, state in states.items())
+            raise ForetouchError(f"a node did not start; see its log ({listed})")
         if arguments.serve is not None:
             warn(f"serving at {cast('BridgeNode', graph.nodes['bridge']).url}: open it in Foxglove or Lichtblick")
         complete = _watch(graph, arguments)
@@ -137,18 +136,12 @@ def _nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
         foxglove_sdk()  # so that an absent one is reported before anything starts
         nodes["bridge"] = dict(zip(("address", "port"), arguments.serve, strict=True))
-    live = arguments.source == "camera" or Path(arguments.source).suffix in _SCENE_FILES
-    if live and (arguments.wait_for or arguments.wait_limit is not None):
+    scene = Path(arguments.source).suffix in _SCENE_FILES
+    if (scene or arguments.source == "camera") and (arguments.wait_for or arguments.wait_limit is not None):
         raise ConfigError(f"--source {arguments.source}: a camera does not wait; --wait-for needs a recording or files")
     if arguments.source == "camera":
-        nodes["camera"] = {"camera.serial": arguments.serial} if arguments.serial else {}
-        return nodes
-    if Path(arguments.source).suffix in _SCENE_FILES:
-        for name, parameters in _scene_nodes(arguments).items():
-            nodes.setdefault(name, {}).update(parameters)
-        return nodes
-    nodes["replay"] = _replay_parameters(arguments)
-    return nodes
+        return nodes | {"camera": {"camera.serial": arguments.serial} if arguments.serial else {}}
+    return nodes | (_scene_nodes(arguments) if scene else {"replay": _replay_parameters(arguments)})
 
 
 def _scene_nodes(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -259,9 +252,8 @@ def _finish(graph: Graph, arguments: argparse.Namespace, *, complete: bool) -> i
     else:
         from foretouch.cli.live import live_panel
 
-        terminal().print(
-            live_panel(view, f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered")
-        )
+        title = f"foretouch run: {arguments.source}, {played} clouds played, {answered} answered"
+        terminal().print(live_panel(view, title))
     if arguments.picture:
         _draw(graph, arguments.picture)
     if graph.replay is None and not played:
@@ -293,8 +285,9 @@ def _drawn(found: Drawable) -> DrawnGrasp:
     prediction, readings = prediction_from_msg(found.prediction), found.readings
     title = f"object {found.target.id}"
     if prediction.value is not None:
-        unknown = "unfamiliar" in prediction.flags
-        title += f", of a kind that the model {'does not know (unfamiliar)' if unknown else 'knows'}; predicted by {found.prediction.model} ({reference_text(found.prediction)})"
+        knows = "does not know (unfamiliar)" if "unfamiliar" in prediction.flags else "knows"
+        by = f"{found.prediction.model} ({reference_text(found.prediction)})"
+        title += f", of a kind that the model {knows}; predicted by {by}"
         title += "".join(f", {flag}" for flag in prediction.flags if flag != "unfamiliar")
     return DrawnGrasp(
         target=found.target,

@@ -101,15 +101,10 @@ def _compare(arguments: argparse.Namespace, config: RunConfig, data: Dataset) ->
     if records:
         scored = [record for record in records if "skill" in record]
         modalities = list(scored[0]["skill"])
-        rows = [
-            [
-                one["split"],
-                one["who"],
-                f"{one['mean_skill']:+.3f}",
-                *(f"{one['skill'][key]:+.3f}" for key in modalities),
-            ]
-            for one in scored
-        ]
+        rows = []
+        for one in scored:
+            skills = (one["mean_skill"], *(one["skill"][key] for key in modalities))
+            rows.append([one["split"], one["who"], *(f"{skill:+.3f}" for skill in skills)])
         title = f"skill on {data.name} by cross-validation: 0 is the training mean, 1 is perfect"
         print_table(title, ["split", "predictor", "mean", *modalities], rows)
     return 0

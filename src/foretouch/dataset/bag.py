@@ -156,11 +156,6 @@ class Recording:
         except CloudError as err:
             raise FileError(self.path, str(err), field=_position(message)) from err
 
-    def clouds(self, topic: str | None = None) -> Iterator[tuple[Message, Cloud]]:
-        """Every cloud of one topic with its message (see `cloud_topic`)."""
-        for message in self.messages([self.cloud_topic(topic)]):
-            yield message, self.decode_cloud(message)
-
     def _cdr(self, connection: Connection, raw: bytes) -> bytes:
         return raw if self._reader.is2 else bytes(self._store.ros1_to_cdr(raw, connection.msgtype))
 
@@ -171,13 +166,6 @@ class Recording:
             stamped = bool(fields) and fields[0][1][1] == HEADER_TYPE
             latched = any(_is_latched(connection) for connection in info.connections)
             yield Topic(name, info.msgtype or "", info.msgcount, tuple(f[0] for f in fields), stamped, latched)
-
-
-def read_bag(path: str | Path, topic: str | None = None) -> Iterator[Cloud]:
-    """Clouds of one topic of a recording (see `Recording.cloud_topic`), with frames and stamps of their headers."""
-    with Recording(path) as recording:
-        for _, cloud in recording.clouds(topic):
-            yield cloud
 
 
 def is_recording(path: Path) -> bool:

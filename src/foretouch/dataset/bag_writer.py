@@ -8,7 +8,7 @@ import shutil
 import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final, Literal, Self
+from typing import Final, Self
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -24,9 +24,7 @@ from foretouch.dataset.samples import DatasetFormat, ExportResult, SampleSet
 from foretouch.errors import DatasetError, FileError
 from foretouch.types import Cloud
 
-DEFAULT_TOPIC: Final = "/foretouch/points"
-Compression = Literal["none", "zstd"]
-
+_CLOUD_TOPIC: Final = "/foretouch/points"
 _OBJECT_CLOUD_TOPIC: Final = "/foretouch/object_cloud"
 _CHUNK_CRC_OFFSET = 9 + 24  # opcode and length of the record, then start time, end time and size
 
@@ -36,20 +34,21 @@ class BagWriter:
 
     Args:
         path: Directory to create.
-        compression: Compression of the MCAP chunks.
+
+    Attributes:
+        definitions: The message types; register those that are not installed.
 
     Raises:
         FileError: If the path exists, or cannot be created.
     """
 
-    def __init__(self, path: str | Path, compression: Compression = "zstd") -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._definitions = Definitions()
+        self.definitions = Definitions()
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = _Writer(self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
-            if compression == "zstd":
-                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except WriterError as err:
             raise FileError(self.path, "exists already and is not overwritten") from err
@@ -66,13 +65,28 @@ class BagWriter:
             self._writer.abort()
             shutil.rmtree(self.path, ignore_errors=True)
 
-    def write_cloud(self, cloud: Cloud, topic: str = DEFAULT_TOPIC, *, bag_time_ns: int | None = None) -> None:
-        """Append a cloud as `sensor_msgs/PointCloud2`, with its frame and stamp.
+    def add_topic(self, topic: str, type_name: str) -> Connection:
+        """Declare a topic, even if no message follows.
 
-        Args:
-            cloud: Organised or not.
-            topic: Its topic.
-            bag_time_ns: When it was received [ns]; by default its own stamp.
+        Raises:
+            DatasetError: If no definition of the type is found, or the topic already has another type.
+        """
+        if topic not in self._connections:
+            self.definitions.text(type_name)
+            connection = self._writer.add_connection(topic, type_name, typestore=self.definitions.store)
+            self._connections[topic] = connection
+        if self._connections[topic].msgtype != type_name:
+            raise DatasetError(f"{self.path}: {topic}: holds {self._connections[topic].msgtype}, not {type_name}")
+        return self._connections[topic]
+
+    def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
+        """Append a message, CDR with its encapsulation header, that was received at a time [ns] (raises as `add_topic`)."""
+        if bag_time_ns < 0:
+            raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
+        self._writer.write(self.add_topic(topic, type_name), bag_time_ns, data)
+
+    def write_cloud(self, cloud: Cloud, topic: str = _CLOUD_TOPIC, *, bag_time_ns: int | None = None) -> None:
+        """Append a cloud as `sensor_msgs/PointCloud2`, with its frame and stamp, which is the default of the time [ns].
 
         Raises:
             DatasetError: If a time is negative or beyond 2038, where the stamps of ROS end.
@@ -80,52 +94,11 @@ class BagWriter:
         time_ns = cloud.stamp_ns if bag_time_ns is None else bag_time_ns
         self.write(topic, POINT_CLOUD_TYPE, time_ns, serialize_cloud(cloud))
 
-    def write(self, topic: str, type_name: str, bag_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a serialised message.
 
-        Args:
-            topic: Its topic.
-            type_name: Such as `std_msgs/msg/String`: of ROS 2 Kilted, or registered by `define`.
-            bag_time_ns: When it was received [ns], at least 0.
-            data: CDR with its encapsulation header.
-
-        Raises:
-            DatasetError: If the type is unknown, or the topic already has another one, or the time is negative.
-        """
-        if bag_time_ns < 0:
-            raise DatasetError(f"{self.path}: {topic}: time {bag_time_ns} ns is before 1970")
-        self._writer.write(self._connection(topic, type_name), bag_time_ns, data)
-
-    def add_topic(self, topic: str, type_name: str) -> None:
-        """Declare a topic, even if no message follows (raises as `write`)."""
-        self._connection(topic, type_name)
-
-    def define(self, type_name: str, definition: str) -> None:
-        """Register a message type, such as `foretouch_msgs/msg/Biotac`, by the text of its `.msg` file."""
-        self._definitions.register(type_name, definition)
-
-    def _connection(self, topic: str, type_name: str) -> Connection:
-        connection = self._connections.get(topic)
-        if connection is None:
-            if type_name not in self._definitions.store.fielddefs:
-                raise DatasetError(f"{self.path}: {topic}: no definition of {type_name}")
-            connection = self._writer.add_connection(topic, type_name, typestore=self._definitions.store)
-            self._connections[topic] = connection
-        if connection.msgtype != type_name:
-            raise DatasetError(f"{self.path}: {topic}: holds {connection.msgtype}, not {type_name}")
-        return connection
-
-
-def write_bag(
-    path: str | Path, clouds: Iterable[Cloud], topic: str = DEFAULT_TOPIC, *, compression: Compression = "zstd"
-) -> int:
-    """Write clouds as a recording of one topic; their stamps become the bag times (raises as `BagWriter`).
-
-    Returns:
-        Number of clouds written.
-    """
+def write_bag(path: str | Path, clouds: Iterable[Cloud], topic: str = _CLOUD_TOPIC) -> int:
+    """Write clouds as a recording of one topic, and return their number (raises as `BagWriter`)."""
     count = 0
-    with BagWriter(path, compression) as writer:
+    with BagWriter(path) as writer:
         writer.add_topic(topic, POINT_CLOUD_TYPE)
         for cloud in clouds:
             writer.write_cloud(cloud, topic)
@@ -151,24 +124,19 @@ class _Writer(Writer):
 
 
 def serialize_cloud(cloud: Cloud) -> bytes:
-    """A cloud as the CDR of a `sensor_msgs/PointCloud2`, encapsulation header included.
-
-    Raises:
-        DatasetError: If ROS cannot represent the stamp.
-    """
+    """A cloud as the CDR of a `sensor_msgs/PointCloud2` with encapsulation header; a `DatasetError` for its stamp."""
     return bytes(sample_types().store.serialize_cdr(cloud_fields(cloud), POINT_CLOUD_TYPE))
 
 
 def _export(samples: SampleSet, out: Path, result: ExportResult, progress: Callable[[], None]) -> None:
     with BagWriter(out) as writer:
-        writer.define(SAMPLE_TYPE, sample_types().text(SAMPLE_TYPE))
         writer.add_topic(SAMPLE_TOPIC, SAMPLE_TYPE)
         for k in range(len(samples)):
             progress()
             record = samples.record(k)
-            data = encode_sample(record, samples.identity)
-            writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, record.sample.stamp_ns, data)
-            writer.write_cloud(record.sample.cloud, _OBJECT_CLOUD_TOPIC, bag_time_ns=record.sample.stamp_ns)
+            stamp_ns = record.sample.stamp_ns
+            writer.write(SAMPLE_TOPIC, SAMPLE_TYPE, stamp_ns, encode_sample(record, samples.identity))
+            writer.write_cloud(record.sample.cloud, _OBJECT_CLOUD_TOPIC, bag_time_ns=stamp_ns)
             result.written += 1
 
 

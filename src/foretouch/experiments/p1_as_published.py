@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,13 +25,12 @@ import numpy as np
 from foretouch.config import Settings, setting
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
-from foretouch.experiments.shared.figures import legend_of, modality_panels
+from foretouch.experiments.shared.figures import Line, save_panels
 from foretouch.experiments.shared.p1 import ACROSS, P1, PUBLISHED, ObjectTypes, draw_errors
-from foretouch.experiments.shared.rows import grouped, select, span, unique
 from foretouch.experiments.shared.scores import labelled, load
-from foretouch.experiments.shared.skill_tables import findings
+from foretouch.experiments.shared.tables import findings, grouped, pivot, select, span, unique
 from foretouch.learning.data import Dataset, Fold, Indices, TrainingSet
-from foretouch.report.panels import Rows, save
+from foretouch.report.panels import Rows
 from foretouch.tactile import MODALITIES, P1_RANGES, columns
 from foretouch.types import Float64, GraspSample
 
@@ -190,12 +190,12 @@ def _summarise(rows: Sequence[Row]) -> list[Table]:
     sentences.append(f"errors of networks, ours or published, below that of the mean of the labels: {len(below)}")
     tables = [findings(sentences)]
     for table, own in grouped(rows, "table"):
-        for title, text in ((scored, _published_text), ("our scoring: RMSE of all test samples in counts", _own_text)):
-            body = []
-            for name, shown in grouped(own, "predictor"):
-                cells = {row["modality"]: text(row) for row in shown}
-                body += [[name, *(cells.get(one, "") for one in MODALITIES)]] * any(cells.values())
-            tables.append(Table(f"{table}: {title}", ["rmse", *MODALITIES], body))
+        ours = "our scoring: RMSE of all test samples in counts"
+        tables.append(Table(f"{table}: {scored}", ["rmse", *MODALITIES], pivot(own, "predictor", _published_text)))
+        pooled = pivot(
+            [row for row in own if row["predictor"] != P1], "predictor", lambda row: f"{row['rmse_counts']:.0f}"
+        )
+        tables.append(Table(f"{table}: {ours}", ["rmse", *MODALITIES], pooled))
     return tables
 
 
@@ -204,20 +204,14 @@ def _published_text(row: Row) -> str:
     return f"{scaled}({row['as_published_counts']:.0f})"
 
 
-def _own_text(row: Row) -> str:
-    return "" if row["rmse_counts"] is None else f"{row['rmse_counts']:.0f}"
-
-
 def _draw(rows: Rows, folder: Path) -> list[Path]:
     """Draw `rmse.png`: P1's score by table and predictor, a panel for each modality."""
     tables, predictors = unique(rows, "table"), unique(rows, "predictor")
-    figure, (panels,) = modality_panels(12.0, (3.4,))
-    for axes, modality in panels:
-        draw_errors(axes, select(rows, modality=modality), tables, predictors, "as_published_counts")
-    panels[0][0].set_ylabel("P1's score [counts]")
-    drawn = next(axes for axes, modality in panels if select(rows, modality=modality))
-    legend_of(figure, drawn, "lower center", ncols=len(predictors))
-    return [save(figure, folder / "rmse.png")]
+    draw = partial(draw_errors, tables=tables, predictors=predictors, values="as_published_counts")
+    line = Line(3.4, rows, draw, y_label="P1's score [counts]", legend="lower center")
+    return save_panels(
+        folder / "rmse.png", 12.0, [line], modalities=[m for m in MODALITIES if select(rows, modality=m)]
+    )
 
 
 EXPERIMENT = Experiment(

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from foretouch.config import setting
 from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row
-from foretouch.experiments.framework.frontier import Panel, frontier, name_points, of_request, save_small, time_column
+from foretouch.experiments.framework.frontier import Panel, frontier, name_points, of_request, time_column
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, skill_columns
 from foretouch.experiments.shared.scores import error_rows, labelled, load
 from foretouch.learning.data import Dataset, Fold, Indices, labels_of, make_folds
@@ -39,7 +39,7 @@ from foretouch.models.contact.hand_features import CONDITIONS
 from foretouch.models.files import packed
 from foretouch.models.registry import find_card, load_model
 from foretouch.models.touch_model import Estimator
-from foretouch.report.panels import new_figure
+from foretouch.report.panels import new_figure, save_small
 from foretouch.tactile import MODALITIES
 from foretouch.types import TOUCH_SIZE, Cloud, Float64, Grasp, GraspSample
 

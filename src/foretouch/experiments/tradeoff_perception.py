@@ -24,7 +24,7 @@ from foretouch.errors import ConfigError
 from foretouch.experiments.framework.experiment import Cell, Row
 from foretouch.experiments.framework.frontier import Panel
 from foretouch.experiments.framework.tradeoff import Answer, Area, Timed, TradeoffSettings, Variant, variant_cells
-from foretouch.grasp.original_score import OriginalScore
+from foretouch.grasp.original_score import OriginalScore, original_score
 from foretouch.pipeline import FoundObject, Pipeline, PipelineConfig
 from foretouch.simulation.depth_scene import FIRST_OBJECT, random_scene
 from foretouch.simulation.solids import Primitive
@@ -273,7 +273,7 @@ def _shipped(data: PerceptionData) -> tuple[list[list[GraspedObject]], list[Gras
 
 @lru_cache(maxsize=4096)
 def _scorer(found: FoundObject) -> OriginalScore | None:
-    scorer = OriginalScore.of(found.cloud, found.plane)
+    scorer = original_score(found.cloud, found.plane)
     return scorer if scorer is not None and scorer.has_axis else None
 
 

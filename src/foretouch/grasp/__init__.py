@@ -3,7 +3,7 @@
 
 from foretouch.grasp.axis import object_axis
 from foretouch.grasp.config import GeoGraspConfig, LiveGeoGraspConfig
-from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps, random_slide
+from foretouch.grasp.geograsp import GraspPlan, PlanStatus, plan_grasps
 from foretouch.grasp.hold import GraspHold, HeldGrasp
 from foretouch.grasp.pose import hand_rotation, quaternion_xyzw
 
@@ -18,5 +18,4 @@ __all__ = [
     "object_axis",
     "plan_grasps",
     "quaternion_xyzw",
-    "random_slide",
 ]

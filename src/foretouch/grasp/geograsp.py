@@ -10,9 +10,6 @@ leaves open follows a documented convention; the grasp plane may be slid along t
 """
 
 import math
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -45,12 +42,13 @@ from foretouch.grasp.stable import (
     stable_side,
     weigh_points,
 )
+from foretouch.timing import timed
 from foretouch.types import Cloud, Float32, Float64, Grasp, Plane
 
 PlanStatus = Literal["ok", "initial_points", "no_grasp"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class GraspPlan:
     """The grasps of one object, with the intermediate results of GeoGrasp.
 
@@ -70,23 +68,9 @@ class GraspPlan:
         ms: Wall time of each stage and their `total` [ms].
     """
 
-    status: PlanStatus
-    reason: str
-    grasps: tuple[Grasp, ...]
-    initial_points: Float64 | None
-    axis: Float64 | None
-    centroid: Float64 | None
-    axis_ratio: float | None
-    slide_m: float
-    outdone: int
-    counts: dict[str, int]
-    ms: dict[str, float]
-
-
-@dataclass(eq=False)
-class _PlanBuilder:
-    """Intermediate results collected so far; the fields are those of `GraspPlan`."""
-
+    status: PlanStatus = "no_grasp"
+    reason: str = ""
+    grasps: tuple[Grasp, ...] = ()
     initial_points: Float64 | None = None
     axis: Float64 | None = None
     centroid: Float64 | None = None
@@ -95,19 +79,6 @@ class _PlanBuilder:
     outdone: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     ms: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Measure the time of a stage, also when it fails."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.ms[name] = (time.perf_counter() - start) * 1e3
-
-    def plan(self, status: PlanStatus, reason: str, grasps: tuple[Grasp, ...] = ()) -> GraspPlan:
-        self.ms["total"] = sum(self.ms.values())
-        return GraspPlan(status, reason, grasps, **vars(self))
 
 
 def plan_grasps(
@@ -154,153 +125,142 @@ def plan_grasps(
     if rng is not None and slide_m != 0.0:
         raise GraspError(f"slide_m, rng: a slide of {slide_m} m and a random one exclude each other")
     points = finite_points(cloud, pixels, image_shape)
-    builder = _PlanBuilder(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
+    plan = GraspPlan(slide_m=slide_m, counts={"n_points": cloud.size, "n_dropped": points.n_dropped})
     try:
         check_table(plane, limits)
         if config.method == "stable":
-            stream = None if held is None else (held, hold)
-            return _plan_stable(points, plane, config, rng, builder, limits, stream)
-        return _plan(points, plane, config, rng, builder, limits)
+            _plan_stable(plan, points, plane, config, rng, limits, None if held is None else (held, hold))
+        else:
+            _plan_original(plan, points, plane, config, rng, limits)
     except CloudError as err:
-        return builder.plan("no_grasp", str(err))
+        plan.reason = str(err)
+    plan.ms["total"] = sum(plan.ms.values())
+    return plan
 
 
-def random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: float, rng: np.random.Generator) -> float:
-    """Draw a shift of the grasp plane [m], uniform over the middle of the object's extent along its axis (P2).
-
-    Args:
-        xyz: (N, 3) float32 [m], the filtered cloud, N > 0.
-        centroid: (3,) float64 [m], where the shift is zero.
-        axis: (3,) float64, unit length.
-        fraction: Fraction of the extent on either side of the centroid, 0 ... 1.
-        rng: Source of randomness.
-    """
+def _random_slide(xyz: Float32, centroid: Float64, axis: Float64, fraction: float, rng: np.random.Generator) -> float:
+    """A shift of the grasp plane [m], uniform over a fraction of the object's extent on either side of the centroid (P2)."""
     along = (xyz.astype(np.float64) - centroid) @ axis
     return float(rng.uniform(fraction * along.min(), fraction * along.max()))
 
 
-def _plan(
+def _plan_original(
+    plan: GraspPlan,
     points: FinitePoints,
     plane: Plane,
     config: GeoGraspConfig,
     rng: np.random.Generator | None,
-    builder: _PlanBuilder,
     limits: ObjectLimits,
-) -> GraspPlan:
-    counts = builder.counts
-    with builder.stage("outliers"):
+) -> None:
+    counts = plan.counts
+    with timed(plan.ms, "outliers"):
         downsampled = points.downsampled(config)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         xyz = downsampled.without_outliers(config)
         counts["n_filtered"] = len(xyz)
-    with builder.stage("axis"):
+    with timed(plan.ms, "axis"):
         found = find_axis(xyz, plane, config)
-        builder.axis, builder.centroid, builder.axis_ratio = found.direction, found.centroid, found.ratio
+        plan.axis, plan.centroid, plan.axis_ratio = found.direction, found.centroid, found.ratio
         counts["n_voxel"] = len(found.grid.counts)
         counts["n_nan_normals"] = count_without_normal(xyz, config.normal_radius_m, found.grid)
-    with builder.stage("slab"):
+    with timed(plan.ms, "slab"):
         if rng is not None:
-            builder.slide_m = random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
-        centre = found.centroid + builder.slide_m * found.direction
+            plan.slide_m = _random_slide(xyz, found.centroid, found.direction, config.slide_fraction, rng)
+        centre = found.centroid + plan.slide_m * found.direction
         side = side_coordinate(found.direction, plane)
         grasp_plane = find_grasp_plane(xyz, centre, found.direction, side, config.slab_half_width_m)
         counts["n_plane"] = grasp_plane.n_points
-        builder.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
-    with builder.stage("candidates"):
+        plan.initial_points = xyz[[grasp_plane.first, grasp_plane.second]].astype(np.float64)
+    with timed(plan.ms, "candidates"):
         radius = contact_radius(grasp_plane.width_m, config)
-        first = contact_side(xyz, grasp_plane.first, radius, config)
-        second = contact_side(xyz, grasp_plane.second, radius, config)
-        counts["n_first"], counts["n_second"] = first.n_points, second.n_points
-        counts["n_fv"], counts["n_sv"] = len(first.candidates.xyz), len(second.candidates.xyz)
-    return _best_grasps((first, second), grasp_plane, found.centroid, config.count, builder)
+        sides = (
+            contact_side(xyz, grasp_plane.first, radius, config),
+            contact_side(xyz, grasp_plane.second, radius, config),
+        )
+        counts["n_first"], counts["n_second"] = (side.n_points for side in sides)
+        counts["n_fv"], counts["n_sv"] = (len(side.candidates.xyz) for side in sides)
+    _best_grasps(plan, sides, grasp_plane, found.centroid, config.count)
 
 
 def _best_grasps(
-    sides: tuple[ContactSide, ContactSide],
-    grasp_plane: GraspPlane,
-    centroid: Float64,
-    count: int,
-    builder: _PlanBuilder,
-) -> GraspPlan:
+    plan: GraspPlan, sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64, count: int
+) -> None:
     """The best ranked pairs, or the initial points if no pair passes the filters."""
-    with builder.stage("ranking"):
+    with timed(plan.ms, "ranking"):
         ranking = rank_pairs(sides, grasp_plane, centroid)
-        builder.counts.update(ranking.counts)
-        ranked = len(ranking.score)
+        plan.counts.update(ranking.counts)
+        ranked, pairs = len(ranking.score), ranking.counts["n_pairs"]
         score, unscored = (0.0, "") if ranked else initial_score(sides, grasp_plane, centroid)
-    with builder.stage("pose"):
+    with timed(plan.ms, "pose"):
         if ranked:
-            contacts = [
-                (sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s))
-                for a, b, s in zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
-            ]
-            reason = f"{ranked} of {ranking.counts['n_pairs']} pairs of candidates pass the filters"
+            best = zip(ranking.first[:count], ranking.second[:count], ranking.score[:count], strict=True)
+            contacts = [(sides[0].candidates.xyz[a], sides[1].candidates.xyz[b], float(s)) for a, b, s in best]
+            reason = f"{ranked} of {pairs} pairs of candidates pass the filters"
         else:
             contacts = [(sides[0].initial.xyz[0], sides[1].initial.xyz[0], score)]
-            reason = f"grasp at the initial points: none of {ranking.counts['n_pairs']} pairs of candidates passes the filters"
+            reason = f"grasp at the initial points: none of {pairs} pairs of candidates passes the filters"
         axis = grasp_plane.normal
-        grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
-        parallel = sum(is_parallel(g.g1, g.g2, axis) for g in grasps)
+        plan.grasps = tuple(Grasp(g1, g2, hand_rotation(g1, g2, axis), s) for g1, g2, s in contacts)
+        parallel = sum(is_parallel(g.g1, g.g2, axis) for g in plan.grasps)
     notes = [reason, unscored] if unscored else [reason]
     if parallel:
         notes.append(f"{parallel} grasps run along the object's axis: their X follows a coordinate axis by convention")
-    return builder.plan("ok" if ranked else "initial_points", "; ".join(notes), grasps)
+    plan.status, plan.reason = "ok" if ranked else "initial_points", "; ".join(notes)
 
 
 def _plan_stable(
+    plan: GraspPlan,
     points: FinitePoints,
     plane: Plane,
     config: GeoGraspConfig,
     rng: np.random.Generator | None,
-    builder: _PlanBuilder,
     limits: ObjectLimits,
     held: tuple[HeldGrasp, float] | None,
-) -> GraspPlan:
+) -> None:
     """The method `stable` (see `foretouch.grasp.stable`), with the held grasp and the margin that keeps it."""
-    counts = builder.counts
-    with builder.stage("outliers"):
+    counts = plan.counts
+    with timed(plan.ms, "outliers"):
         downsampled = points.in_canonical_order().downsampled(config)
         check_object(points.xyz, limits)
         counts["n_thinned"] = len(points.xyz) - len(downsampled.xyz)
         weighted = weigh_points(downsampled.xyz, downsampled.neighbour_distance(config), config)
         counts["n_filtered"] = int(np.count_nonzero(weighted.inlier > 0.0))
         counts["n_isolated"] = weighted.n_isolated
-    with builder.stage("axis"):
+    with timed(plan.ms, "axis"):
         frame = object_frame(weighted, plane)
-        builder.axis, builder.centroid, builder.axis_ratio = frame.axis, frame.centroid, frame.ratio
-    with builder.stage("slab"):
+        plan.axis, plan.centroid, plan.axis_ratio = frame.axis, frame.centroid, frame.ratio
+    with timed(plan.ms, "slab"):
         if rng is not None:
             kept = downsampled.xyz[weighted.inlier > 0.0]
-            builder.slide_m = random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
-        initial, counts["n_plane"] = soft_extremes(weighted, frame, builder.slide_m, config.slab_half_width_m)
-        builder.initial_points = initial
-    with builder.stage("candidates"):
+            plan.slide_m = _random_slide(kept, frame.centroid, frame.axis, config.slide_fraction, rng)
+        initial, counts["n_plane"] = soft_extremes(weighted, frame, plan.slide_m, config.slab_half_width_m)
+        plan.initial_points = initial
+    with timed(plan.ms, "candidates"):
         width = float(np.linalg.norm(initial[1] - initial[0]))
         first, second = (stable_side(weighted, one, frame, width, config) for one in initial)
         counts["n_first"], counts["n_second"] = first.n_points, second.n_points
         counts["n_fv"], counts["n_sv"] = len(first.xyz) - 1, len(second.xyz) - 1
-    with builder.stage("ranking"):
-        ranking = StableRanking(weighted, (first, second), frame, builder.slide_m, config.normal_radius_m)
+    with timed(plan.ms, "ranking"):
+        ranking = StableRanking(weighted, (first, second), frame, plan.slide_m, config.normal_radius_m)
         pairs = ranking.pairs()
         contacts = mean_contacts(weighted, (first, second), pairs)
         score, passes = ranking.score(contacts)
         counts["n_pairs"], counts["n_pairs_ranked"] = pairs.score.size, int(np.count_nonzero(pairs.passes))
-    with builder.stage("pose"):
+    with timed(plan.ms, "pose"):
         best = Grasp(contacts[0], contacts[1], hand_rotation(contacts[0], contacts[1], frame.axis), score)
         if held is not None:
             last, margin = held
             ends = in_order_of_sides(last.grasp.g1, last.grasp.g2, frame)
             held_score, held_passes = ranking.score(ends, frame.axis_near(last.axis))
-            best, builder.outdone = held_or_new(last, held_score, best, margin)
+            best, plan.outdone = held_or_new(last, held_score, best, margin)
             passes = held_passes if best.g1 is last.grasp.g1 else passes
         others = []
         if passes:
             order = np.argsort(-np.where(pairs.passes, pairs.score, -np.inf), axis=None, kind="stable")
             i, j = np.unravel_index(order[: min(config.count - 1, counts["n_pairs_ranked"])], pairs.score.shape)
             others = [(first.xyz[a], second.xyz[b], float(pairs.score[a, b])) for a, b in zip(i, j, strict=True)]
-        grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
-    reason = f"mean of {counts['n_pairs']} weighted pairs of candidates"
+        plan.grasps = (best, *(Grasp(g1, g2, hand_rotation(g1, g2, frame.axis), s) for g1, g2, s in others))
+    plan.status, plan.reason = "ok", f"mean of {counts['n_pairs']} weighted pairs of candidates"
     if not passes:
-        reason += ", which passes no filter of a ranked pair"
-    return builder.plan("ok" if passes else "initial_points", reason, grasps)
+        plan.status, plan.reason = "initial_points", f"{plan.reason}, which passes no filter of a ranked pair"

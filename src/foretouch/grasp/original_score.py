@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The original GeoGrasp's score of any two contacts, at full resolution and in the scales of its own candidates."""
 
-from typing import Self
-
 import numpy as np
 
 from foretouch.cloud.geometry.pcl_filters import normals_and_curvature
@@ -52,14 +50,6 @@ class OriginalScore:
             for one in (self._plane.first, self._plane.second)
         ]
 
-    @classmethod
-    def of(cls, cloud: Cloud, plane: Plane) -> Self | None:
-        """None if the original finds no grasp plane."""
-        try:
-            return cls(cloud, plane)
-        except CloudError:
-            return None
-
     def __call__(self, pair: Float64) -> tuple[float, bool]:
         """The score of (2, 3) contacts [m], NaN if undefined, and whether both rankings reach their minimum of 1."""
         across = self._xyz[self._plane.second] - self._xyz[self._plane.first]
@@ -76,3 +66,11 @@ class OriginalScore:
         normals, curvature = normals_and_curvature(self._xyz, near)
         mean = normals.mean(axis=0)
         return SurfacePoints(contact, (mean / np.linalg.norm(mean))[None], np.array([curvature.mean()]))
+
+
+def original_score(cloud: Cloud, plane: Plane) -> OriginalScore | None:
+    """None if the original finds no grasp plane."""
+    try:
+        return OriginalScore(cloud, plane)
+    except CloudError:
+        return None

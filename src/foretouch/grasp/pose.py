@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of the hand at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
+"""Rotations of the hand and its fingertips at two contacts (GeoGrasp = Zapata-Impata et al. 2019; P2 calls its rotation R)."""
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.errors import GraspError
-from foretouch.types import SQUARABLE, Float64
+from foretouch.types import SQUARABLE, Float64, Grasp
 
-PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
+_PARALLEL_SINE = 1e-6  # below this sine of the angle, Z x axis is rounding noise, not a direction
 _IDENTITY = np.eye(3)
+_LEAST_M = 1e-12  # from the midpoint to a contact; shorter vectors have no certain direction
 _SKEWED = 1e-3  # largest deviation of a rotation times its transpose from the identity
 
 
@@ -21,7 +22,7 @@ def cross(a: Float64, b: Float64) -> Float64:
 def is_parallel(g1: Float64, g2: Float64, axis: Float64) -> bool:
     """Whether the line through the contacts is parallel to the object's axis, which leaves the hand's X undefined."""
     z = _unit(g1 - g2, "g1 - g2")
-    return bool(np.linalg.norm(cross(z, _unit(axis, "axis"))) < PARALLEL_SINE)
+    return bool(np.linalg.norm(cross(z, _unit(axis, "axis"))) < _PARALLEL_SINE)
 
 
 def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
@@ -43,7 +44,7 @@ def hand_rotation(g1: Float64, g2: Float64, axis: Float64) -> Float64:
     """
     z = _unit(np.asarray(g1, np.float64) - np.asarray(g2, np.float64), "g1 - g2")
     x = cross(z, _unit(np.asarray(axis, np.float64), "axis"))
-    if np.linalg.norm(x) < PARALLEL_SINE:
+    if np.linalg.norm(x) < _PARALLEL_SINE:
         x = cross(z, np.eye(3)[np.argmin(np.abs(z))])
     x /= np.linalg.norm(x)
     y = cross(z, x)
@@ -95,11 +96,29 @@ def check_rotation(rotation: Float64) -> None:
         raise GraspError(f"rotation: {rotation.tolist()} is not a rotation matrix")
 
 
-def surely_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
+def fast_accept_rotations(rotations: Float64) -> npt.NDArray[np.bool_]:
     """(K,) whether `check_rotation` accepts each of (K, 3, 3); false where it has to decide, close to its limits."""
     with np.errstate(over="ignore", invalid="ignore"):
         skewed = np.abs(rotations @ rotations.transpose(0, 2, 1) - _IDENTITY).max(axis=(1, 2))
         return np.asarray((skewed < 0.999 * _SKEWED) & (np.linalg.det(rotations) > 0.0), np.bool_)
+
+
+def fingertip_rotation(grasp: Grasp, contact: Float64) -> Float64:
+    """(3, 3) orientation in which a fingertip is drawn at a contact of a grasp, its g1 or g2 (3,) [m].
+
+    Its pad faces the other contact (-z), its tip points away from the camera (x). The true orientation depends on the
+    hand; P2's data hold contacts only.
+    """
+    z = contact - grasp.midpoint
+    if np.linalg.norm(z) < _LEAST_M:  # a hand that is closed
+        z = grasp.rotation[:, 2] if np.array_equal(contact, grasp.g1) else -grasp.rotation[:, 2]
+    z = z / np.linalg.norm(z)
+    across = grasp.rotation - np.outer(z, z @ grasp.rotation)  # the hand's axes, each without its part along z
+    x = across[:, 0] if np.linalg.norm(across[:, 0]) > _PARALLEL_SINE else across[:, 1]
+    x = x / np.linalg.norm(x)
+    if x @ grasp.midpoint < 0.0:  # the camera is at the origin
+        x = -x
+    return np.column_stack([x, np.cross(z, x), z])
 
 
 def _unit(vector: Float64, name: str) -> Float64:

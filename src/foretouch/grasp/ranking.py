@@ -134,56 +134,35 @@ class Ranking:
     counts: dict[str, int]  # number of pairs: all, dropped by each filter, and ranked
 
 
-@dataclass(frozen=True)
-class _Scale:
-    """Scales one quantity to 0 ... 1 over the candidates of one side."""
-
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Float64) -> _Scale:
-        known = values[~np.isnan(values)]
-        if len(known) == 0:
-            return cls(np.inf, np.inf)
-        return cls(float(known.min()), max(float(known.max()), _FLOAT32_MIN))
-
-    @property
-    def meaningful(self) -> bool:
-        """Whether the candidates differ by more than epsilon, which would otherwise determine the result."""
-        return np.isfinite(self.low) and self.high - self.low > _EPSILON
-
-    def __call__(self, values: Float64) -> Float64:
-        """Scaled values; NaN, which never passes, where the original divides by zero."""
-        extent = self.high - self.low
-        if not extent > 0.0:
-            return np.full(values.shape, np.nan)
-        return np.asarray((values + _EPSILON - self.low) / extent, np.float64)
-
-
 class _ScaledSide:
     """The candidates of one side, and the scales of their three quantities."""
 
     def __init__(self, points: SurfacePoints, grasp_plane: GraspPlane, centroid: Float64) -> None:
         self._grasp_plane, self._centroid = grasp_plane, centroid
-        self._cd = _Scale.of(self._to_centroid(points.xyz))
-        self._pd = _Scale.of(grasp_plane.distance(points.xyz))
-        self._k = _Scale.of(points.curvature)
+        self.limits = [_limits(values) for values in self._quantities(points)]
         self.xyz, self.normal = points.xyz, points.normal
         self.cd, self.pd, self.k = self.scaled(points)
 
-    def scaled(self, points: SurfacePoints) -> tuple[Float64, Float64, Float64]:
+    def scaled(self, points: SurfacePoints) -> list[Float64]:
         """cd, pd and k of any points, in the scales of this side."""
-        cd = self._cd(self._to_centroid(points.xyz))
-        return cd, self._pd(self._grasp_plane.distance(points.xyz)), self._k(points.curvature)
+        pairs = zip(self._quantities(points), self.limits, strict=True)
+        return [_scaled(values, low, high) for values, (low, high) in pairs]
 
-    @property
-    def has_score(self) -> bool:
-        """Whether the quantities of the score vary by more than the original's epsilon."""
-        return self._pd.meaningful and self._k.meaningful
+    def _quantities(self, points: SurfacePoints) -> tuple[Float64, Float64, Float64]:
+        return _length(points.xyz - self._centroid), self._grasp_plane.distance(points.xyz), points.curvature
 
-    def _to_centroid(self, xyz: Float64) -> Float64:
-        return _length(xyz - self._centroid)
+
+def _limits(values: Float64) -> tuple[float, float]:
+    """Smallest and largest value over the candidates of one side, which become 0 and 1."""
+    known = values[~np.isnan(values)]
+    return (float(known.min()), max(float(known.max()), _FLOAT32_MIN)) if len(known) else (np.inf, np.inf)
+
+
+def _scaled(values: Float64, low: float, high: float) -> Float64:
+    """NaN, which never passes, where the original divides by zero."""
+    if not high - low > 0.0:
+        return np.full(values.shape, np.nan)
+    return np.asarray((values + _EPSILON - low) / (high - low), np.float64)
 
 
 def rank_pairs(sides: tuple[ContactSide, ContactSide], grasp_plane: GraspPlane, centroid: Float64) -> Ranking:
@@ -242,7 +221,7 @@ def initial_score(
     for name, side, initial in (("first", first, p1), ("second", second, p2)):
         if not np.isfinite(initial.curvature[0]):
             return float("nan"), f"no score: the {name} initial point has fewer than 3 points around it and no normal"
-        if not side.has_score:
+        if not all(high - low > _EPSILON for low, high in side.limits[1:]):  # epsilon would determine the result
             return float("nan"), f"no score: the candidates of the {name} side do not differ ({len(side.xyz)} of them)"
     _, pd1, k1 = first.scaled(p1)
     _, pd2, k2 = second.scaled(p2)

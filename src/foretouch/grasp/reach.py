@@ -35,12 +35,7 @@ class ReachConfig(Settings):
 DEFAULT_REACH = ReachConfig()
 
 
-def check_reach(
-    grasp: Grasp,
-    cloud_xyz: npt.NDArray[np.floating],
-    max_width_m: float = DEFAULT_REACH.max_width_m,
-    max_distance_m: float = DEFAULT_REACH.max_distance_m,
-) -> None:
+def check_reach(grasp: Grasp, cloud_xyz: npt.NDArray[np.floating], max_width_m: float, max_distance_m: float) -> None:
     """Check that a hand can open as wide as a grasp, and that both contacts are at the object.
 
     Args:
@@ -57,15 +52,13 @@ def check_reach(
         raise GraspError(f"g1, g2: {width:.4g} m apart, more than max_width_m {max_width_m:g}")
     points = cloud_xyz.reshape(-1, 3)
     for name, contact in (("g1", grasp.g1), ("g2", grasp.g2)):
-        if _within(points[:: max(1, len(points) // _SAMPLED)], contact, max_distance_m):
-            continue
-        if not _within(points, contact, max_distance_m):
-            raise GraspError(
-                f"{name}: {_nearest_m(points, contact):.4g} m from the object, more than max_distance_m {max_distance_m:g}"
-            )
+        few = points[:: max(1, len(points) // _SAMPLED)]
+        if not _within(few, contact, max_distance_m) and not _within(points, contact, max_distance_m):
+            away = f"{_nearest_m(points, contact):.4g} m from the object"
+            raise GraspError(f"{name}: {away}, more than max_distance_m {max_distance_m:g}")
 
 
-def surely_in_reach(
+def fast_accept_reach(
     g1: Float64, g2: Float64, cloud_xyz: npt.NDArray[np.floating], max_width_m: float, max_distance_m: float
 ) -> npt.NDArray[np.bool_]:
     """(K,) whether `check_reach` accepts each pair of (K, 3) contacts; false where it has to decide.

@@ -33,7 +33,7 @@ _tent_sums = Kernel(
     *(np.float64, np.float64, int, np.float64, np.float64),
     *(float, float, float, int, np.float64, np.int64),
 )
-_local_planes = Kernel("local_planes", np.float64, np.float64, int, np.float64, int, float, np.float64, np.float64)
+_planes_at = Kernel("local_planes", np.float64, np.float64, int, np.float64, int, float, np.float64, np.float64)
 _surface_mean = Kernel("surface_mean", np.float64, np.float64, int, np.float64, float, np.float64)
 _MOST_NODES = 4096  # a grid of twice the search radius has about 1000
 
@@ -98,7 +98,7 @@ class StableSide:
 
 
 @dataclass(frozen=True, eq=False)
-class StablePairs:
+class _StablePairs:
     """All pairs of candidates with their scores; row and column 0 are those of the initial points."""
 
     weight: Float64  # (A, B) float64, sums to 1
@@ -106,7 +106,7 @@ class StablePairs:
     passes: npt.NDArray[np.bool_]  # (A, B) bool, both rankings reach their minimum
 
 
-def smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
+def _smoothstep(values: npt.NDArray[np.floating], low: float, high: float) -> Float64:
     """0 below `low`, 1 above `high`, with a continuous slope between."""
     t = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-300), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
@@ -128,7 +128,7 @@ def weigh_points(xyz: Float32, neighbour_distance: Float32, config: GeoGraspConf
     spread = float(near.std(ddof=1)) if len(near) > 1 else 0.0
     limit = float(near.mean()) + config.outlier_deviations * spread
     fade = _FADE * spread + 1e-9
-    inlier = np.where(isolated, 0.0, 1.0 - smoothstep(d, limit - fade, limit + fade))
+    inlier = np.where(isolated, 0.0, 1.0 - _smoothstep(d, limit - fade, limit + fade))
     return WeightedPoints(xyz.astype(np.float64, order="C"), inlier, inlier * d * d, int(np.count_nonzero(isolated)))
 
 
@@ -157,7 +157,7 @@ def object_frame(points: WeightedPoints, plane: Plane) -> ObjectFrame:
         up = -up
     lying = cross(up, axis)
     upright = cross(axis, centroid / max(float(np.linalg.norm(centroid)), _EPSILON))
-    share = float(smoothstep(np.array(abs(up @ axis)), *_UPRIGHT))
+    share = float(_smoothstep(np.array(abs(up @ axis)), *_UPRIGHT))
     across = (1.0 - share) * lying + share * upright
     if np.linalg.norm(across) < 1e-6:
         across = vectors[:, 1]
@@ -218,7 +218,7 @@ def stable_side(
     held = mass > 1e-6
     centres = np.concatenate([initial[None], sums[held] / mass[held, None]])
     masses = np.concatenate([[1.0], mass[held] / (mass[held] + _FULL_CELL)])
-    normal, curvature = local_planes(points, centres, config.normal_radius_m)
+    normal, curvature = _local_planes(points, centres, config.normal_radius_m)
     return StableSide(centres, masses, normal, curvature, n_points)
 
 
@@ -240,7 +240,7 @@ def _node_sums(
     return nodes[:size, 0], nodes[:size, 1:], n_points
 
 
-def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> tuple[Float64, Float64]:
+def _local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> tuple[Float64, Float64]:
     """Normal and curvature of the surface around some places; points fade out towards the radius.
 
     Returns:
@@ -248,7 +248,7 @@ def local_planes(points: WeightedPoints, centres: Float64, radius_m: float) -> t
     """
     normals, curvature = np.empty((len(centres), 3)), np.empty(len(centres))
     sizes = (len(centres), radius_m)
-    _local_planes(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
+    _planes_at(points.xyz, points.inlier, len(points.xyz), centres, *sizes, normals, curvature)
     return normals, curvature
 
 
@@ -279,7 +279,7 @@ class StableRanking:
             for side in sides
         ]
 
-    def pairs(self) -> StablePairs:
+    def pairs(self) -> _StablePairs:
         """Scores of all pairs of candidates, and the weights by which they are averaged."""
         a, b = self._sides
         width = _norm(b.xyz[0] - a.xyz[0])
@@ -295,7 +295,7 @@ class StableRanking:
         support[:, 0] *= _INITIAL_WEIGHT
         support[0, 0] = _INITIAL_WEIGHT
         weight = support * np.exp(np.clip((score - score[0, 0]) / _TEMPERATURE, -200.0, 200.0))
-        return StablePairs(weight / weight.sum(), score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK))
+        return _StablePairs(weight / weight.sum(), score, (r1 >= _MIN_RANK) & (r2 >= _MIN_RANK))
 
     def score(self, contacts: Float64, axis: Float64 | None = None) -> tuple[float, bool]:
         """Score of any two contacts, and whether both rankings reach their minimum.
@@ -304,7 +304,7 @@ class StableRanking:
             contacts: (2, 3) float64 [m], on the first and the second side.
             axis: (3,) float64, of the object, in place of that of its frame.
         """
-        normals, curvature = local_planes(self._points, contacts, self._normal_radius_m)
+        normals, curvature = _local_planes(self._points, contacts, self._normal_radius_m)
         first, second = contacts[:1], contacts[1:]
         r1, r2 = self._rank(first, second, (normals[:1], normals[1:]), (curvature[:1], curvature[1:]), axis)
         passes = r1[0, 0] >= _MIN_RANK and r2[0, 0] >= _MIN_RANK
@@ -353,10 +353,10 @@ def _norm(vectors: Float64) -> Float64:
     return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)), np.float64)
 
 
-def mean_contacts(points: WeightedPoints, sides: tuple[StableSide, StableSide], pairs: StablePairs) -> Float64:
+def mean_contacts(points: WeightedPoints, sides: tuple[StableSide, StableSide], pairs: _StablePairs) -> Float64:
     """(2, 3) float64 [m]: the weighted mean of the pairs, each contact moved onto the surface near it."""
     contacts = (pairs.weight.sum(axis=1) @ sides[0].xyz, pairs.weight.sum(axis=0) @ sides[1].xyz)
-    return np.stack([onto_surface(points, contact) for contact in contacts])
+    return np.stack([_onto_surface(points, contact) for contact in contacts])
 
 
 def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
@@ -364,7 +364,7 @@ def in_order_of_sides(g1: Float64, g2: Float64, frame: ObjectFrame) -> Float64:
     return np.stack([g1, g2] if (g2 - g1) @ frame.across >= 0.0 else [g2, g1])
 
 
-def onto_surface(points: WeightedPoints, place: Float64) -> Float64:
+def _onto_surface(points: WeightedPoints, place: Float64) -> Float64:
     """The mean of the points near a place, with weights that fall with the distance beyond that of the nearest."""
     mean = np.empty(3)
     _surface_mean(points.xyz, points.inlier, len(points.xyz), place, _SURFACE_M, mean)

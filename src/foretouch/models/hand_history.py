@@ -30,7 +30,7 @@ from foretouch.errors import FileError, ModelError, TactileError
 from foretouch.models.files import packed, replace_files
 from foretouch.models.touch_model import Estimate, History, TouchModel
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 from foretouch.types import Cloud, Float64, Grasp, Touch
 
 VERSION: Final = 1
@@ -144,7 +144,7 @@ class HandHistory:
             CloudError: If the cloud cannot be used.
             GraspError: If no hand can execute the grasp.
         """
-        faults = check_touch(reading).faults
+        faults = touch_faults(reading)
         if faults:
             raise TactileError(f"touched: {faults[0]}")
         estimate = estimate or self.model.estimate_executed(cloud, [grasp], limits)

@@ -18,11 +18,11 @@ import numpy.typing as npt
 
 from foretouch.cloud.geometry.limits import DEFAULT_LIMITS, ObjectLimits, check_object
 from foretouch.errors import GraspError, ModelError, TactileError
-from foretouch.grasp.pose import check_rotation, surely_rotations
-from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, surely_in_reach
+from foretouch.grasp.pose import check_rotation, fast_accept_rotations
+from foretouch.grasp.reach import DEFAULT_REACH, ReachConfig, check_reach, fast_accept_reach
 from foretouch.models.calibration import Calibration
 from foretouch.models.tracker import SensorTracker
-from foretouch.tactile import TactileRanges, check_touch
+from foretouch.tactile import TactileRanges, touch_faults
 from foretouch.types import (
     Cloud,
     Evidence,
@@ -247,7 +247,7 @@ class TouchModel:
             TactileError: If the tare is not a reading of working sensors.
         """
         rest = self._calibrated().rest
-        faults = check_touch(tare).faults
+        faults = touch_faults(tare)
         if faults:
             raise TactileError(f"tare: {faults[0]}")
         return tare.vector() - rest
@@ -291,7 +291,7 @@ class TouchModel:
 def _refusals(grasps: Sequence[Grasp], cloud: Cloud, max_width_m: float, max_distance_m: float) -> list[str]:
     """Why no hand can execute each grasp; "" where one can."""
     g1, g2, rotations = stacked(grasps)
-    fine = surely_rotations(rotations) & surely_in_reach(g1, g2, cloud.xyz, max_width_m, max_distance_m)
+    fine = fast_accept_rotations(rotations) & fast_accept_reach(g1, g2, cloud.xyz, max_width_m, max_distance_m)
     return [
         "" if one else _refusal(grasp, cloud, max_width_m, max_distance_m)
         for grasp, one in zip(grasps, fine.tolist(), strict=True)

@@ -51,6 +51,16 @@ def save(figure: Figure, path: Path, dpi: int = _DPI) -> Path:
     return path
 
 
+def save_small(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG with a palette of 128 colours, less than half as large."""
+    from PIL import Image
+
+    save(figure, path)
+    with Image.open(path) as image:
+        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+    return path
+
+
 def mark_off_scale(axes: Axes, lower_limit: float, y: float, text: str, colour: str) -> None:
     """Draw an arrow at the left edge of the axes, with the value that lies below their lower limit."""
     axes.plot(lower_limit, y, marker="<", color=colour, clip_on=False)

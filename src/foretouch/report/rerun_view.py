@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from foretouch.errors import FileError, ForetouchError, MissingDependencyError
-from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.grasp.pose import fingertip_rotation
 from foretouch.report.panels import FINGER_NAMES, electrode_levels, finger_parts
 from foretouch.simulation.contact.pad import PadConfig
 from foretouch.tactile import electrode_normals, electrode_positions

@@ -83,10 +83,10 @@ class Engine:
         for effect in self.effects:
             reasons = [effect.reason(self.scene, item) for item in self.scene.objects]
             ran = [k for k, chain in enumerate(self.chains) if effect in chain]
-            told = ", ".join(dict.fromkeys(reasons[k] or "" for k in ran))
+            reason = ", ".join(dict.fromkeys(reasons[k] or "" for k in ran))
             if not ran:
-                told = "nothing reads it" if any(reasons) else effect.off or f"no {effect.when}"
-            plans.append(EffectPlan(effect.name, bool(ran), told, tuple(self.scene.objects[k].name for k in ran)))
+                reason = "nothing reads it" if any(reasons) else effect.off or f"no {effect.when}"
+            plans.append(EffectPlan(effect.name, bool(ran), reason, tuple(self.scene.objects[k].name for k in ran)))
         return plans
 
     def run(self, key: SampleKey, item: ObjectConfig | None = None) -> SampleState:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The BioTac SP: modalities, ranges, electrode positions, validity, tare, units and contact detection."""
+"""The BioTac SP: modalities, ranges, electrode positions, validity, tare and contact detection."""
 
 from foretouch.tactile.channels import (
     MODALITIES,
@@ -9,44 +9,23 @@ from foretouch.tactile.channels import (
     columns,
     electrode_normals,
     electrode_positions,
-    load_ranges,
     modality_size,
 )
-from foretouch.tactile.readings import (
-    CONSTANT_SAMPLES,
-    FULL_SCALE,
-    TouchValidity,
-    check_series,
-    check_touch,
-    make_tare,
-    offsets,
-    restore,
-    to_celsius,
-    to_kohm,
-    to_kpa,
-    to_pa,
-)
+from foretouch.tactile.readings import FULL_SCALE, make_tare, offsets, restore, to_kohm, touch_faults
 
 __all__ = [
-    "CONSTANT_SAMPLES",
     "FULL_SCALE",
     "MODALITIES",
     "P1_RANGES",
     "P2_RANGES",
     "TactileRanges",
-    "TouchValidity",
-    "check_series",
-    "check_touch",
     "columns",
     "electrode_normals",
     "electrode_positions",
-    "load_ranges",
     "make_tare",
     "modality_size",
     "offsets",
     "restore",
-    "to_celsius",
     "to_kohm",
-    "to_kpa",
-    "to_pa",
+    "touch_faults",
 ]

@@ -13,37 +13,24 @@ on which the radial normals rest; at its rounded tip they are an approximation.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from foretouch.config import Settings, load_yaml, setting
+from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, TactileError
 from foretouch.types import ELECTRODES, Float64
 
 MODALITIES: Final = ("PDC_TH", "PDC_MF", "E_TH", "E_MF")
 _SIZES: Final = (1, 1, ELECTRODES, ELECTRODES)
 _COLUMNS: Final = dict(zip(MODALITIES, np.split(np.arange(sum(_SIZES)), np.cumsum(_SIZES)[:-1]), strict=True))
-
-
 _NARROWEST: Final = 1e-6  # [counts]
 _WIDEST: Final = 1e12  # [counts]
 
 
 def columns(modalities: Sequence[str]) -> npt.NDArray[np.intp]:
-    """Columns of some modalities in `Touch.vector()`.
-
-    Args:
-        modalities: Names from `MODALITIES`, in any order.
-
-    Returns:
-        (M,) indices below 50, in the given order.
-
-    Raises:
-        TactileError: If there is no such modality.
-    """
+    """(M,) columns of some modalities in `Touch.vector()`, in the given order; a `TactileError` names an unknown one."""
     unknown = [name for name in modalities if name not in _COLUMNS]
     if unknown:
         raise TactileError(f"modality: {unknown[0]!r} is none of {', '.join(MODALITIES)}")
@@ -72,13 +59,11 @@ class TactileRanges(Settings):
         super().__post_init__()
         for name in MODALITIES:
             limits = getattr(self, name.lower())
+            shown = f"TactileRanges.{name.lower()}: {list(limits)}"
             if len(limits) != 2 or limits[0] >= limits[1]:
-                raise ConfigError(f"TactileRanges.{name.lower()}: {list(limits)} is not [low, high] with low < high")
+                raise ConfigError(f"{shown} is not [low, high] with low < high")
             if not _NARROWEST <= limits[1] - limits[0] <= _WIDEST:
-                raise ConfigError(
-                    f"TactileRanges.{name.lower()}: {list(limits)}: high - low is not between {_NARROWEST:g} and "
-                    f"{_WIDEST:g} counts"
-                )
+                raise ConfigError(f"{shown}: high - low is not between {_NARROWEST:g} and {_WIDEST:g} counts")
 
     def of(self, modality: str) -> tuple[float, float]:
         """(low, high) of one modality [counts]; a `TactileError` if there is no such modality."""
@@ -100,10 +85,6 @@ class TactileRanges(Settings):
         """Scale counts (..., 50) to [0, 1]; values outside their range leave [0, 1] and are not clipped."""
         return (np.asarray(counts, np.float64) - self.low) / (self.high - self.low)
 
-    def unscale(self, scaled: npt.ArrayLike) -> Float64:
-        """The inverse of `scale`: (..., 50) to counts."""
-        return np.asarray(scaled, np.float64) * (self.high - self.low) + self.low
-
     def outside(self, counts: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Which of (..., 50) counts are outside their range; NaN is outside."""
         values = np.asarray(counts, np.float64)
@@ -120,16 +101,6 @@ P2_RANGES: Final = TactileRanges()
 
 P1_RANGES: Final = TactileRanges(pdc_th=(0.0, 3100.0), pdc_mf=(0.0, 2000.0), e_th=(0.0, 3500.0), e_mf=(0.0, 3800.0))
 """P1's public code divides the labels by these numbers."""
-
-
-def load_ranges(name_or_path: str | Path) -> TactileRanges:
-    """Ranges by name (`p1`, `p2`) or from a YAML file; modalities that the file omits keep P2's range.
-
-    Raises:
-        ConfigError: If the file cannot be read or breaks a rule of `TactileRanges`.
-    """
-    named = {"p1": P1_RANGES, "p2": P2_RANGES}.get(str(name_or_path))
-    return named or TactileRanges.from_mapping(load_yaml(name_or_path), str(name_or_path))
 
 
 _LEFT_MM: Final = (

@@ -20,13 +20,12 @@ is frozen during contact. A contact that lasts longer than `longest_s` is consid
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.config import Settings, setting
-from foretouch.errors import TactileError
 from foretouch.tactile import columns
 from foretouch.types import ELECTRODES, Float64
 
@@ -34,6 +33,7 @@ FINGER_COLUMNS: Final = {"TH": columns(("PDC_TH", "E_TH")), "MF": columns(("PDC_
 """Columns of PDC and the electrodes of each finger in a vector of 50 counts."""
 
 _MAD_TO_SIGMA: Final = 1.4826
+_LEAST_NOISE: Final = np.array([0.4] + ELECTRODES * [4.4])  # measured without contact: PDC, electrodes [counts]
 _REFERENCE_INTERVAL: Final = 10  # readings between two updates of the reference: it drifts slowly, a median is costly
 _MAX_READINGS: Final = 20_000  # of the longest window and lag, 120 s, at 100 Hz; stamps may repeat
 _SECOND_NS: Final = 1_000_000_000
@@ -44,12 +44,9 @@ class ContactConfig(Settings):
     """Settings of the contact detector."""
 
     electrode_limit: float = setting(
-        3.0,
-        "Root mean square of the electrodes' changes that counts as contact",
-        unit="deviations",
-        minimum=1.2,
+        3.0, "Root mean square of the electrodes' changes that counts as contact", unit="deviations", minimum=1.2,
         maximum=100.0,
-    )
+    )  # fmt: skip
     pdc_limit: float = setting(
         12.0, "Change of the static pressure that counts as contact", unit="deviations", minimum=3.0, maximum=1e4
     )
@@ -59,50 +56,33 @@ class ContactConfig(Settings):
     confirm: int = setting(3, "Consecutive readings that confirm a change", minimum=1, maximum=100)
     window_s: float = setting(0.5, "Time over which the reference is computed", unit="s", minimum=0.05, maximum=60.0)
     lag_s: float = setting(
-        0.3,
-        "Time between the reference and now: a slower contact is considered drift",
-        unit="s",
-        minimum=0.0,
+        0.3, "Time between the reference and now: a slower contact is considered drift", unit="s", minimum=0.0,
         maximum=60.0,
-    )
-    electrode_noise: float = setting(
-        4.4, "Minimum standard deviation of an electrode at rest", unit="counts", minimum=0.1
-    )
-    pdc_noise: float = setting(
-        0.4, "Minimum standard deviation of the static pressure at rest", unit="counts", minimum=0.01
-    )
+    )  # fmt: skip
     longest_s: float = setting(120.0, "Longer contacts are considered drift", unit="s", minimum=1.0, maximum=1e6)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContactEvent:
+class ContactEvent(NamedTuple):
     """The onset or the release of a contact."""
 
     finger: str  # `TH` or `MF`
-    kind: Literal["onset", "release"]  # "onset" or "release"
+    kind: Literal["onset", "release"]
     stamp_ns: int  # stamp of the first reading that shows it [ns]; it is confirmed a few readings later
 
 
 class FingerContact:
     """Contact detector of one finger.
 
-    Args:
-        finger: Name of the finger.
-        config: Settings.
-        with_pdc: Whether a reading is PDC and 24 electrodes; otherwise the electrodes alone.
-
     Attributes:
         touching: Whether the finger is in contact; None until a reference exists.
         score: Score of the last reading; 0 until a reference exists.
     """
 
-    def __init__(self, finger: str, config: ContactConfig, *, with_pdc: bool = True) -> None:
+    def __init__(self, finger: str, config: ContactConfig) -> None:
         self.finger = finger
         self.config = config
         self.touching: bool | None = None
         self.score = 0.0
-        self._with_pdc = with_pdc
-        self._width = ELECTRODES + with_pdc
         self._recent: deque[tuple[int, Float64]] = deque(maxlen=_MAX_READINGS)
         self._reference: Float64 | None = None
         self._noise = np.empty(0)
@@ -110,23 +90,13 @@ class FingerContact:
         self._state = _Hysteresis(config)
 
     def update(self, stamp_ns: int, counts: npt.ArrayLike) -> ContactEvent | None:
-        """Process a reading; stamps may go back.
-
-        Args:
-            stamp_ns: Stamp of the reading [ns].
-            counts: (25,) PDC and electrodes, or (24,) electrodes alone.
-
-        Raises:
-            TactileError: If the reading has another length.
-        """
+        """Process a reading, (25,) PDC and electrodes with its stamp [ns]; stamps may go back."""
         reading = np.asarray(counts, np.float64)
-        if reading.shape != (self._width,):
-            raise TactileError(f"{self.finger}: {reading.shape} is not ({self._width},), a reading of one finger")
         if not self.touching:
             self._update_reference(stamp_ns, reading)
         if self._reference is None:
             return None
-        self.score = float(_scores((reading - self._reference) / self._noise, self.config, with_pdc=self._with_pdc))
+        self.score = float(_scores((reading - self._reference) / self._noise, self.config))
         change = self._state.update(stamp_ns, self.score)
         self.touching = self._state.touching
         if change is None:
@@ -134,7 +104,7 @@ class FingerContact:
         if change[0] == "release" and self.score >= self.config.release_level:
             self.reset()  # not a release but drift: the reference is no longer valid
         self._recent.clear()  # readings before this contact are no reference for the next one
-        return ContactEvent(finger=self.finger, kind=change[0], stamp_ns=change[1])
+        return ContactEvent(self.finger, *change)
 
     def reset(self) -> None:
         """Discard the reference, for instance after a clock jump or a sensor dropout."""
@@ -156,7 +126,7 @@ class FingerContact:
         window = np.array([counts for stamp, counts in self._recent if stamp <= newest])
         if len(window) > 1:
             self._reference = np.median(window, axis=0)
-            self._noise = resting_noise(window, self.config, with_pdc=self._with_pdc)
+            self._noise = _resting_noise(window)
             self._since_update = 0
 
 
@@ -188,20 +158,10 @@ class ContactDetector:
             finger.reset()
 
 
-def resting_noise(readings: npt.ArrayLike, config: ContactConfig, *, with_pdc: bool = True) -> Float64:
-    """Standard deviation of each channel of one finger, at least the minimum of the settings.
-
-    Args:
-        readings: (T, 25), or (T, 24) without PDC, recorded without contact.
-        config: Settings.
-        with_pdc: Whether the first column is PDC.
-    """
-    values = np.asarray(readings, np.float64)
-    spread = _MAD_TO_SIGMA * np.median(np.abs(values - np.median(values, axis=0)), axis=0)
-    minimum = np.full(values.shape[1], config.electrode_noise)
-    if with_pdc:
-        minimum[0] = config.pdc_noise
-    return np.asarray(np.maximum(spread, minimum), np.float64)
+def _resting_noise(readings: Float64) -> Float64:
+    """(25,) standard deviation of each channel in (T, 25) readings without contact, at least what sensors showed."""
+    spread = _MAD_TO_SIGMA * np.median(np.abs(readings - np.median(readings, axis=0)), axis=0)
+    return np.asarray(np.maximum(spread, _LEAST_NOISE), np.float64)
 
 
 def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactConfig | None = None) -> Float64:
@@ -216,9 +176,8 @@ def contact_scores(counts: npt.ArrayLike, rest: npt.ArrayLike, config: ContactCo
     values, resting = np.asarray(counts, np.float64), np.asarray(rest, np.float64)
     scores = []
     for index in FINGER_COLUMNS.values():
-        noise = resting_noise(resting[:, index], settings)
-        change = (values[:, index] - np.median(resting[:, index], axis=0)) / noise
-        scores.append(_scores(change, settings, with_pdc=True))
+        change = values[:, index] - np.median(resting[:, index], axis=0)
+        scores.append(_scores(change / _resting_noise(resting[:, index]), settings))
     return np.stack(scores, axis=-1)
 
 
@@ -228,14 +187,7 @@ def find_contact(
     rest: npt.ArrayLike,
     config: ContactConfig | None = None,
 ) -> tuple[int | None, int | None]:
-    """Stamps of the first contact of thumb and middle finger in a series [ns], None without contact.
-
-    Args:
-        stamps_ns: (T,) stamps [ns].
-        counts: (T, 50) readings.
-        rest: (R, 50) readings without contact.
-        config: Settings.
-    """
+    """First contacts of thumb and middle finger among (T,) stamps [ns], None without one (see `contact_scores`)."""
     settings = config or ContactConfig()
     onsets: list[int | None] = []
     for scores in contact_scores(counts, rest, settings).T:
@@ -271,8 +223,7 @@ class _Hysteresis:
         return ("onset" if self.touching else "release"), self._first_ns
 
 
-def _scores(change: Float64, config: ContactConfig, *, with_pdc: bool) -> Float64:
-    """Score of (..., 25) or (..., 24) changes in units of each channel's noise."""
-    electrodes = change[..., 1:] if with_pdc else change
-    score = np.sqrt(np.mean(np.square(electrodes), axis=-1)) / config.electrode_limit
-    return np.asarray(np.maximum(score, np.abs(change[..., 0]) / config.pdc_limit) if with_pdc else score, np.float64)
+def _scores(change: Float64, config: ContactConfig) -> Float64:
+    """(...) scores of (..., 25) changes in units of each channel's noise."""
+    score = np.sqrt(np.mean(np.square(change[..., 1:]), axis=-1)) / config.electrode_limit
+    return np.asarray(np.maximum(score, np.abs(change[..., 0]) / config.pdc_limit), np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The short form of the campaign of `benchmarks/durability`: a recorder killed at random instants loses nothing."""
+"""The short form of the campaign of `benchmarks/recorder`: a recorder killed at random instants loses nothing."""
 
 import json
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-CAMPAIGN = Path(__file__).parents[3] / "benchmarks" / "durability" / "kill.py"
+CAMPAIGN = Path(__file__).parents[3] / "benchmarks" / "recorder" / "kill.py"
 
 
 @pytest.mark.slow

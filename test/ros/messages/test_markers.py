@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
-from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.grasp.pose import fingertip_rotation
 from foretouch.pipeline import Pipeline
 from foretouch.ros.messages.clouds import object_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, prediction_to_msg, refusal_to_msg

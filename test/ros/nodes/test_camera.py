@@ -11,7 +11,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera import RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.dataset.messages import decode_cloud
 from foretouch.errors import ConfigError
 from foretouch.simulation import random_scene
@@ -97,7 +97,7 @@ def test_an_absent_device_is_named_and_tried_again(graph):
 def test_a_recording_is_played_once_and_the_node_ends(graph, tmp_path):
     path, stamps = str(tmp_path / "seen.db3"), []
     source = SyntheticCamera([random_scene(np.random.default_rng(5), 212, 120).render()], fps=15)
-    with open_camera(RealSenseConfig(width=212, height=120, fps=15, record_to=path), source) as camera:
+    with RealSenseCamera(RealSenseConfig(width=212, height=120, fps=15, record_to=path), source) as camera:
         camera.read(0.0)
         for _ in range(4):
             source.feed()

@@ -13,7 +13,6 @@ from foretouch.dataset.bag import Recording
 from foretouch.dataset.bag_writer import BagWriter
 from foretouch.dataset.importing import BagTopics, import_samples
 from foretouch.dataset.recording import SAMPLE_TOPIC, RecordedDataset
-from foretouch.dataset.recording.definitions import Definitions
 from foretouch.pipeline import FoundObject
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg
@@ -33,9 +32,6 @@ def raw_topics(session, out):
     """The messages of a session without the samples that were made of them."""
     with Recording(session) as bag, BagWriter(out) as writer:
         raw = {topic.name: topic.type for topic in bag.topics if topic.name != SAMPLE_TOPIC}
-        for kind in set(raw.values()):
-            if kind.startswith("foretouch_msgs"):
-                writer.define(kind, Definitions().text(kind))
         for message in bag.messages(raw):
             writer.write(message.topic, message.type, message.bag_time_ns, message.data)
     return out

@@ -117,7 +117,7 @@ def test_the_wait_has_a_limit_and_names_what_is_missing_after_the_replay_was_dis
 
 def test_other_topics_are_played_too_and_the_unknown_are_named(graph, tmp_path, rng):
     with BagWriter(tmp_path / "bag") as writer:
-        writer.define("nobodys_msgs/msg/Secret", "int32 x\n")
+        writer.definitions.register("nobodys_msgs/msg/Secret", "int32 x\n")
         for k, cloud in enumerate(make_clouds(rng, count=3)):
             writer.write("/said", "std_msgs/msg/String", cloud.stamp_ns - 1, text(f"word {k}"))
             writer.write("/secret", "nobodys_msgs/msg/Secret", cloud.stamp_ns, b"\0\1\0\0\5\0\0\0")

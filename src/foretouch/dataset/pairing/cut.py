@@ -17,7 +17,7 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.pairing.buffers import TouchBuffer, TouchWindow
 from foretouch.dataset.record import APPROACH, HOLD, REST
 from foretouch.errors import DatasetError
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, contact_scores, find_contact
 from foretouch.types import Touch
 
@@ -185,7 +185,7 @@ def _require_tare(rest: TouchWindow, length_ns: int, contact: ContactConfig | No
 
 def _require_working(window: TouchWindow, touch: Touch, tare: Touch) -> None:
     for name, reading in (("contact", touch), ("tare", tare)):
-        if faults := check_touch(reading).faults:
+        if faults := touch_faults(reading):
             raise PairingError("sensor_fault", f"{name}: {'; '.join(faults)}")
     for finger, columns in FINGER_COLUMNS.items():
         counts = window.counts[:, columns]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from foretouch.tactile import FULL_SCALE, check_touch
+from foretouch.tactile import FULL_SCALE, touch_faults
 from foretouch.tactile.contact_detector import FINGER_COLUMNS, ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
 
@@ -65,7 +65,7 @@ class SensorHealth:
     def update(self, counts: Float32) -> None:
         """Add a reading, (50,) as `Touch.vector()`."""
         plausible = float(counts.min()) > 0.0 and float(counts.max()) <= FULL_SCALE
-        faults = () if plausible else check_touch(Touch.from_vector(counts)).faults
+        faults = () if plausible else touch_faults(Touch.from_vector(counts))
         for finger, columns in FINGER_COLUMNS.items():
             own = (fault for fault in faults if fault.partition(":")[0].partition("[")[0].endswith(finger.lower()))
             state = self._state(finger, counts[columns])

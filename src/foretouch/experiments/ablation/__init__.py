@@ -10,27 +10,48 @@ A model with other features is fitted separately and only tested before touches,
 take ten to fifteen times as long.
 """
 
-from collections.abc import Iterator, Sequence
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from foretouch.config import setting
-from foretouch.experiments.ablation import results as tables
 from foretouch.experiments.ablation.variants import FULL, TRACKER_EDITS, ModelVariant, fit_variants
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
-from foretouch.experiments.shared.conditions import ConditionSettings, split_condition
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
+from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.folds import touch_draws
-from foretouch.experiments.shared.scores import error_rows, labelled
-from foretouch.experiments.shared.simulated_data import RealAndSimulated, load_both, prepare_both
+from foretouch.experiments.shared.scores import error_rows, labelled, score_table
+from foretouch.experiments.shared.simulated_data import (
+    ConditionSettings,
+    RealAndSimulated,
+    load_both,
+    prepare_both,
+    split_condition,
+)
+from foretouch.experiments.shared.tables import (
+    ALL_OBJECTS,
+    SIGNS,
+    SKILL_COLUMNS,
+    findings,
+    grouped,
+    pivot,
+    select,
+    short,
+    unique,
+    with_notes,
+)
 from foretouch.learning.data import Indices, labels_of, make_folds
+from foretouch.learning.evaluation.metrics import MEAN
+from foretouch.report.panels import Rows
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "AblationSettings"]
-
+_NOTHING: Final = "nothing"
 _SIMULATED: Final = "simulated"
 _TITLES: Final = {
     _SIMULATED: "simulated new objects",
@@ -89,7 +110,7 @@ def _run(cell: Cell, settings: AblationSettings, data: RealAndSimulated) -> list
             rows += score(table, name, model, draws, _COMPARED, tare=simulated)
     for tare, count in product((False, True), (0, *settings.touches)) if simulated else ():
         touches = "" if not count else f"{count} touch{'es' if count > 1 else ''}"
-        name = " + ".join(filter(None, (tables.TARE if tare else "", touches))) or tables.NOTHING
+        name = " + ".join(filter(None, ("tare" if tare else "", touches))) or _NOTHING
         rows += score(f"{title}, with tare and touches", name, models[FULL], draws, count, tare=tare)
     return rows
 
@@ -124,6 +145,62 @@ def _rows(
     return [{"table": table, "predictor": name, **row} for row in errors]
 
 
+def _tabulate(settings: AblationSettings, rows: Sequence[Row]) -> list[Row]:
+    """Rows without those of single objects; errors on an object that several splits tested are added up."""
+    result = []
+    for _, own in grouped(rows, "table"):
+        variants = unique(own, "predictor")
+        reference = FULL if FULL in variants else _NOTHING
+        for row in select(score_table(own, variants, [reference], settings.bootstrap), object=ALL_OBJECTS):
+            versus = {name: row.pop(name) for name in list(row) if name.startswith("vs_")}
+            renamed = {name.replace(f"vs_{reference}", "difference"): value for name, value in versus.items()}
+            result.append({**row, "reference": reference, **renamed})
+    return result
+
+
+def _summarise(rows: Sequence[Row]) -> list[Table]:
+    """A table for each condition: skill, and its difference from the full model or from no adaptation."""
+    tables, sentences = [], []
+    for name, own in grouped(rows, "table"):
+        title = f"{name}: {own[0]['objects']} objects, compared with `{own[0]['reference']}`"
+        tables.append(Table(title, SKILL_COLUMNS, pivot(own, "predictor", _cell, names=SKILL_COLUMNS[1:])))
+        means = select(own, modality=MEAN)
+        texts = [f"{r['predictor']} {short(r['skill'])}{SIGNS.get(r['difference_verdict'], '')}" for r in means]
+        sentences.append(f"{name}: mean skill of {', '.join(texts)}")
+    notes = [
+        "skill: 0 is the mean of the training labels, 1 is perfect",
+        "(difference from the reference [95 % interval by bootstrap over objects])",
+        "▲ significantly better, ▼ significantly worse, = no significant difference",
+    ]
+    return [findings(sentences), *with_notes(tables, notes)]
+
+
+def _cell(row: Row) -> str:
+    if row["difference"] is None:
+        return f"{row['skill']:.3f}"
+    sign = SIGNS.get(row["difference_verdict"], "")
+    low, high = row["difference_low"], row["difference_high"]
+    interval = "" if low is None else f"\n[{low:+.3f}, {high:+.3f}]"
+    return f"{row['skill']:.3f} ({row['difference']:+.3f} {sign}".rstrip() + f"{interval})"
+
+
+def _draw(rows: Rows, folder: Path) -> list[Path]:
+    """Draw `ablation.png`: differences from the reference, tables below each other, modalities side by side."""
+    lines = []
+    for name, own in grouped([row for row in rows if row["predictor"] != row["reference"]], "table"):
+        variants = unique(own, "predictor")
+        draw = partial(
+            draw_intervals, column="predictor", names=variants, values="difference", lowest=-0.3, colour=_colour
+        )
+        label = f"skill difference from `{own[0]['reference']}`: green better, red worse (95 % interval)"
+        lines.append(Line(0.9 + 0.22 * len(variants), own, draw, name, label))
+    return save_panels(folder / "ablation.png", 15.0, lines, sharex="row", sharey="row")
+
+
+def _colour(row: Mapping[str, Any]) -> str:
+    return {"better": "C2", "worse": "C3"}.get(row["difference_verdict"], "grey")
+
+
 EXPERIMENT = Experiment(
     name="ablation",
     question="How much do the components of the contact model contribute, and how much a tare and touches?",
@@ -146,9 +223,9 @@ EXPERIMENT = Experiment(
     load=load_both,
     cells=_cells,
     run=_run,
-    tabulate=lambda settings, rows: tables.ablation_rows(rows, settings.bootstrap),
-    summarise=tables.ablation_tables,
-    figure=tables.draw_ablation_figure,
+    tabulate=_tabulate,
+    summarise=_summarise,
+    figure=_draw,
     prepare=prepare_both,
     resumable_settings=("test_conditions", "seeds", "split_seeds", "bootstrap"),
     data_folder="vision2tactile",

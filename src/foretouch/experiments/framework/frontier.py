@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.report.panels import new_figure, save
+from foretouch.report.panels import new_figure, save_small
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _BUDGETS_MS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _LINE: Final = 0.05  # height of a label, as a share of the axes
@@ -145,16 +144,6 @@ def draw(panels: Sequence[Panel], skills: Mapping[str, str], rows: Sequence[Row]
     handles = {label: handle for axes in grid for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=7, fontsize=8)
     return [save_small(figure, folder / "tradeoff.png")]
-
-
-def save_small(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG with 128 colours, less than half as large."""
-    from PIL import Image
-
-    save(figure, path)
-    with Image.open(path) as image:
-        image.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
-    return path
 
 
 def _draw_panel(axes: Axes, panel: Panel, meaning: str, rows: Sequence[Row], factors: Sequence[str]) -> None:

@@ -29,7 +29,7 @@ from foretouch.experiments.shared.folds import touch_draws
 from foretouch.experiments.shared.predictors import NETWORKS, PREDICTORS, Fitted, find_predictor
 from foretouch.experiments.shared.scores import error_rows, load, score_table
 from foretouch.experiments.shared.simulated_data import load_both, load_simulated, prepare_both, prepare_simulated
-from foretouch.experiments.shared.skill_tables import skill_tables
+from foretouch.experiments.shared.tables import skill_tables
 from foretouch.learning.data import labels_of
 from foretouch.types import Float64, GraspSample
 
@@ -74,7 +74,7 @@ def _run(split: Splitter, cell: Cell, settings: HoldOutSettings, data: Any) -> l
             parts = list(_predict_draws(fitted, samples, count, settings)) if count else [(samples, everything)]
             scored = [sample for part, _ in parts for sample in part]
             errors = error_rows(scored, np.concatenate([found for _, found in parts]), labels_of(scored), mean)
-            rows += [{"table": results.touch_table(count), "touches": count, **row} for row in errors]
+            rows += [{"table": _table(count), "touches": count, **row} for row in errors]
     return rows
 
 
@@ -85,6 +85,11 @@ def _predict_draws(
     for order in touch_draws(samples[0].object, len(samples), max(settings.touches), settings.draws):
         touched, rest = ([samples[k] for k in side] for side in (order[:count], np.sort(order[count:])))
         yield rest, fitted.predict_after(touched, rest)
+
+
+def _table(count: int) -> str:
+    """Name of the table after a number of touches."""
+    return "no touch" if count == 0 else f"after {count} touch" + ("es" if count > 1 else "")
 
 
 def _tabulate(columns: Sequence[str], settings: HoldOutSettings, rows: Sequence[Row]) -> list[Row]:

@@ -21,17 +21,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Row, Table
 from foretouch.experiments.label_ratio.training import MODELS, TRIALS, kind_of
-from foretouch.experiments.shared.figures import legend_of
-from foretouch.experiments.shared.rows import grouped, select, unique
-from foretouch.experiments.shared.skill_tables import findings
-from foretouch.report.panels import Rows, new_figure, save
+from foretouch.experiments.shared.figures import Line, save_panels
+from foretouch.experiments.shared.tables import findings, grouped, pivot, select, unique
+from foretouch.report.panels import Rows
 from foretouch.tactile import MODALITIES, TactileRanges
 from foretouch.types import Float64
 
@@ -70,7 +69,7 @@ _BASELINES: Final = (("mean", "mean of the labels", "#d1495b"), ("trees", "trees
 _VERDICTS: Final = {"win": ">", "tie": "=", "loss": "<"}
 _COLOURS: Final = {"win": "#2a9d4e", "loss": "#d1495b"}
 _HALF: Final = 0.38
-_LEAST_SPAN: Final = 5.0  # lower limit of the axis of differences [%]
+_LEAST_SPAN: Final = 5.0  # of the axis of differences to both sides [%]
 
 
 def compare_models(rows: Sequence[Row], ranges: TactileRanges, draws: int, seed: int = 0) -> list[Row]:
@@ -199,11 +198,7 @@ def tally(rows: Rows) -> list[str]:
 
 
 def _body(rows: Sequence[Row], text: Callable[[Row], str]) -> list[list[str]]:
-    body = []
-    for ratio, own in sorted(grouped(rows, "ratio")):
-        found = {row["modality"]: text(row) for row in own}
-        body.append([f"T{ratio}", *(found.get(name, "") for name in MODALITIES)])
-    return body
+    return pivot(sorted(rows, key=lambda row: row["ratio"]), "ratio", text, label=lambda ratio: f"T{ratio}")
 
 
 def _errors(row: Row) -> str:
@@ -224,27 +219,14 @@ def _change_text(row: Row) -> str:
 
 def draw_models(rows: Rows, folder: Path) -> list[Path]:
     """Draw `figure.png`: P2's Fig. 3 from our rows, modalities side by side, and the differences below."""
-    figure, above, below = panels(rows)
-    above[0].set_ylabel("RMSE [% of the range]\nmean ± standard deviation of the runs")
-    below[0].set_ylabel("difference of the SR-GAN's RMSE [%]\n95 % interval")
-    legend_of(figure, above[0], "lower center", ncols=5)
-    figure.suptitle("; ".join(tally(rows)), fontsize=10)
-    return [save(figure, folder / "figure.png")]
-
-
-def panels(rows: Rows) -> tuple[Any, Sequence[Axes], Sequence[Axes]]:
-    """The figure, its panels of errors and those of differences."""
+    ordered = sorted(rows, key=lambda row: row["ratio"])
     names = unique(rows, "modality")
-    figure = new_figure(3.6 * len(names) + 0.6, 7.2)
-    above, below = figure.subplots(2, len(names), squeeze=False, sharey="row", height_ratios=(1.15, 1.0))
-    for top, bottom, name in zip(above, below, names, strict=True):
-        own = sorted(select(rows, modality=name), key=lambda row: row["ratio"])
-        _draw_errors(top, own)
-        _draw_changes(bottom, own)
-        top.set_title(name)
-    low, high = below[0].get_ylim()  # shared by the panels, so it is widened after all are drawn
-    below[0].set_ylim(min(low, -_LEAST_SPAN), max(high, _LEAST_SPAN))
-    return figure, above, below
+    error, change = "RMSE [% of the range]\nmean ± sd of the runs", "difference of the SR-GAN's RMSE [%]\n95 % interval"
+    lines = [
+        Line(3.9, ordered, _draw_errors, y_label=error, legend="lower center"),
+        Line(3.4, ordered, _draw_changes, "", "share without labels (P2's difference [%])", change),
+    ]
+    return save_panels(folder / "figure.png", 3.6 * len(names) + 0.6, lines, modalities=names, sharey="row")
 
 
 def _draw_errors(axes: Axes, rows: Rows) -> None:
@@ -272,10 +254,10 @@ def _draw_changes(axes: Axes, rows: Rows) -> None:
         if row["change_low"] is not None:
             axes.plot([x, x], [row["change_low"], row["change_high"]], color=colour, linewidth=2)
     axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.plot([0, 0], [-_LEAST_SPAN, _LEAST_SPAN], alpha=0.0)
     axes.margins(x=0.15)
     published = ["–" if row["p2_change"] is None else f"{row['p2_change']:+.1f}" for row in rows]
     _ticks(axes, [f"T{row['ratio']}\n({text})" for row, text in zip(rows, published, strict=True)])
-    axes.set_xlabel("share without labels (P2's difference [%])")
 
 
 def _ticks(axes: Axes, names: Sequence[str]) -> None:

@@ -13,19 +13,25 @@ variance of the mean of n repeats is s²/n. Skill is 1 - sum S / sum R as everyw
 pose and its cloud: more than a model is given, so the ceiling is an upper bound. A predictor's `share` is its skill
 over the ceiling's, on the same repeats. With `split: object` there is a second ceiling for objects that were never
 touched: their material and day are unknown as well, and predictors are compared with that one.
+
+Intervals are by bootstrap over the repeated grasps, with the same draws for ceiling and predictors: they are for other
+grasps of the same objects in the same scene.
 """
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from foretouch.config import setting
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.experiments.framework.experiment import Cell, Experiment, Row
+from foretouch.experiments.framework.experiment import Cell, Experiment, Row, Table
 from foretouch.experiments.noise_ceiling.repeats import CAUSES, NEW_OBJECT, Repeater
-from foretouch.experiments.noise_ceiling.results import ceiling_rows, ceiling_tables, draw_ceiling_figure
+from foretouch.experiments.shared.figures import Line, draw_intervals, save_panels
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
 from foretouch.experiments.shared.simulated_data import (
     SimulatedGrasps,
@@ -33,12 +39,18 @@ from foretouch.experiments.shared.simulated_data import (
     load_simulated,
     prepare_simulated,
 )
+from foretouch.experiments.shared.tables import findings, grouped, listed, pivot, select, span, unique
 from foretouch.learning.data import labels_of
+from foretouch.report.panels import Rows
+from foretouch.tactile import MODALITIES, P2_RANGES, columns
 from foretouch.types import Float64, GraspSample
 
-__all__ = ["EXPERIMENT", "NoiseCeilingSettings"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _BLOCK: Final = 10  # grasps per cell
+_CEILING: Final = "ceiling"
+_TAIL: Final = 0.025
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +104,9 @@ def _cells(settings: NoiseCeilingSettings, data: SimulatedGrasps) -> list[Cell]:
     whole = ["all", NEW_OBJECT] if settings.split == "object" else ["all"]
     blocks = [(cause, first) for cause in whole for first in range(0, settings.grasps, _BLOCK)]
     blocks += [(cause, first) for cause in CAUSES for first in range(0, settings.single_cause_grasps, _BLOCK)]
-    repeated = [
-        Cell(f"repeats+{cause}+{first}", {"what": "repeats", "name": cause, "first": first}) for cause, first in blocks
-    ]
-    predicted = [Cell(f"predictor+{name}", {"what": "predictor", "name": name}) for name in settings.predictors]
-    return repeated + predicted
+    cells = [{"what": "repeats", "name": cause, "first": first} for cause, first in blocks]
+    cells += [{"what": "predictor", "name": name} for name in settings.predictors]
+    return [Cell("+".join(map(str, values.values())), values) for values in cells]
 
 
 def _run(cell: Cell, settings: NoiseCeilingSettings, data: SimulatedGrasps) -> list[Row]:
@@ -131,6 +141,107 @@ def _repeated(repeater: Repeater, grasps: Sequence[GraspSample], count: int, mea
         }
 
 
+def ceiling_rows(rows: Sequence[Row], draws: int) -> list[Row]:
+    """Rows of `results.csv`: one per modality for each ceiling, each single cause and each predictor.
+
+    Args:
+        rows: Rows of the cells. A predictor whose cell failed is left out.
+        draws: Number of bootstrap samples.
+    """
+    causes = dict(grouped(select(rows, what="repeats"), "name"))
+    all_hidden, new_object = causes.pop("all", []), causes.pop(NEW_OBJECT, [])
+    result: list[Row] = []
+    for name, repeated in ((_CEILING, all_hidden), (f"{_CEILING}, object never touched", new_object)):
+        if repeated:
+            reference = _table(repeated, "reference")
+            result += _score(name, _table(repeated, "within"), reference, draws)
+            result += _score(f"{name}, change from the tare", _table(repeated, "within_change"), reference, draws)
+    known = {row["id"]: row["reference"] for row in all_hidden}
+    for cause, repeated in causes.items():
+        if all(row["id"] in known for row in repeated):
+            same = np.array([known[row["id"]] for row in repeated])
+            result += _score(f"only {cause} hidden", _table(repeated, "within"), same, draws)
+    repeated = new_object or all_hidden
+    for name, own in grouped(select(rows, what="predictor"), "name") if repeated else ():
+        by_id = {row["id"]: row["predicted"] for row in own}
+        predicted = np.array([by_id[row["id"]] for row in repeated])
+        squared = (predicted - _table(repeated, "mean")) ** 2 + _table(repeated, "rest")  # eq. 2
+        result += _score(name, squared, _table(repeated, "reference"), draws, _table(repeated, "within"))
+    return result
+
+
+def _table(rows: Sequence[Row], column: str) -> Float64:
+    return np.array([row[column] for row in rows], np.float64)
+
+
+def _score(name: str, squared: Float64, reference: Float64, draws: int, ceiling: Float64 | None = None) -> list[Row]:
+    """One row per modality; with a ceiling also the share of it."""
+    size = len(squared)
+    weights = np.random.default_rng(0).multinomial(size, np.full(size, 1.0 / size), draws).astype(np.float64)
+    weights = np.vstack([np.ones(size), weights])
+    skill = _skills(squared, reference, weights)
+    share = None if ceiling is None else skill / _skills(ceiling, reference, weights)
+    rows = []
+    for k, modality in enumerate(MODALITIES):
+        rmse = float(np.sqrt(squared[:, columns([modality])].mean()))
+        low, high = P2_RANGES.of(modality)
+        row = {"name": name, "modality": modality, "grasps": size, "rmse": rmse, "nrmse_p2": rmse / (high - low)}
+        rows.append(row | _ends("skill", skill[:, k]) | _ends("share", None if share is None else share[:, k]))
+    return rows
+
+
+def _skills(squared: Float64, reference: Float64, weights: Float64) -> Float64:
+    """(draws, 4): 1 - sum S / sum R per value, averaged over the modality's values."""
+    per_value = 1.0 - (weights @ squared) / (weights @ reference)
+    return np.stack([per_value[:, columns([name])].mean(axis=1) for name in MODALITIES], axis=1)
+
+
+def _ends(column: str, drawn: Float64 | None) -> Row:
+    values = (None,) * 3 if drawn is None else (drawn[0], *np.quantile(drawn[1:], [_TAIL, 1.0 - _TAIL]))
+    return dict(zip((column, f"{column}_low", f"{column}_high"), values, strict=True))
+
+
+def _summarise(rows: Sequence[Row]) -> list[Table]:
+    """Skills, the predictors' shares of the ceiling, and errors in percent of P2's ranges."""
+    notes = [
+        "skill: 0 is the mean of the training labels; [95 % interval by bootstrap over grasps]",
+        "only ... hidden: the ceiling if all other causes were known",
+    ]
+    scored = [row for row in rows if row["share"] is not None]
+    ceilings = grouped([row for row in rows if row["name"].startswith(_CEILING)], "name")
+    sentences = [f"{name}: skills of {listed(own, 'skill')} ({', '.join(MODALITIES)})" for name, own in ceilings]
+    shares = grouped(scored, "name")
+    sentences += [f"`{name}` reaches {span(row['share'] for row in own)} of the ceiling" for name, own in shares]
+    errors = pivot(rows, "name", lambda row: f"{100.0 * row['nrmse_p2']:.1f}")
+    tables = [
+        findings(sentences),
+        Table(f"noise ceiling: {rows[0]['grasps']} grasps", ["skill", *MODALITIES], _body(rows, "skill"), notes),
+        Table("share of the ceiling", ["share", *MODALITIES], _body(scored, "share")),
+        Table("RMSE in percent of P2's ranges", ["rmse", *MODALITIES], errors),
+    ]
+    return [table for table in tables if table.rows or table.notes]
+
+
+def _body(rows: Sequence[Row], name: str) -> list[list[str]]:
+    return pivot(rows, "name", lambda row: f"{row[name]:.2f} [{row[f'{name}_low']:.2f}, {row[f'{name}_high']:.2f}]")
+
+
+def _draw(rows: Rows, folder: Path) -> list[Path]:
+    """Draw `ceiling.png`: modalities side by side, with the predictors' shares of the ceiling."""
+    names = unique(rows, "name")
+
+    def draw(axes: Axes, own: Rows) -> None:
+        draw_intervals(axes, own, "name", names, lowest=-0.1, colour=lambda row: "C0" if row["share"] is None else "C1")
+        for row in own:
+            if row["share"] is not None:
+                text = f"{100.0 * row['share']:.0f} %"
+                axes.annotate(text, (1.0, names.index(row["name"])), ha="right", va="center", fontsize=8)
+        axes.set_xlim(-0.1, 1.02)
+
+    line = Line(1.2 + 0.35 * len(names), rows, draw, x_label="skill (0: training mean)")
+    return save_panels(folder / "ceiling.png", 13.0, [line], sharey=True, sharex=True)
+
+
 EXPERIMENT = Experiment(
     name="noise_ceiling",
     question="How much of a touch can be predicted from cloud and grasp at all, and how much of that do predictors reach?",
@@ -152,8 +263,8 @@ EXPERIMENT = Experiment(
     cells=_cells,
     run=_run,
     tabulate=lambda settings, rows: ceiling_rows(rows, settings.draws),
-    summarise=ceiling_tables,
-    figure=draw_ceiling_figure,
+    summarise=_summarise,
+    figure=_draw,
     prepare=prepare_simulated,
     resumable_settings=("predictors", "draws"),
 )

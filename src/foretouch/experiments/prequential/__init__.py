@@ -23,8 +23,8 @@ from foretouch.config import Settings, setting
 from foretouch.experiments.framework.experiment import Cell, Experiment, Row
 from foretouch.experiments.prequential.results import draw_prequential, prequential_rows, summarise_prequential
 from foretouch.experiments.shared.predictors import PREDICTORS, find_predictor
-from foretouch.experiments.shared.rows import grouped
 from foretouch.experiments.shared.scores import labelled, load
+from foretouch.experiments.shared.tables import grouped
 from foretouch.learning.data import Dataset, labels_of
 from foretouch.learning.evaluation.metrics import BootstrapConfig
 from foretouch.learning.evaluation.prequential import Recording

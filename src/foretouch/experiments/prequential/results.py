@@ -5,17 +5,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from foretouch.experiments.framework.experiment import Row, Table
-from foretouch.experiments.shared.figures import draw_series, legend_of, modality_panels
-from foretouch.experiments.shared.rows import SIGNS, grouped, listed, select, short, unique
-from foretouch.experiments.shared.scores import ALL_OBJECTS, interval_columns
-from foretouch.experiments.shared.skill_tables import findings
+from foretouch.experiments.shared.figures import Line, draw_series, save_panels
+from foretouch.experiments.shared.scores import interval_columns
+from foretouch.experiments.shared.tables import (
+    ALL_OBJECTS,
+    findings,
+    grouped,
+    listed,
+    pivot,
+    select,
+    short,
+    unique,
+    with_notes,
+)
 from foretouch.learning.evaluation.metrics import BootstrapConfig, ObjectErrors, compare, skills
 from foretouch.learning.evaluation.prequential import BINS, Recording, baselines, other_objects_mean, replay
 from foretouch.learning.training.calibration import HeldOutPredictions, fit_group
@@ -23,9 +33,12 @@ from foretouch.learning.training.tracker import fit_tracker
 from foretouch.models.calibration import Calibration
 from foretouch.models.state_space import FINGERS, TrackerParameters
 from foretouch.models.tracker import SensorTracker
-from foretouch.report.panels import Rows, save
+from foretouch.report.panels import Rows
 from foretouch.tactile import FULL_SCALE, MODALITIES, columns
 from foretouch.types import TOUCH_SIZE, Float64
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TRACKER: Final = "tracker"
 MEMORY: Final = "memory"
@@ -199,10 +212,8 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
     """Tables of skill over touches, each object, intervals and jump, for each predictor that knows no reading."""
     tables, sentences = [], []
     for vision, own in grouped(rows, VISION):
-        sentences += _sentences(vision, own)
-        tables += [_skill_table(vision, own), _object_table(vision, own), _interval_table(vision, own)]
-        if any(row["bin"] == AFTER_JUMP for row in own):
-            tables.append(_jump_table(vision, own))
+        tables += [replace(table, title=f"{vision}: {table.title}") for table in _tables(own)]
+        sentences += [f"{vision}: {text}" for text in _sentences(own)]
     notes = [
         "skill: 0 is the mean of all readings of the other objects, earlier and later; the four numbers are PDC_TH, PDC_MF, E_TH, E_MF",
         "touches: of the object, since it was taken; an object that returns begins with 0",
@@ -210,119 +221,111 @@ def summarise_prequential(rows: Sequence[Row]) -> list[Table]:
         f"vision is fitted to all other objects, later ones included; `{PAST}` uses earlier readings only (the parameters of tracker and memory do not)",
         f"width: mean half width over that of `{MEMORY}`, after the latter was scaled to the same coverage",
     ]
-    return [findings(sentences), *tables[:-1], replace(tables[-1], notes=notes)]
+    return [findings(sentences), *with_notes(tables, notes)]
 
 
-def _sentences(vision: str, rows: Rows) -> list[str]:
+def _sentences(rows: Rows) -> list[str]:
     """Skills and coverage of the tracker."""
-    together = select(rows, method=TRACKER, object=ALL_OBJECTS)
-    before, first, every = (listed(select(together, bin=label), "skill") for label in ("none", "first 3", "all"))
-    coverage = listed(select(together, bin="all"), "coverage")
-    before = f"{before} before the first touch of an object, " if before else ""
-    found = [f"{vision}: the tracker has skills of {before}{first} on its first three grasps, {every} on all"]
+    together = dict(grouped(select(rows, method=TRACKER, object=ALL_OBJECTS), "bin"))
+    before = f"{listed(together['none'], 'skill')} before the first touch of an object, " if "none" in together else ""
+    first, every = listed(together["first 3"], "skill"), listed(together["all"], "skill")
     later = [row["coverage"] for row in select(rows, method=TRACKER, bin=LATER) if row["object"] != ALL_OBJECTS]
-    jumps = [row["coverage"] for row in select(rows, bin=AFTER_JUMP)]
-    text = f"{vision}: its 90 % intervals cover {coverage}"
+    text = f"its 90 % intervals cover {listed(together['all'], 'coverage')}"
     text += f", of each object from its fourth grasp at least {short(min(later))}" if later else ""
-    if jumps:
+    if jumps := [row["coverage"] for row in select(rows, bin=AFTER_JUMP)]:
         text += (
             f", and after a jump of all values {short(float(np.mean(jumps)))} on average, at least {short(min(jumps))}"
         )
-    return [*found, text]
+    return [f"the tracker has skills of {before}{first} on its first three grasps, {every} on all", text]
 
 
-def _present(rows: Rows, labels: Sequence[str]) -> list[str]:
-    """Those ranges of touches that hold a grasp."""
-    return [label for label in labels if any(row["bin"] == label for row in rows)]
-
-
-def _skill_table(vision: str, rows: Rows) -> Table:
+def _tables(rows: Rows) -> list[Table]:
+    """Tables of skill over touches, of each object, of intervals, and after a jump if there is one."""
     together = [row for row in select(rows, object=ALL_OBJECTS) if row["bin"] in BINS]
-    labels = _present(rows, tuple(BINS))
-    signs = {name: sign for name, sign in SIGNS.items() if name != "tie"}
-    body = []
-    for method, own in grouped(together, "method"):
-        found = {
-            label: " ".join(f"{row['skill']:.2f}{signs.get(row['vs_memory_verdict'], '')}" for row in cells)
-            for label, cells in grouped(own, "bin")
-        }
-        body.append([method, *(found[label] for label in labels)])
-    count = {label: select(together, bin=label)[0]["grasps"] for label in labels}
-    return Table(f"{vision}: skill over touches", ["method", *(f"{label} ({count[label]})" for label in labels)], body)
+    labels = unique(together, "bin")
+    counts = [f"{label} ({select(together, bin=label)[0]['grasps']})" for label in labels]
+    lines = [
+        {**row, "line": f"{method}, {row['bin']}"}
+        for method in (TRACKER, MEMORY)
+        for row in select(rows, method=method)
+        if row["object"] != ALL_OBJECTS
+        and row["bin"] in ("first 3", "3-9", "all")  # a single grasp has no skill of its own
+    ]
+    objects = sorted(set(unique(lines, "object")))
+    body = pivot(lines, "line", partial(_four, "skill"), "object", objects)
+    for line, (_, own) in zip(body, grouped(lines, "line"), strict=True):
+        lowest = (min(row["skill"] for row in one) for _, one in grouped(own, "modality"))
+        line.append(" ".join(f"{skill:.2f}" for skill in lowest))
+    tables = [
+        Table("skill over touches", ["method", *counts], pivot(together, "method", _skills, "bin", labels)),
+        Table("skill of each object", ["touches", *objects, "worst"], body),
+        Table("90 % intervals", ["touches", "coverage", "half width [counts]", "width"], _intervals(rows)),
+    ]
+    if jumps := select(rows, bin=AFTER_JUMP):
+        body = [
+            [name, _four("coverage", *own), _four("noticed_after", *own)]
+            for name, own in sorted(grouped(jumps, "object"))
+        ]
+        means = " ".join(f"{np.mean([row['coverage'] for row in own]):.2f}" for _, own in grouped(jumps, "modality"))
+        names = ["while touching", "coverage", "finger restarted after touches"]
+        title = f"{_JUMP_GRASPS} grasps after a jump of all values"
+        tables.append(Table(title, names, [*body, ["mean", means, ""]]))
+    return tables
 
 
-def _object_table(vision: str, rows: Rows) -> Table:
-    names = sorted(set(unique(rows, "object")) - {ALL_OBJECTS})
-    body = []
-    for method in (TRACKER, MEMORY):
-        for label in _present(rows, ("first 3", "3-9", "all")):  # a single grasp has no skill of its own
-            own = select(rows, method=method, bin=label)
-            parts = [select(own, object=name) for name in names]
-            cells = [_four(part, "skill") for part in parts]
-            worst = (min(part[k]["skill"] for part in parts if part) for k in range(len(MODALITIES)))
-            body.append([f"{method}, {label}", *cells, " ".join(f"{one:.2f}" for one in worst)])
-    return Table(f"{vision}: skill of each object", ["touches", *names, "worst"], body)
-
-
-def _interval_table(vision: str, rows: Rows) -> Table:
+def _intervals(rows: Rows) -> list[list[str]]:
+    """Coverage and width of each range of touches, and of each object from the fourth grasp on."""
     body = []
     for method in (TRACKER, MEMORY):
         own = select(rows, method=method)
-        for label in _present(rows, ("none", "first 3", "3-9", "10+", "all")):
-            cells = select(own, bin=label, object=ALL_OBJECTS)
-            width = _four(cells, "width_at_equal_coverage")
-            body.append([f"{method}, {label}", _four(cells, "coverage"), _four(cells, "half_width", 0), width])
-        for name, later in grouped(select(own, bin=LATER), "object"):
-            line = [f"{method}, {name} from the 4th grasp", _four(later, "coverage"), _four(later, "half_width", 0), ""]
-            body += [line] * (name != ALL_OBJECTS)
-    return Table(f"{vision}: 90 % intervals", ["touches", "coverage", "half width [counts]", "width"], body)
+        for label, cells in grouped(select(own, object=ALL_OBJECTS), "bin"):
+            if label in ("none", "first 3", "3-9", "10+", "all"):
+                texts = (_four(key, *cells) for key in ("coverage", "half_width", "width_at_equal_coverage"))
+                body.append([f"{method}, {label}", *texts])
+        for name, cells in grouped(select(own, bin=LATER), "object"):
+            if name != ALL_OBJECTS:
+                texts = (_four(key, *cells) for key in ("coverage", "half_width"))
+                body.append([f"{method}, {name} from the 4th grasp", *texts, ""])
+    return body
 
 
-def _jump_table(vision: str, rows: Rows) -> Table:
-    jumps = select(rows, bin=AFTER_JUMP)
-    found = sorted(grouped(jumps, "object"))
-    body = [[name, _four(own, "coverage"), _four(own, "noticed_after", 0)] for name, own in found]
-    means = [f"{np.mean([row['coverage'] for row in select(jumps, modality=name)]):.2f}" for name in MODALITIES]
-    title = f"{vision}: {_JUMP_GRASPS} grasps after a jump of all values"
-    columns_ = ["while touching", "coverage", "finger restarted after touches"]
-    return Table(title, columns_, [*body, ["mean", " ".join(means), ""]])
+def _skills(*rows: Row) -> str:
+    signs = {"better": "▲", "worse": "▼"}
+    return " ".join(f"{row['skill']:.2f}{signs.get(row['vs_memory_verdict'], '')}" for row in rows)
 
 
-def _four(rows: Rows, key: str, decimals: int = 2) -> str:
+def _four(key: str, *rows: Mapping[str, Any]) -> str:
+    decimals = 0 if key in ("half_width", "noticed_after") else 2
     return " ".join("–" if row[key] is None else f"{row[key]:.{decimals}f}" for row in rows)
 
 
 def draw_prequential(rows: Rows, folder: Path) -> list[Path]:
-    """Draw `touches.png`: skill over touches, with 95 % intervals; below it width and coverage."""
-    vision = rows[0][VISION]
-    together = select(rows, vision=vision, object=ALL_OBJECTS)
-    labels = _present(together, ("none", "1 touch", "2 touches", "3-9", "10+"))
-    shown = (TRACKER, MEMORY, "object mean", "clock", "running mean", VISION)
-    figure, (above, below) = modality_panels(9.0, (2.4, 2.4), sharex=True)
-    for axes, modality in above:
-        own = [row for row in select(together, modality=modality) if row["bin"] in labels]
-        # Intervals of the first two alone: six would hide each other.
-        own = [row if row["method"] in (TRACKER, MEMORY) else {**row, "skill_low": None} for row in own]
-        draw_series(axes, own, "bin", "method", shown, places=labels, spread=0.08)
+    """Draw `touches.png`: skill over touches, with 95 % intervals of the first two; below it width and coverage."""
+    vision, shown = rows[0][VISION], (TRACKER, MEMORY, "object mean", "clock", "running mean", VISION)
+    labels = [
+        label for label in ("none", "1 touch", "2 touches", "3-9", "10+") if select(rows, vision=vision, bin=label)
+    ]
+    own = [row for row in select(rows, vision=vision, object=ALL_OBJECTS) if row["bin"] in labels]
+    # Intervals of the first two alone: six would hide each other.
+    skills_ = [row if row["method"] in (TRACKER, MEMORY) else {**row, "skill_low": None} for row in own]
+    widths = [row for row in own if row["coverage"] is not None]
+    draw = partial(draw_series, x="bin", series="method", places=labels)
+
+    def draw_skill(axes: Axes, rows: Rows) -> None:
+        draw(axes, rows, names=shown, spread=0.08)
         axes.set_ylim(-0.6, 1.0)
-    for axes, modality in below:
-        own = [
-            row for row in select(together, modality=modality) if row["bin"] in labels and row["coverage"] is not None
-        ]
-        draw_series(axes, own, "bin", "method", (TRACKER, MEMORY), values="half_width", places=labels)
-        for row in own:
-            number = (TRACKER, MEMORY).index(row["method"])
-            how: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": f"C{number}", "textcoords": "offset points"}
-            axes.annotate(
-                f"{row['coverage']:.2f}",
-                (labels.index(row["bin"]), row["half_width"]),
-                (0, 6 if number else -13),
-                **how,
-            )
+
+    def draw_width(axes: Axes, rows: Rows) -> None:
+        draw(axes, rows, names=(TRACKER, MEMORY), values="half_width")
+        for row in rows:
+            number, place = (TRACKER, MEMORY).index(row["method"]), (labels.index(row["bin"]), row["half_width"])
+            how: Any = {"ha": "center", "fontsize": 8, "color": f"C{number}", "textcoords": "offset points"}
+            axes.annotate(f"{row['coverage']:.2f}", place, (0, 6 if number else -13), **how)
         axes.set_xticks(range(len(labels)), [label.split()[0] for label in labels])
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("touches of the object")
-    above[0][0].set_ylabel(f"skill (vision: {vision})")
-    below[0][0].set_ylabel("half width [counts], coverage")
-    legend_of(figure, above[0][0], "lower center", ncols=len(shown))
-    return [save(figure, folder / "touches.png")]
+
+    lines = [
+        Line(2.4, skills_, draw_skill, y_label=f"skill (vision: {vision})", legend="lower center"),
+        Line(2.4, widths, draw_width, "", "touches of the object", "half width [counts], coverage"),
+    ]
+    return save_panels(folder / "touches.png", 9.0, lines, sharex=True)

@@ -4,34 +4,52 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from foretouch.experiments.shared.rows import grouped, select, unique
-from foretouch.experiments.shared.scores import ALL_OBJECTS
-from foretouch.report.panels import Rows, mark_off_scale, new_figure, save
+from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped, select, unique
+from foretouch.report.panels import Rows, mark_off_scale, new_figure, save_small
 from foretouch.tactile import MODALITIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _LOWEST_SKILL: Final = -1.5
 """Lower values are drawn as an arrow with their number at this edge of the figure."""
 
-VERDICT_COLOURS: Final[Mapping[Any, str]] = {"better": "C2", "worse": "C3"}
+
+class Line(NamedTuple):
+    """A line of panels, one for each modality."""
+
+    height: float  # [inch]
+    rows: Rows
+    draw: Callable[[Axes, Rows], None]  # (axes, rows of the modality)
+    title: str = ""
+    x_label: str = ""
+    y_label: str = ""
+    legend: str = ""  # place beside the panels, such as "right upper"; "" for none
 
 
-def modality_panels(
-    width: float, heights: Sequence[float], titles: Sequence[str] = ("",), **shared: Any
-) -> tuple[Figure, list[list[tuple[Axes, str]]]]:
-    """A figure with a line of panels for each height [inch], each a list of axes with their modalities."""
-    figure = new_figure(width, sum(heights))
-    grid = figure.subplots(len(heights), len(MODALITIES), squeeze=False, height_ratios=heights, **shared)
-    for title, line in zip(titles, grid, strict=False):
-        for axes, modality in zip(line, MODALITIES, strict=True):
-            axes.set_title(f"{title}: {modality}" if title else modality, fontsize=9)
-    return figure, [list(zip(line, MODALITIES, strict=True)) for line in grid]
+def save_panels(
+    path: Path, width: float, lines: Sequence[Line], *, modalities: Sequence[str] = MODALITIES, **shared: Any
+) -> list[Path]:
+    """Draw lines of panels below each other; `shared` are axes that panels share, as in matplotlib's `subplots`."""
+    figure = new_figure(width, sum(line.height for line in lines))
+    heights = [line.height for line in lines]
+    grid = figure.subplots(len(lines), len(modalities), squeeze=False, height_ratios=heights, **shared)
+    for line, panels in zip(lines, grid, strict=True):
+        for axes, modality in zip(panels, modalities, strict=True):
+            line.draw(axes, select(line.rows, modality=modality))
+            axes.set_title(f"{line.title}: {modality}" if line.title else modality, fontsize=9)
+            axes.set_xlabel(line.x_label, fontsize=9)
+        panels[0].set_ylabel(line.y_label)
+        if line.legend:
+            handles, labels = panels[0].get_legend_handles_labels()
+            place: Any = f"outside {line.legend}"
+            columns = len(labels) if line.legend == "lower center" else 1
+            figure.legend(handles, labels, loc=place, fontsize=8, ncols=columns)
+    return [save_small(figure, path)]
 
 
 def draw_series(
@@ -44,7 +62,6 @@ def draw_series(
     values: str = "skill",
     places: Sequence[Any] | None = None,
     spread: float = 0.0,
-    line: bool = True,
     lowest: float | None = None,
     styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
@@ -59,16 +76,17 @@ def draw_series(
         values: Column to draw.
         places: Values of `x` in order; by default those of the rows, sorted.
         spread: Distance between markers at one place, so that intervals do not hide each other.
-        line: Whether the markers of a name are joined.
         lowest: Lower end of the vertical axis.
-        styles: Arguments of matplotlib's `plot` by name.
+        styles: Arguments of matplotlib's `plot` for a name, and for `every` name.
     """
     places = sorted(set(unique(rows, x))) if places is None else places
+    styles = styles or {}
+    common = styles.get("every", {})
     for number, name in enumerate(names):
         own = sorted(select(rows, **{series: name}), key=lambda row: places.index(row[x]))
-        style = {"color": f"C{number}", "marker": "o", "markersize": 4, **(styles or {}).get(name, {})}
+        style = {"color": f"C{number}", "marker": "o", "markersize": 4, **common, **styles.get(name, {})}
         centres = [places.index(row[x]) + spread * (number - (len(names) - 1) / 2) for row in own]
-        axes.plot(centres, [row[values] for row in own], linestyle="-" if line else "", label=name, **style)
+        axes.plot(centres, [row[values] for row in own], label=name, **style)
         for centre, row in zip(centres, own, strict=True):
             if lowest is not None and row[values] < lowest:
                 axes.plot(centre, lowest, marker="v", color=style["color"], clip_on=False)
@@ -92,7 +110,7 @@ def draw_intervals(
     lowest: float = _LOWEST_SKILL,
     colour: Callable[[Mapping[str, Any]], str] | None = None,
 ) -> None:
-    """Draw value and interval of each row, those of a name beside each other and the names one below the other."""
+    """Draw value and interval of each row, the names of a column one below the other."""
     for row in rows:
         y, value = names.index(row[column]), row[values]
         shown = colour(row) if colour else f"C{y % 10}"
@@ -108,24 +126,15 @@ def draw_intervals(
     axes.grid(visible=True, axis="x", alpha=0.3)
 
 
-def legend_of(figure: Figure, axes: Axes, place: str, **how: Any) -> None:
-    """The legend of one panel, beside the panels."""
-    handles, labels = axes.get_legend_handles_labels()
-    loc: Any = f"outside {place}"
-    figure.legend(handles, labels, loc=loc, fontsize=8, **how)
-
-
 def draw_skill_figure(rows: Rows, folder: Path) -> list[Path]:
     """Draw `skill.png`: tables below each other, modalities side by side."""
     # The training mean has a skill of 0 by definition: it is the vertical line.
-    shown = [row for row in select(rows, object=ALL_OBJECTS) if row["predictor"] != "training_mean"]
-    shown = [row for row in shown if row["skill"] is not None]
-    predictors, tables = unique(shown, "predictor"), grouped(shown, "table")
-    heights = [0.9 + 0.25 * len(predictors)] * len(tables)
-    figure, lines = modality_panels(12.0, heights, [name for name, _ in tables], sharex=True, sharey=True)
-    for line, (_, own) in zip(lines, tables, strict=True):
-        for axes, modality in line:
-            draw_intervals(axes, select(own, modality=modality), "predictor", predictors)
-    for axes in figure.axes[-len(MODALITIES) :]:
-        axes.set_xlabel("skill (0: training mean)")
-    return [save(figure, folder / "skill.png")]
+    together = [row for row in select(rows, object=ALL_OBJECTS) if row["predictor"] != "training_mean"]
+    shown = [row for row in together if row["skill"] is not None]
+    predictors = unique(shown, "predictor")
+    draw = partial(draw_intervals, column="predictor", names=predictors)
+    lines = [
+        Line(0.9 + 0.25 * len(predictors), own, draw, table, "skill (0: training mean)")
+        for table, own in grouped(shown, "table")
+    ]
+    return save_panels(folder / "skill.png", 12.0, lines, sharex=True, sharey=True)

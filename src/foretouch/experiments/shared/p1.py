@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -64,21 +64,13 @@ class ObjectTypes(Settings):
         return {name: np.array([k for k, s in enumerate(samples) if s.object in own], np.intp) for name, own in types}
 
 
-def draw_errors(axes: Axes, rows: Rows, tables: Sequence[str], predictors: Sequence[str], values: str) -> None:
+def draw_errors(axes: Axes, rows: Rows, *, tables: Sequence[str], predictors: Sequence[str], values: str) -> None:
     """Draw the error of each predictor over the tables; published errors are black stars."""
-    published = {P1: {"color": "black", "marker": "*", "markersize": 9}}
-    draw_series(
-        axes,
-        rows,
-        "table",
-        "predictor",
-        predictors,
-        values=values,
-        places=tables,
-        spread=0.1,
-        line=False,
-        styles=published,
-    )
+    styles: dict[str, dict[str, Any]] = {
+        "every": {"linestyle": ""},
+        P1: {"color": "black", "marker": "*", "markersize": 9},
+    }
+    draw_series(axes, rows, "table", "predictor", predictors, values=values, places=tables, spread=0.1, styles=styles)
     axes.set_xticks(range(len(tables)), [name.replace(" ", "\n", 1) for name in tables], fontsize=8)
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.15)

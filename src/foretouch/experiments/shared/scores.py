@@ -3,21 +3,17 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from foretouch.config import Settings
 from foretouch.errors import DatasetError
 from foretouch.experiments.framework.experiment import Row
-from foretouch.experiments.shared.rows import grouped
+from foretouch.experiments.shared.tables import ALL_OBJECTS, grouped
 from foretouch.learning.data import Dataset, load_dataset
 from foretouch.learning.evaluation.metrics import MEAN, BootstrapConfig, Estimate, ObjectErrors, compare, skills
 from foretouch.tactile import MODALITIES
 from foretouch.types import Float64, GraspSample
-
-ALL_OBJECTS: Final = "all"
-"""Value of the column `object` for all objects together."""
 
 
 def load(settings: Settings, path: Path) -> Dataset:

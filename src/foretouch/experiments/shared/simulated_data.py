@@ -15,9 +15,16 @@ from foretouch.config import Settings, setting
 from foretouch.dataset.store import Store, is_store
 from foretouch.dataset.store_writer import StoreWriter
 from foretouch.errors import ConfigError, DatasetError
-from foretouch.learning.data import Dataset, load_dataset
+from foretouch.experiments.shared.folds import split_by_fold, split_objects
+from foretouch.experiments.shared.scores import labelled
+from foretouch.learning.data import Dataset, load_dataset, make_folds
+from foretouch.learning.evaluation.metrics import BootstrapConfig
+from foretouch.learning.training.contact import ContactConfig
 from foretouch.simulation.scene import SceneConfig, load_scene
 from foretouch.simulation.simulate import Simulation
+from foretouch.types import GraspSample
+
+_REAL: Final = "real"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +39,7 @@ class SimulatedGrasps:
     """Simulated grasps and their scene."""
 
     collection: Dataset  # the samples
-    scene: SceneConfig  # the scene; with the `slot` and `attempt` of a sample, it reproduces that sample
+    scene: SceneConfig  # with the `slot` and `attempt` of a sample, it reproduces that sample
 
     @property
     def sha256(self) -> str:
@@ -63,18 +70,12 @@ def beside(out: Path) -> Path:
 
 
 def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
-    """Simulate the first samples of a scene to a store, or reuse a complete one.
-
-    Args:
-        scene_file: Scene (YAML).
-        count: Number of samples.
-        folder: Folder of the store, which is named after the scene.
+    """Simulate the first `count` samples of a scene (YAML) to a store in a folder, or reuse a complete one.
 
     Raises:
         ConfigError: If the existing store is of another scene or size.
     """
-    scene = load_scene(scene_file)
-    path = folder / scene_file.stem
+    scene, path = load_scene(scene_file), folder / scene_file.stem
     if not is_store(path):
         with StoreWriter(path, {"scene": scene.to_mapping(), "scene_sha256": scene.sha256()}) as writer:
             for sample in Simulation(scene).samples(count):
@@ -87,11 +88,7 @@ def simulate_store(scene_file: Path, count: int, folder: Path) -> Path:
 
 
 def load_simulated(settings: SimulatedSettings, path: Path) -> SimulatedGrasps:
-    """Read a store and its scene.
-
-    Raises:
-        DatasetError: If the store contains no scene.
-    """
+    """Read a store and its scene; a `DatasetError` if it contains no scene."""
     del settings
     return SimulatedGrasps(load_dataset(path), _scene_of(Store(path).manifest, path))
 
@@ -101,9 +98,6 @@ def _scene_of(manifest: Any, path: Path) -> SceneConfig:
     if not isinstance(scene, dict):
         raise DatasetError(f"{path}: about.scene: is missing; only simulated samples can be reproduced")
     return SceneConfig.from_mapping(scene, str(path))
-
-
-_REAL: Final = "real"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,15 +125,12 @@ class RealAndSimulated:
 
 
 def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path:
-    """Make a folder with the store of the scene and a link to the real grasps.
-
-    Raises:
-        ConfigError: If no real grasps are given.
-    """
+    """Make a folder with the store of the scene and a link to the real grasps; a `ConfigError` without these."""
     if source is None:
         raise ConfigError("experiment: no real grasps; give --data PATH or set FORETOUCH_DATA")
-    folder = beside(out)
-    simulate_store(_scene_file(settings.scene), settings.samples, folder)
+    folder, scene = beside(out), Path(settings.scene)
+    shipped = Path(str(resources.files("foretouch.simulation"))) / "scenes" / scene.name
+    simulate_store(shipped if shipped.is_file() and not scene.exists() else scene, settings.samples, folder)
     link = folder / _REAL
     if link.is_symlink():
         link.unlink()
@@ -147,14 +138,36 @@ def prepare_both(settings: BothSettings, source: Path | None, out: Path) -> Path
     return folder
 
 
-def _scene_file(scene: str) -> Path:
-    """The file of that path, else the scene of its name that comes with the package."""
-    path = Path(scene)
-    shipped = Path(str(resources.files("foretouch.simulation"))) / "scenes" / path.name
-    return shipped if shipped.is_file() and not path.exists() else path
-
-
 def load_both(settings: BothSettings, path: Path) -> RealAndSimulated:
     """Read the folder of `prepare_both`."""
     simulated = load_simulated(settings, path / Path(settings.scene).stem)
     return RealAndSimulated(load_dataset(path / _REAL), simulated.collection)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionSettings(BothSettings):
+    """Settings of experiments on the default model, with simulated new objects and splits of the real grasps."""
+
+    split_seeds: tuple[int, ...] = setting((0, 1, 2), "Seeds of the splits of the simulated objects", minimum=0)
+    train_objects: int = setting(65, "Number of simulated training objects; the others are tested", minimum=2)
+    draws: int = setting(10, "Number of random draws of the touched grasps", minimum=1, maximum=1000)
+    contact: ContactConfig = ContactConfig()
+    bootstrap: BootstrapConfig = BootstrapConfig()
+
+
+def split_condition(
+    settings: ConditionSettings, data: RealAndSimulated, split: str, part: str, seed: int = 0
+) -> tuple[list[GraspSample], list[GraspSample]]:
+    """Training and test samples of a part of a condition.
+
+    Args:
+        settings: Settings of the experiment.
+        data: The samples.
+        split: Name of a split of the real grasps; "" for simulated objects.
+        part: Name of the fold, or seed of the split of the simulated objects.
+        seed: Seed of the folds.
+    """
+    if not split:
+        return split_objects(labelled(data.simulated), settings.train_objects, int(part))
+    real = labelled(data.real)
+    return split_by_fold(real, make_folds(real, split, seed), part)

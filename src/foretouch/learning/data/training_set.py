@@ -16,7 +16,7 @@ from foretouch.learning.data.folds import Indices
 from foretouch.models.network.config import ModelConfig
 from foretouch.models.network.length_check import grasp_lengths
 from foretouch.models.network.preparation import finite_points, prepare_cloud, prepare_grasps, sample_channels
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 from foretouch.types import TOUCH_SIZE, Float32, Float64, GraspSample
 
 if TYPE_CHECKING:
@@ -107,9 +107,8 @@ def _prepared(sample: GraspSample, config: ModelConfig) -> tuple[Float32, Float3
 def _label(sample: GraspSample) -> Float64:
     if sample.touch is None:
         raise DatasetError(f"{sample.id}: touch: is not labelled")
-    check = check_touch(sample.touch)
-    if not check.valid:
-        raise DatasetError(f"{sample.id}: touch: {check.faults[0]}")
+    if faults := touch_faults(sample.touch):
+        raise DatasetError(f"{sample.id}: touch: {faults[0]}")
     return sample.touch.vector()
 
 

@@ -19,7 +19,7 @@ from foretouch.learning.evaluation.metrics import score
 from foretouch.models.calibration import Calibration
 from foretouch.models.touch_model import TouchModel
 from foretouch.models.tracker import Level, SensorTracker
-from foretouch.tactile import MODALITIES, check_touch, columns
+from foretouch.tactile import MODALITIES, columns, touch_faults
 from foretouch.types import TOUCH_SIZE, Float64, GraspSample
 
 BINS: Final[Mapping[str, tuple[int, int]]] = {
@@ -260,7 +260,7 @@ def replay_model(model: TouchModel, samples: Sequence[GraspSample], history: Seq
     known = np.zeros(len(ordered), np.bool_)
     for k, sample in enumerate(ordered):
         if sample.touch is not None:
-            if faults := check_touch(sample.touch).faults:
+            if faults := touch_faults(sample.touch):
                 raise TactileError(f"{sample.id}: {faults[0]}")
             readings[k] = sample.touch.vector()
         (one,) = model.predict(sample.cloud, [sample.grasp])

@@ -13,7 +13,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from foretouch.dataset.messages import decode_grasp
-from foretouch.grasp.fingertip import fingertip_rotation
+from foretouch.grasp.pose import fingertip_rotation
 from foretouch.ros.messages.conversions import interval_text, point_to_msg, reference_text
 from foretouch.tactile import TactileRanges, electrode_normals, electrode_positions
 from foretouch.types import Float64, Grasp

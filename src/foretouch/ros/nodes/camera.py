@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera, open_camera
+from foretouch.camera import CameraStatus, RealSenseCamera, RealSenseConfig, SyntheticCamera
 from foretouch.config import Settings, setting
 from foretouch.errors import ConfigError, ForetouchError
 from foretouch.ros.messages.clouds import cloud_to_msg
@@ -99,7 +99,9 @@ class CameraNode(ForetouchNode[CameraNodeConfig]):
         """Open the camera and read it from a thread."""
         self._failure = ""
         self._stopping.clear()
-        self._camera = open_camera(_camera_config(self.config).replace(**self._size), self.synthetic, self._log_status)
+        self._camera = RealSenseCamera(
+            _camera_config(self.config).replace(**self._size), self.synthetic, self._log_status
+        )
         if self.synthetic is not None:
             self.synthetic.start()
         run = self.internal_errors.guarded("camera", self._run, lambda _, reason: self._fail(reason))

@@ -3,7 +3,7 @@
 
 Each node reports in /diagnostics how long it has run and how many ends of its topics are matched (`matched_ends`). A source
 of clouds compares that with the ends that discovery shows. A participant of another program may be seen up to three seconds
-late, when its next announcement is due (benchmarks/late_subscribers).
+late, when its next announcement is due.
 """
 
 import time

@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from foretouch.tactile import check_touch
+from foretouch.tactile import touch_faults
 from foretouch.tactile.contact_detector import ContactConfig, ContactDetector
 from foretouch.types import Float32, Touch
 
@@ -72,7 +72,7 @@ class LiveTare:
             return None
         if self._tare is None and not self.fault:
             touch = Touch.from_vector(np.median(self._rest, axis=0))
-            self.fault = "; ".join(check_touch(touch).faults)
+            self.fault = "; ".join(touch_faults(touch))
             self._tare = None if self.fault else touch
         return self._tare
 

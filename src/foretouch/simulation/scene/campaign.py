@@ -18,8 +18,8 @@ CHANGE_S: Final = (60.0, 300.0)  # in addition where the object is changed, low 
 class DriftTermConfig(Settings):
     """One stationary Ornstein-Uhlenbeck process of the readings: correlation exp(-Δt / memory) at a distance of Δt.
 
-    The defaults are the slow term of 400 public grasps, by `benchmarks/simulation/drift.py`: maximum likelihood of a
-    slow and a fast term, the object and the grasp. Between 5 and 40 days of memory the likelihood hardly differs.
+    The defaults are the slow term of 400 public grasps, by maximum likelihood of a slow and a fast term, the object
+    and the grasp (docs/scenes.md). Between 5 and 40 days of memory the likelihood hardly differs.
     """
 
     memory_days: float = setting(

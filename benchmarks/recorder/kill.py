@@ -6,7 +6,7 @@ the dataset every few samples. It writes the id of each sample to a pipe once `a
 a random time, measured from its start or, every second round, from its first sample. Then the dataset is repaired and
 verified: every acknowledged id must be in it, with the content that belongs to that id.
 
-    python benchmarks/durability/kill.py [--rounds 100] [--seed 0] [--json]
+    python benchmarks/recorder/kill.py [--rounds 100] [--seed 0] [--json]
 """
 
 from __future__ import annotations

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What several benchmarks need: tables as CSV, Markdown and text, and scenes. Run them from the root: `python -m benchmarks.guard.bench`."""
+
+from __future__ import annotations
+
+import csv
+import os
+import time
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from foretouch.simulation.scene import SceneConfig, load_scene
+
+ROOT: Final = Path(__file__).parents[1]
+BEGIN: Final = "<!-- written by the benchmark -->\n"
+END: Final = "<!-- end of what is written -->\n"
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Rows of a table; none if it does not exist."""
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write_csv(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a table whose rows have the columns of the first one."""
+    rows = list(rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table in Markdown."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "".join(f"| {' | '.join(str(cell) for cell in line)} |\n" for line in lines)
+
+
+def replace_marked(path: Path, text: str) -> None:
+    """Replace what stands between the marks of a README."""
+    head, rest = path.read_text(encoding="utf-8").split(BEGIN)
+    path.write_text(f"{head}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows of the same columns below each other, right-aligned but for the first column."""
+    if not rows:
+        return
+    lines = [list(rows[0]), *([_text(value) for value in row.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for first, *others in lines:
+        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
+        print("  ".join([first.ljust(widths[0]), *cells]), flush=True)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def cpu_ms(job: Callable[[], object], repeats: int, least: bool = False) -> float:
+    """CPU time of a call, all threads of this process, after one call to warm up: the median, or the least [ms]."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.process_time()
+        job()
+        times.append((time.process_time() - start) * 1e3)
+    return float((np.min if least else np.median)(times[1:]))
+
+
+def scene(name: str, **changes: Any) -> SceneConfig:
+    """A scene of the repository, with changes by dotted keys given as `a__b=value`."""
+    loaded = load_scene(ROOT / "config" / "scenes" / f"{name}.yaml")
+    return loaded.updated({key.replace("__", "."): value for key, value in changes.items()}) if changes else loaded
+
+
+def add_data(parser: ArgumentParser) -> None:
+    """The option `--data`: the folder of recordings of others."""
+    parser.add_argument(
+        "--data", type=Path, default=os.environ.get("FORETOUCH_DATA"), help="folder of recordings (or FORETOUCH_DATA)"
+    )

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Select and group rows, and write tables of them: texts of numbers, tables of skills, and sentences."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, TypeVar
+
+from foretouch.experiments.framework.experiment import Row, Table
+from foretouch.learning.evaluation.metrics import MEAN
+from foretouch.tactile import MODALITIES
+
+ALL_OBJECTS: Final = "all"
+"""Value of the column `object` for all objects together."""
+
+R = TypeVar("R", bound=Mapping[str, Any])
+
+MODEL: Final = "contact"
+"""The default model, which is shown by object if it was run."""
+
+SIGNS: Final = {"better": "▲", "worse": "▼", "tie": "="}
+"""By verdict of a comparison."""
+
+SKILL_COLUMNS: Final = ("skill", *MODALITIES, MEAN)
+
+_LEGEND: Final = (
+    "skill: 0 is the mean of the training labels, 1 is perfect; [95 % interval by bootstrap over objects]; below it the object "
+    "with the lowest skill"
+)
+_VERDICTS: Final = (
+    "▲ significantly better, ▼ significantly worse, = no significant difference (95 % CI) from {references}; "
+    "same grasps, paired bootstrap"
+)
+_ITSELF: Final = "·"
+
+
+def select(rows: Iterable[R], **wanted: Any) -> list[R]:
+    """Rows that have the given values."""
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
+def unique(rows: Iterable[Mapping[str, Any]], column: str) -> list[Any]:
+    """Values of a column, each once, in order of their first rows."""
+    return list(dict.fromkeys(row[column] for row in rows))
+
+
+def grouped(rows: Iterable[R], *columns: str) -> list[tuple[Any, list[R]]]:
+    """Each value of a column, or tuple of values of several, with its rows; in order of their first rows."""
+    found: dict[Any, list[R]] = {}
+    for row in rows:
+        key = row[columns[0]] if len(columns) == 1 else tuple(row[name] for name in columns)
+        found.setdefault(key, []).append(row)
+    return list(found.items())
+
+
+def pivot(
+    rows: Iterable[R],
+    line: str,
+    text: Callable[..., str],
+    column: str = "modality",
+    names: Sequence[Any] = MODALITIES,
+    label: Callable[[Any], str] = str,
+) -> list[list[str]]:
+    """A line of a table for each value of a column, and in it a cell for each of the `names` of another column.
+
+    `text` is given the rows of the cell, usually one, as arguments; a cell without a row is empty.
+    """
+    body = []
+    for name, own in grouped(rows, line):
+        cells = {key: text(*found) for key, found in grouped(own, column)}
+        body.append([label(name), *(cells.get(key, "") for key in names)])
+    return body
+
+
+def short(value: float | None, decimals: int = 2) -> str:
+    """A number without the zero before its point, and with one decimal less from 1 on; `–` for None."""
+    if value is None:
+        return "–"
+    return f"{value:.{decimals}f}".replace("0.", ".", 1) if abs(value) < 1.0 else f"{value:.{decimals - 1}f}"
+
+
+def listed(rows: Iterable[Mapping[str, Any]], column: str) -> str:
+    """Numbers of a column, such as those of the four modalities."""
+    return " ".join(short(row[column]) for row in rows)
+
+
+def span(values: Iterable[float]) -> str:
+    """The least and the largest number."""
+    ordered = sorted(values)
+    low, high = short(ordered[0]), short(ordered[-1])
+    return low if low == high else f"{low} to {high}"
+
+
+def findings(sentences: Sequence[str]) -> Table:
+    """Sentences above the tables."""
+    return Table("Findings", (), (), sentences)
+
+
+def with_notes(tables: Sequence[Table], notes: Sequence[str]) -> list[Table]:
+    """Tables with notes below the last one."""
+    return [*tables[:-1], replace(tables[-1], notes=notes)]
+
+
+def skill_tables(rows: Sequence[Row], notes: Sequence[str] = (), sentences: Sequence[str] = ()) -> list[Table]:
+    """Sentences, and a table of skills for each `table` of the results, with a sign for each comparison."""
+    references = [name[3:-8] for name in rows[0] if name.startswith("vs_") and name.endswith("_verdict")]
+    found, tables, by_object = [], [], []
+    names = SKILL_COLUMNS[1:]
+    for table, own in grouped(rows, "table"):
+        together = select(own, object=ALL_OBJECTS)
+        body = pivot(together, "predictor", lambda row, own=own: _cell(row, references, own), names=names)
+        title = f"{table}: {together[0]['samples']} predictions on {together[0]['objects']} objects"
+        tables.append(Table(title, SKILL_COLUMNS, body))
+        single = [row for row in select(own, predictor=MODEL) if row["object"] != ALL_OBJECTS]
+        if single:
+            body = pivot(single, "object", lambda row: short(row["skill"]), names=names)
+            by_object.append(Table(f"{table}: {MODEL}, by object", SKILL_COLUMNS, body))
+        predictors = unique(together, "predictor")
+        shown = MODEL if MODEL in predictors else predictors[-1]
+        found.append(_sentence(f"{table}: `{shown}`", select(together, predictor=shown), references))
+    legend = [_LEGEND] + [_VERDICTS.format(references=", then from ".join(references))] * bool(references)
+    return [findings([*found, *sentences]), *with_notes([*tables, *by_object], [*legend, *notes])]
+
+
+def _sentence(start: str, rows: Sequence[Row], references: Sequence[str]) -> str:
+    """The skills of a predictor, and where they differ significantly from those of the references."""
+    parts = [f"{start} has skills of {listed(rows[: len(MODALITIES)], 'skill')} ({', '.join(MODALITIES)})"]
+    for other in references:
+        verdicts = {row["modality"]: row[f"vs_{other}_verdict"] for row in rows}
+        where = {one: [k.replace(MEAN, "the mean") for k, v in verdicts.items() if v == one] for one in SIGNS}
+        named = {one: f"significantly {one} than `{other}` in {', '.join(where[one])}" for one in ("better", "worse")}
+        parts += [text for one, text in named.items() if where[one]]
+        parts += [f"not significantly different from `{other}`"] * (len(where["tie"]) == len(rows))
+    return "; ".join(parts)
+
+
+def _cell(row: Row, references: Sequence[str], of_table: Sequence[Row]) -> str:
+    """Skill, signs of its comparisons and interval; the object with the lowest skill where there are several."""
+    signs = "".join(SIGNS.get(row[f"vs_{name}_verdict"] or "", _ITSELF) for name in references)
+    text = f"{short(row['skill'])} {signs.strip(_ITSELF) and signs}".rstrip()
+    if row["modality"] == MEAN:
+        return text
+    if row["skill_low"] is not None and row["skill_low"] != row["skill_high"]:
+        text += f"\n[{short(row['skill_low'])}, {short(row['skill_high'])}]"
+    own = select(of_table, predictor=row["predictor"], modality=row["modality"])
+    single = [(one["skill"], one["object"]) for one in own if one["object"] != ALL_OBJECTS]
+    if len({skill for skill, _ in single}) > 1:
+        skill, name = min(single)
+        text += f"\n{name} {short(skill)}"
+    return text
