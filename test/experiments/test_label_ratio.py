@@ -12,8 +12,7 @@ from foretouch.errors import ConfigError, DatasetError, FileError
 from foretouch.experiments import find_experiment, run_sweep
 from foretouch.experiments.framework.manifest import RESULTS_FILE, read_results
 from foretouch.experiments.label_ratio import LabelRatioSettings
-from foretouch.experiments.label_ratio.data import load_scene, split_at
-from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured
+from foretouch.experiments.label_ratio.training import MODELS, TRIALS, configured, load_scene, split_at
 from foretouch.experiments.shared.simulated_data import SimulatedGrasps, simulate_store
 from foretouch.experiments.shared.tables import select
 from foretouch.learning.data.splits import RATIOS

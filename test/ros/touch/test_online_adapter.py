@@ -29,6 +29,7 @@ from foretouch.pipeline import FoundObject, Pipeline
 from foretouch.ros.messages.clouds import objects_to_msg
 from foretouch.ros.messages.conversions import grasp_to_msg, header_to_msg, stamp_to_msg
 from foretouch.ros.touch.config import TouchPredictorConfig
+from foretouch.ros.touch.history_keeper import HistoryKeeper
 from foretouch.ros.touch.online_adapter import OnlineAdapter
 from foretouch.tactile.messages import TactileConfig, make_reader
 from foretouch.tactile.messages.biotac_all import finger_counts
@@ -385,7 +386,7 @@ def direct(card: str) -> DirectHand:
     adapter = OnlineAdapter(
         model,
         make_reader(TactileConfig()),
-        HandHistory(model),
+        HistoryKeeper(model),
         lambda: settings,
         lambda: hand[0].now if hand else START,
         print,
@@ -486,9 +487,9 @@ def test_a_named_hand_remembers_across_a_restart(graph: Any, tracked: str, tmp_p
 def test_a_clock_that_was_set_back_is_reported_once(tracked: str) -> None:
     model, said, settings = load_model(tracked), [], TouchPredictorConfig()
     tare, now = Touch.from_vector(TOUCH_REST), [START]
-    history = HandHistory(model)
-    history.add_tare(START, tare)
-    adapter = OnlineAdapter(model, make_reader(TactileConfig()), history, lambda: settings, lambda: now[0], said.append)
+    keeper = HistoryKeeper(model)
+    keeper.history.add_tare(START, tare)
+    adapter = OnlineAdapter(model, make_reader(TactileConfig()), keeper, lambda: settings, lambda: now[0], said.append)
     adapter._recent_tare = lambda _: tare
     cloud = Cloud(np.random.default_rng(0).uniform(-0.04, 0.04, (300, 3)).astype(np.float32) + np.float32([0, 0, 0.8]))
     grasp = Grasp(np.array([0.04, 0.0, 0.8]), np.array([-0.04, 0.0, 0.8]), np.eye(3))

@@ -283,7 +283,7 @@ def _descend(
         pressure, given = start.copy(), float(command.depth_m or 0.0)
     else:
         given = command.force_n / problem.cell_m2
-        pressure = start * (given / float(start.sum()))
+        pressure = np.ascontiguousarray(start * (given / float(start.sum())))
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
     limits = safe_length, tolerance, max_iterations
     n, by_force = gap.shape[0], int(command.force_n is not None)
