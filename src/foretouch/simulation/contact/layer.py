@@ -217,8 +217,8 @@ def solve_layer(
             )
         displacement = _displacements(problem, pressure)
     refuse_overload(problem, displacement, end.depth)
-    area = int(np.count_nonzero(pressure)) * problem.cell_m2
-    return ContactSolution(pressure, displacement, float(pressure.sum()) * problem.cell_m2, area, end.depth)
+    force, cells = float(pressure.sum()) * problem.cell_m2, int(np.count_nonzero(pressure))
+    return ContactSolution(pressure, displacement, force, cells * problem.cell_m2, end.depth)
 
 
 def _box_around(pressure: Float64) -> tuple[slice, slice]:
@@ -284,7 +284,7 @@ def _descend(
         pressure, given = start.copy(), float(command.depth_m or 0.0)
     else:
         given = command.force_n / problem.cell_m2
-        pressure = start * (given / float(start.sum()))
+        pressure = np.ascontiguousarray(start * (given / float(start.sum())))
     safe_length, end = 1.0 / float(np.abs(spectrum).max()), np.zeros(4)  # below 2 / (largest eigenvalue of K)
     limits = safe_length, tolerance, max_iterations
     n, by_force = gap.shape[0], int(command.force_n is not None)
